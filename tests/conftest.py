@@ -1,0 +1,37 @@
+"""Shared fixtures: the JIT variant under test, and the optional assets kept beside the checkout."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ASSETS = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def variant() -> str:
+    """Every test runs on llvm_ad_rgb unless TNST_MI_TEST_VARIANT names another variant."""
+    import tnst_mi
+
+    return tnst_mi.activate(os.environ.get("TNST_MI_TEST_VARIANT", "llvm_ad_rgb"))
+
+
+def _asset(relative: str) -> Path:
+    path = ASSETS / relative
+    if not path.exists():
+        pytest.skip(f"{relative} is not beside the checkout (looked for {path})")
+    return path
+
+
+@pytest.fixture(scope="session")
+def bvlc_weights() -> Path:
+    """The real BVLC GoogLeNet weights, or a skip where they are not at hand."""
+    return _asset("weights/googlenet_bvlc.safetensors")
+
+
+@pytest.fixture(scope="session")
+def asset() -> object:
+    """A function from a relative path to a real asset; skips where it is not at hand."""
+    return _asset

@@ -1,0 +1,90 @@
+"""Transport-based neural style transfer for smoke, on Mitsuba 3, Dr.Jit and PyTorch.
+
+`activate()` selects the Mitsuba variant; every public function calls it if none is active. Importing the package
+touches no Mitsuba type: the plugins `emission_absorption` and `orthographic_views` are registered for each variant
+as it becomes active.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from tnst_mi.backend import activate, select_llvm
+from tnst_mi.errors import InputError
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from tnst_mi.advection import advect
+    from tnst_mi.frame import Frame
+    from tnst_mi.googlenet import GoogLeNet
+    from tnst_mi.io import load_frames, save_frames
+    from tnst_mi.job import Result, stylize
+    from tnst_mi.potentials import velocity
+    from tnst_mi.recipe import Recipe
+    from tnst_mi.scene import render
+    from tnst_mi.views import sample_views
+
+#: Public names and the modules they live in; a module is imported at the first use of its name.
+_PUBLIC = {
+    "Frame": "frame",
+    "GoogLeNet": "googlenet",
+    "Recipe": "recipe",
+    "Result": "job",
+    "advect": "advection",
+    "load_frames": "io",
+    "render": "scene",
+    "sample_views": "views",
+    "save_frames": "io",
+    "stylize": "job",
+    "velocity": "potentials",
+}
+
+__all__ = [
+    "Frame",
+    "GoogLeNet",
+    "InputError",
+    "Recipe",
+    "Result",
+    "activate",
+    "advect",
+    "load_frames",
+    "render",
+    "sample_views",
+    "save_frames",
+    "stylize",
+    "velocity",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'tnst_mi' has no attribute {name!r}")
+    # The field and Mitsuba modules need an active variant when they are imported.
+    if _PUBLIC[name] in ("advection", "potentials", "scene"):
+        activate()
+    value = getattr(importlib.import_module(f"tnst_mi.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])
+
+
+def _register_plugins(old: str | None, new: str | None) -> None:
+    importlib.import_module("tnst_mi.plugins").register()
+
+
+def _install_plugins() -> None:
+    """Have the plugins registered now, if a variant is active, and at each change of the variant."""
+    # Dr.Jit loads LLVM while it is imported, so the library is chosen before.
+    select_llvm()
+    mi = importlib.import_module("mitsuba")
+    mi.detail.add_variant_callback(_register_plugins)
+    if mi.variant() is not None:
+        _register_plugins(None, mi.variant())
+
+
+_install_plugins()

@@ -1,0 +1,195 @@
+"""Cell-centred grids: octave sizes, cell indices, the trilinear stencil and a repeatable scatter-add.
+
+Grids are stored as tensors of shape (D, H, W) or (D, H, W, C), that is (z, y, x[, channel]). Positions are
+displacements from a cell centre, measured in cells: their fractional part is then exact in float32 however
+large the grid is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from tnst_mi.errors import InputError
+
+#: (D, H, W): number of cells along z, y and x.
+Shape = tuple[int, int, int]
+
+#: Displacements are clamped to this many cells, so that they always fit a 32-bit index.
+_FARTHEST = float(2**20)
+
+
+@dataclass(frozen=True)
+class Octave:
+    """One level of the coarse-to-fine optimisation: its (D, H, W) and its cell size in full-resolution cells."""
+
+    shape: Shape
+    cell_size: float
+
+
+def octaves(shape: Sequence[int], count: int, factor: float = 1.8) -> list[Octave]:
+    """Sizes of the octaves from the coarsest to the full grid: int(N / factor), applied repeatedly.
+
+    The cell size is H / H_octave on every axis; all octaves share the centre of the full grid.
+    An axis never falls below one cell.
+    """
+    if count < 1 or factor <= 1.0:
+        raise InputError(f"octaves: count {count} and factor {factor} given, expected count >= 1 and factor > 1")
+    sizes = [tuple(int(n) for n in shape)]
+    for _ in range(count - 1):
+        sizes.append(tuple(max(1, int(n / factor)) for n in sizes[-1]))
+    return [Octave(size, shape[1] / size[1]) for size in reversed(sizes)]
+
+
+def opaque(value: float) -> mi.Float:
+    """A number that changes between calls, kept out of the generated code so that no kernel is recompiled."""
+    return dr.opaque(mi.Float, value)
+
+
+@dataclass
+class Cells:
+    """Integer coordinates of every cell of a grid, in storage order."""
+
+    shape: Shape
+    size: mi.Vector3i  # W, H, D as opaque numbers
+    x: mi.Int32
+    y: mi.Int32
+    z: mi.Int32
+
+    @classmethod
+    def of(cls, shape: Shape) -> Cells:
+        """The cells of a (D, H, W) grid."""
+        d, h, w = shape
+        size = mi.Vector3i(*(dr.opaque(mi.Int32, n) for n in (w, h, d)))
+        flat = dr.arange(mi.Int32, d * h * w)
+        row = flat // size.x
+        z = row // size.y
+        return cls(shape, size, flat - row * size.x, row - z * size.y, z)
+
+    def index(self, x: mi.Int32, y: mi.Int32, z: mi.Int32) -> mi.UInt32:
+        """Storage index of cell (x, y, z), which must lie inside the grid."""
+        return mi.UInt32(dr.fma(dr.fma(z, self.size.y, y), self.size.x, x))
+
+
+def gather(values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True) -> list[mi.Float]:
+    """All channels of the cells at `index`; inactive lanes read 0."""
+    if channels == 1:
+        return [dr.gather(mi.Float, values, index, active)]
+    return [dr.gather(mi.Float, values, index * channels + c, active) for c in range(channels)]
+
+
+class Trilinear:
+    """Trilinear interpolation at `cell + offset`: the eight surrounding cells and their weights.
+
+    Args:
+        cells: cells that the offsets start from.
+        offset: displacement in cells, components (x, y, z).
+        outside: "zero" (cells outside the grid hold 0) or "edge" (they repeat the nearest cell).
+    """
+
+    def __init__(self, cells: Cells, offset: mi.Vector3f, outside: str) -> None:
+        offset = dr.clip(offset, -_FARTHEST, _FARTHEST)
+        base = dr.floor(offset)
+        self.fraction = offset - base
+        steps = mi.Vector3i(base)
+        low = (cells.x + steps.x, cells.y + steps.y, cells.z + steps.z)
+        #: For each axis, the coordinate of the lower and the upper cell, and whether each lies in the grid.
+        coordinates, inside = [], []
+        for axis in range(3):
+            pair = (low[axis], low[axis] + 1)
+            last = cells.size[axis] - 1
+            coordinates.append([dr.clip(i, 0, last) for i in pair])
+            inside.append([(i >= 0) & (i <= last) if outside == "zero" else mi.Bool(True) for i in pair])
+        self.corners = [
+            (
+                (a, b, c),
+                cells.index(coordinates[0][a], coordinates[1][b], coordinates[2][c]),
+                inside[0][a] & inside[1][b] & inside[2][c],
+            )
+            for c in (0, 1)
+            for b in (0, 1)
+            for a in (0, 1)
+        ]
+
+    def _weight(self, corner: tuple[int, int, int], skip: int | None = None) -> mi.Float:
+        """Product of the per-axis weights of a corner, leaving out one axis on request."""
+        weight = mi.Float(1)
+        for axis, upper in enumerate(corner):
+            if axis != skip:
+                weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
+        return weight
+
+    def read(self, values: mi.Float, channels: int) -> list[list[mi.Float]]:
+        """Values of the eight cells: one list of channels per corner."""
+        return [gather(values, index, channels, active) for _, index, active in self.corners]
+
+    def value(self, corners: list[list[mi.Float]]) -> list[mi.Float]:
+        """Interpolated value of every channel, from the corner values."""
+        weights = [self._weight(corner) for corner, _, _ in self.corners]
+        return [_weighted_sum(weights, [c[i] for c in corners]) for i in range(len(corners[0]))]
+
+    def gradient(self, corners: list[list[mi.Float]]) -> list[mi.Vector3f]:
+        """Derivative of every channel's interpolated value with respect to the position, per cell."""
+        result = []
+        weights = [[self._weight(corner, axis) for corner, _, _ in self.corners] for axis in range(3)]
+        for i in range(len(corners[0])):
+            signed = [
+                [c[i] if corner[axis] else -c[i] for (corner, _, _), c in zip(self.corners, corners, strict=True)]
+                for axis in range(3)
+            ]
+            result.append(mi.Vector3f(*(_weighted_sum(weights[axis], signed[axis]) for axis in range(3))))
+        return result
+
+    def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
+        """Transpose of `value`: add each channel's weighted value to the eight cells."""
+        for corner, index, active in self.corners:
+            weight = self._weight(corner)
+            for c, value in enumerate(values):
+                slot = index if len(values) == 1 else index * len(values) + c
+                target.add(slot, weight * value, active)
+
+
+def _weighted_sum(weights: list[mi.Float], values: list[mi.Float]) -> mi.Float:
+    total = weights[0] * values[0]
+    for weight, value in zip(weights[1:], values[1:], strict=True):
+        total = dr.fma(weight, value, total)
+    return total
+
+
+class RepeatableSum:
+    """A scatter-add whose result does not depend on the order of the additions.
+
+    Floating-point atomics add in whatever order the threads arrive and give other bits in every run. Here each
+    value is rounded to a multiple of a power of two and added as a 64-bit integer, which is exact. The unit is the
+    smallest one for which `count` additions of `bound` cannot overflow, at least 2^-30 of the bound for any
+    array that fits in memory: finer than float32 for all but the smallest addends.
+
+    Args:
+        size: number of slots.
+        bound: no value added is larger than this in magnitude (a number on the device, width 1).
+        count: no slot receives more values than this.
+    """
+
+    def __init__(self, size: int, bound: mi.Float, count: int) -> None:
+        self.total = dr.zeros(mi.Int64, size)
+        # Clearing the mantissa bits leaves the power of two below the bound; all scalings are then exact.
+        # The floor keeps the scale finite in float32.
+        exponent = dr.reinterpret_array(mi.UInt32, dr.maximum(bound, 2.0**-60)) & 0x7F800000
+        self.unit = dr.reinterpret_array(mi.Float, exponent) * opaque(2.0 ** -(61 - max(count, 1).bit_length()))
+        self.scale = dr.rcp(self.unit)
+
+    def add(self, index: mi.UInt32, value: mi.Float, active: mi.Bool | bool = True) -> None:
+        """Add `value` to the slot at `index`."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.total, mi.Int64(dr.round(value * self.scale)), index, active)
+
+    def result(self) -> mi.Float:
+        """The sums in float32."""
+        return mi.Float(self.total) * self.unit
+
+
+def largest_magnitude(values: mi.Float) -> mi.Float:
+    """max |values| as a number that stays on the device."""
+    return dr.max(dr.abs(values)) if dr.width(values) else mi.Float(0)

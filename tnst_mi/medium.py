@@ -1,0 +1,187 @@
+"""What a march through a `heterogeneous` medium needs: its extinction tensor and the map from world to cells.
+
+Resolving them once lets the integrator gather from the tensor instead of calling the medium's virtual functions for
+every sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.grid import Cells, Shape, Trilinear
+
+
+class _Children(mi.TraversalCallback):
+    """Collects the child objects that a Mitsuba object announces, by name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.objects: dict[str, mi.Object] = {}
+
+    def put(self, name: str, value: object, *_: object) -> None:
+        if isinstance(value, mi.Object):
+            self.objects[name] = value
+
+
+def _children(node: mi.Object) -> dict[str, mi.Object]:
+    callback = _Children()
+    node.traverse(callback)
+    return callback.objects
+
+
+@dataclass(frozen=True)
+class GridTransform:
+    """The affine map from world space to the unit cube of a gridvolume: `local = 1/2 + matrix (p − centre)`.
+
+    `matrix` is (3, 3) and `centre` (3,), both float64, axes (x, y, z); `centre` is the centre of the grid.
+    """
+
+    matrix: np.ndarray
+    centre: np.ndarray
+
+    def voxel_edges(self, shape: Shape) -> np.ndarray:
+        """World lengths of a cell's edges along the grid's own x, y and z axes."""
+        return np.linalg.norm(np.linalg.inv(self.matrix), axis=0) / np.array(shape[::-1])
+
+    def diagonal(self) -> float:
+        """Length in world space of the longest diagonal of the grid."""
+        edges = np.linalg.inv(self.matrix)
+        signs = np.array([[1, a, b] for a in (-1, 1) for b in (-1, 1)])
+        return float(np.linalg.norm(signs @ edges.T, axis=1).max())
+
+
+def probe_transform(volume: mi.Volume) -> GridTransform:
+    """Recover the `to_world` of a gridvolume, which Mitsuba does not expose.
+
+    The grid's centre is the centre of its bounding box. The rest is read off with a probe: for a moment the volume
+    holds 2×2×2 cells whose values rise along one axis, and the derivative of its interpolated value at the centre
+    is that axis' row of the matrix. Three probes, then the volume's own data are put back.
+    """
+    box = volume.bbox()
+    centre = np.array((box.min + box.max) * 0.5, dtype=np.float64).ravel().tolist()
+    parameters = mi.traverse(volume)
+    rows = []
+    # Integrators suspend derivatives while they render: the volume's own data, if attached, would come back detached.
+    with dr.resume_grad():
+        # A copy: the dictionary hands out a reference, which the probes would overwrite.
+        data = mi.TensorXf(parameters["data"])
+        try:
+            for axis in range(3):
+                ramp = np.zeros((2, 2, 2, data.shape[3]), np.float32)
+                np.moveaxis(ramp, 2 - axis, 0)[1] = 1.0
+                parameters["data"] = mi.TensorXf(ramp)
+                parameters.update()
+                interaction = dr.zeros(mi.Interaction3f)
+                interaction.p = mi.Point3f(*centre)
+                dr.enable_grad(interaction.p)
+                dr.backward(volume.eval(interaction)[0])
+                rows.append(np.array(dr.grad(interaction.p), dtype=np.float64).ravel())
+        finally:
+            parameters["data"] = data
+            parameters.update()
+    # Two cells span the unit interval: their values differ by 1 over a distance of 1/2.
+    matrix = np.stack(rows) / 2
+    if abs(np.linalg.det(matrix)) == 0:
+        raise RuntimeError(
+            "emission_absorption: sigma_t does not vary with the position; "
+            'use a gridvolume with filter_type "trilinear" and an invertible to_world'
+        )
+    return GridTransform(matrix, np.array(centre))
+
+
+class GridMedium:
+    """The one heterogeneous medium of a scene, resolved to its extinction tensor.
+
+    Attributes:
+        shape: the Mitsuba shape that bounds the medium.
+        extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the scene's is.
+        scale: the medium's `scale`.
+        transform: world space to the grid's unit cube.
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        found = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
+        if len(found) != 1:
+            raise RuntimeError(
+                f"emission_absorption: the scene has {len(found)} shapes with an interior medium, expected one"
+            )
+        self.shape = found[0]
+        self.medium = self.shape.interior_medium()
+        self.volume = _children(self.medium).get("sigma_t")
+        if self.volume is None or "data" not in mi.traverse(self.volume):
+            raise RuntimeError(
+                "emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t"
+            )
+        if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
+            raise RuntimeError("emission_absorption: the shape around the medium must have a `null` BSDF")
+        self.transform = probe_transform(self.volume)
+        self.refresh()
+
+    def belongs_to(self, scene: mi.Scene) -> bool:
+        """Whether this is the medium of `scene`."""
+        return any(shape is self.shape for shape in scene.shapes())
+
+    def refresh(self) -> None:
+        """Take over the current extinction and scale, which `params.update()` may have replaced."""
+        parameters = mi.traverse(self.medium)
+        self.extinction = parameters["sigma_t.data"]
+        self.scale = float(parameters["scale"])
+
+    @property
+    def channels(self) -> int:
+        """Number of extinction values per cell: 1 (grey) or 3 (colour)."""
+        return self.extinction.shape[3]
+
+    @property
+    def grid_shape(self) -> Shape:
+        """(D, H, W) of the grid."""
+        return tuple(self.extinction.shape[:3])
+
+
+class Lattice:
+    """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
+
+    Sample k of n lies at (k − (n − 1)/2) step from that point, n having the parity of D: a ray along z through a grid
+    of cubic cells, with the cell as step, samples exactly the cell centres. Only samples between the entry into
+    and the exit from both the bounding shape and the grid's box are visited.
+    """
+
+    def __init__(self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float) -> None:
+        d, h, w = medium.grid_shape
+        size = mi.Vector3f(*(dr.opaque(mi.Float, n) for n in (w, h, d)))
+        matrix = mi.Matrix3f([[dr.opaque(mi.Float, value) for value in row] for row in medium.transform.matrix.tolist()])
+        centre = mi.Point3f(*(dr.opaque(mi.Float, value) for value in medium.transform.centre.tolist()))
+        self.step = dr.opaque(mi.Float, step)
+        phase = dr.opaque(mi.Float, 0.0 if d % 2 else 0.5)
+
+        nearest = dr.dot(centre - ray.o, ray.d)
+        # Both in cells, with the centre of cell 0 as origin.
+        origin = (matrix @ mi.Vector3f(ray.o + nearest * ray.d - centre)) * size + (size - 1) * 0.5
+        direction = (matrix @ mi.Vector3f(ray.d)) * size
+
+        to_low, to_high = (-0.5 - origin) / direction, (size - 0.5 - origin) / direction
+        # A ray parallel to a face gives 0/0 on it and ±∞ elsewhere; dr.minimum would propagate the NaN.
+        parallel = direction == 0
+        within = (origin >= -0.5) & (origin <= size - 0.5)
+        low = dr.select(parallel, dr.select(within, -dr.inf, dr.inf), dr.minimum(to_low, to_high))
+        high = dr.select(parallel, dr.select(within, dr.inf, -dr.inf), dr.maximum(to_low, to_high))
+        begin = dr.maximum(dr.max(low), entry - nearest)
+        end = dr.minimum(dr.min(high), exit - nearest)
+
+        first = dr.ceil(begin / self.step - phase)
+        last = dr.floor(end / self.step - phase)
+        self.count = mi.UInt32(mi.Int32(dr.select(last >= first, last - first + 1, 0)))
+        self.increment = direction * self.step
+        self.origin = origin + (dr.select(last >= first, first, 0) + phase) * self.increment
+        #: No ray has more samples than this.
+        self.longest = math.ceil(medium.transform.diagonal() / step) + 2
+        self.cells = Cells((d, h, w), mi.Vector3i(size), mi.Int32(0), mi.Int32(0), mi.Int32(0))
+
+    def stencil(self, k: mi.UInt32) -> Trilinear:
+        """The eight cells around sample k; inside its box the grid is clamped, as gridvolume does."""
+        return Trilinear(self.cells, dr.fma(self.increment, mi.Float(k), self.origin), "edge")

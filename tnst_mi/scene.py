@@ -1,0 +1,195 @@
+"""The Mitsuba scene of one grid, and the public `render` function.
+
+World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d
+of a `heterogeneous` medium, and the `emission_absorption` plugin renders it.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.arrays import any_array_kind
+from tnst_mi.errors import InputError
+from tnst_mi.grid import Shape, opaque
+
+QUADRATURES = ("paper", "exact", "transmittance")
+
+#: (azimuth, elevation) in degrees.
+View = tuple[float, float]
+
+_EXTINCTION = "smoke.interior_medium.sigma_t.data"
+
+#: Majorant of the medium. This integrator needs none; a fixed one spares Mitsuba from reading the
+#: maximum back to the host after each change of the density.
+_MAJORANT = 1e6
+
+
+def scene_description(
+    shape: Shape, gamma: float, quadrature: str, h: float, view_count: int
+) -> dict[str, object]:
+    """The scene as a dictionary for `mi.load_dict`: box, medium, sensor and integrator (density still 0)."""
+    d, rows, columns = shape
+    half = (columns * h / 2, rows * h / 2, d * h / 2)
+    to_world = mi.ScalarTransform4f()
+    return {
+        "type": "scene",
+        "integrator": {"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": h},
+        "sensor": {
+            "type": "orthographic_views",
+            "view_count": view_count,
+            "spacing": h,
+            "distance": 2 * math.hypot(*half) + h,
+            "film": {
+                "type": "hdrfilm",
+                "width": columns,
+                "height": rows * view_count,
+                "pixel_format": "luminance",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            # One sample at the centre of each pixel: the image is free of noise.
+            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+        },
+        "smoke": {
+            "type": "cube",
+            "to_world": to_world.scale(half),
+            "bsdf": {"type": "null"},
+            "interior": {
+                "type": "heterogeneous",
+                "albedo": 0.0,
+                "sigma_t": {
+                    "type": "gridvolume",
+                    "grid": mi.VolumeGrid(np.zeros((d, rows, columns, 1), np.float32)),
+                    # gridvolume fills the unit cube [0, 1]³.
+                    "to_world": to_world.scale([2 * x for x in half]).translate(-0.5),
+                    "max_value": _MAJORANT,
+                    "accel": False,
+                },
+            },
+        },
+    }
+
+
+class GridScene:
+    """A loaded scene for grids of one size, to be rendered many times with other densities and views.
+
+    Args:
+        shape: (D, H, W) of the grid.
+        gamma: ratio γ of extinction to density, per full-resolution cell.
+        quadrature: "paper", "exact" or "transmittance".
+        h: size of a cell in full-resolution cells.
+        view_count: number of views rendered in one launch.
+    """
+
+    def __init__(self, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> None:
+        self.shape, self.gamma, self.view_count = shape, gamma, view_count
+        self.scene = mi.load_dict(scene_description(shape, gamma, quadrature, h, view_count))
+        self.parameters = mi.traverse(self.scene)
+        self.sensor = self.scene.sensors()[0]
+
+    def render(self, density: mi.TensorXf, views: Sequence[View]) -> mi.TensorXf:
+        """Images (V, H, W) of a density (D, H, W), differentiable in the density; row 0 is at the top."""
+        return dr.custom(_RenderViews, density, self, tuple(views))
+
+    def show(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
+        """Put an extinction (D, H, W) per full-resolution cell and a set of views into the scene."""
+        self.sensor.set_views(views)
+        self.parameters[_EXTINCTION] = mi.TensorXf(extinction.array, (*self.shape, 1))
+        self.parameters.update()
+
+
+class _RenderViews(dr.CustomOp):
+    """density → images. A scene holds one density at a time: each pass first puts its own back."""
+
+    def eval(self, density: mi.TensorXf, scene: GridScene, views: tuple[View, ...]) -> mi.TensorXf:
+        self.density, self.scene, self.views = density, scene, views
+        with dr.suspend_grad():
+            scene.show(density * opaque(scene.gamma), views)
+            image = scene.scene.integrator().render(scene.scene, scene.sensor, spp=1, evaluate=False)
+        return mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:]))
+
+    def _attached_extinction(self) -> mi.TensorXf:
+        extinction = self.density * opaque(self.scene.gamma)
+        dr.enable_grad(extinction)
+        self.scene.show(extinction, self.views)
+        return self.scene.parameters[_EXTINCTION]
+
+    def forward(self) -> None:
+        scene = self.scene
+        with dr.resume_grad():
+            extinction = self._attached_extinction()
+            tangent = self.grad_in("density").array * opaque(scene.gamma)
+            dr.set_grad(extinction, mi.TensorXf(tangent, tuple(extinction.shape)))
+            image = scene.scene.integrator().render_forward(scene.scene, scene.parameters, scene.sensor, spp=1)
+        self.set_grad_out(mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:])))
+
+    def backward(self) -> None:
+        scene = self.scene
+        _, rows, columns = scene.shape
+        image_gradient = mi.TensorXf(self.grad_out().array, (scene.view_count * rows, columns, 1))
+        with dr.resume_grad():
+            extinction = self._attached_extinction()
+            scene.scene.integrator().render_backward(
+                scene.scene, scene.parameters, image_gradient, scene.sensor, spp=1
+            )
+            gradient = dr.grad(extinction).array * opaque(scene.gamma)
+        self.set_grad_in("density", mi.TensorXf(gradient, scene.shape))
+
+    def name(self) -> str:
+        return "render views"
+
+
+@functools.lru_cache(maxsize=4)
+def _cached_scene(
+    variant: str, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int
+) -> GridScene:
+    return GridScene(shape, gamma, quadrature, h, view_count)
+
+
+@any_array_kind("density")
+def render(
+    density: mi.TensorXf,
+    view: View | Sequence[View] = (0.0, 0.0),
+    gamma: float = 0.1,
+    quadrature: str = "paper",
+    h: float = 1.0,
+) -> mi.TensorXf:
+    """Render a density as emitting and absorbing smoke (paper Eq. 11), orthographically.
+
+    Emission is the density d, extinction γ d. The view (0, 0) looks along −z from +z with x to the right and y up;
+    positive azimuth moves the camera towards +x, positive elevation moves it up. The rotation is rigid, about the
+    centre of the grid.
+
+    Args:
+        density: (D, H, W), ≥ 0; 0 outside the grid.
+        view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
+        gamma: γ > 0, extinction per unit of density and full-resolution cell.
+        quadrature: "paper" (inclusive sum), "exact" or "transmittance" (= γ · exact).
+        h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
+
+    Returns:
+        Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind given. "exact" and
+        "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1). Differentiable in the density.
+
+    Raises:
+        InputError: an argument has another shape or range than stated.
+    """
+    angles = np.asarray(view, dtype=np.float64)
+    if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():
+        raise InputError(f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs")
+    if len(density.shape) != 3 or 0 in density.shape:
+        raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
+    if quadrature not in QUADRATURES:
+        raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
+    if not (gamma > 0 and h > 0):
+        raise InputError(f"render: gamma {gamma} and h {h} given, expected both > 0")
+    views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
+    scene = _cached_scene(mi.variant(), tuple(density.shape), float(gamma), quadrature, float(h), len(views))
+    images = scene.render(density, views)
+    return images if angles.ndim == 2 else mi.TensorXf(images.array, tuple(density.shape)[1:])

@@ -1,0 +1,92 @@
+"""The `orthographic_views` sensor plugin: several centred orthographic views of one grid in one image.
+
+Importing this module registers the plugin for the active variant; `tnst_mi.plugins` does so for every variant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.views import camera_frame
+
+
+class OrthographicViews(mi.Sensor):
+    r"""
+    Stack of orthographic views (:monosp:`orthographic_views`)
+    ----------------------------------------------------------
+
+    .. pluginparameters::
+
+     * - view_count
+       - |int|
+       - Number V of views. The film shows them from top to bottom, so its height is V times that of a view. (Default: 1)
+     * - spacing
+       - |float|
+       - Distance between pixels in world units. (Default: 1)
+     * - distance
+       - |float|
+       - Distance of the sensor plane from the centre, in world units; it must lie outside the scene. (Default: 1000)
+
+    All views look at the origin, which is the centre of their images. Rendering them in one launch costs one kernel
+    instead of V, and moving them needs no new kernel.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.view_count = int(props.get("view_count", 1))
+        self.spacing = float(props.get("spacing", 1.0))
+        self.distance = float(props.get("distance", 1000.0))
+        width, height = self.film().size()
+        if self.view_count < 1 or height % self.view_count:
+            raise ValueError(
+                f'orthographic_views: a film of height {height} cannot show "view_count" = {self.view_count} views'
+            )
+        self.view_width, self.view_height = int(width), int(height) // self.view_count
+        self.set_views([(0.0, 0.0)] * self.view_count)
+
+    def set_views(self, views: Sequence[tuple[float, float]]) -> None:
+        """Point the views at new (azimuth, elevation) angles in degrees; as many as `view_count`."""
+        if len(views) != self.view_count:
+            raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
+        #: right, up and towards-the-camera vectors of every view: 9 numbers each.
+        self.frames = mi.Float(np.concatenate([np.ravel(camera_frame(*view)) for view in views]).astype(np.float32))
+
+    def sample_ray(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Bool = True
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """Ray through a position `sample2` of the film, in [0, 1]²."""
+        width, height = (dr.opaque(mi.Float, n) for n in (self.view_width, self.view_height))
+        row = sample2.y * height * dr.opaque(mi.Float, self.view_count)
+        view = dr.clip(mi.UInt32(row / height), 0, dr.opaque(mi.UInt32, self.view_count - 1))
+        spacing = dr.opaque(mi.Float, self.spacing)
+        x = (sample2.x * width - width * 0.5) * spacing
+        y = (height * 0.5 - (row - mi.Float(view) * height)) * spacing
+
+        right, up, towards = (
+            mi.Vector3f(*(dr.gather(mi.Float, self.frames, view * 9 + 3 * v + i, active) for i in range(3)))
+            for v in range(3)
+        )
+        ray = dr.zeros(mi.Ray3f, dr.width(row))
+        ray.o = mi.Point3f(right * x + up * y + towards * dr.opaque(mi.Float, self.distance))
+        ray.d = -towards
+        ray.maxt = dr.inf
+        ray.time = time
+        return ray, mi.Spectrum(1)
+
+    def sample_ray_differential(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Bool = True
+    ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+        """As `sample_ray`; no textures are filtered in these scenes, so the differentials are left out."""
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        return mi.RayDifferential3f(ray), weight
+
+    def to_string(self) -> str:
+        """One line for Mitsuba's log."""
+        return f"OrthographicViews[view_count = {self.view_count}, spacing = {self.spacing}]"
+
+
+mi.register_sensor("orthographic_views", lambda props: OrthographicViews(props))
