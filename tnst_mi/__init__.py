@@ -79,7 +79,7 @@ def _register_plugins(old: str | None, new: str | None) -> None:
 
 def _install_plugins() -> None:
     """Have the plugins registered now, if a variant is active, and at each change of the variant."""
-    # Dr.Jit loads LLVM while it is imported, so the library is chosen before.
+    # Dr.Jit, which Mitsuba imports, loads LLVM while it is imported.
     select_llvm()
     mi = importlib.import_module("mitsuba")
     mi.detail.add_variant_callback(_register_plugins)

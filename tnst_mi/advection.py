@@ -30,7 +30,9 @@ def _interleave(components: list[mi.Float]) -> mi.Float:
 class _Step(dr.CustomOp):
     """One advection step of a field with `channels` values per cell (1 or 3)."""
 
-    def eval(self, field, velocity, shape: Shape, method: str, h: float, outside: str, reverted, field_varies: bool):  # noqa: ANN001, ANN201
+    def eval(
+        self, field, velocity, shape: Shape, method: str, h: float, outside: str, reverted, field_varies: bool
+    ):  # noqa: ANN001, ANN201
         self.shape, self.outside, self.h, self.field_varies = shape, outside, h, field_varies
         self.channels = 1 if len(field.shape) == 3 else field.shape[3]
         self.corrected = method != "semi_lagrangian"
@@ -121,7 +123,9 @@ class _Step(dr.CustomOp):
             total = RepeatableSum(size, largest_magnitude(g), count)
             arrival.splat(total, on_backward_step)
             for slope, value in zip(
-                arrival.gradient(arrival.read(self.forward_step, self.channels)), on_backward_step, strict=True
+                arrival.gradient(arrival.read(self.forward_step, self.channels)),
+                on_backward_step,
+                strict=True,
             ):
                 velocity_gradient += slope * value
             on_forward_step = g + total.result()
@@ -130,7 +134,9 @@ class _Step(dr.CustomOp):
 
         departure = Trilinear(cells, -displacement, self.outside)
         pulled = self._channels_of(on_forward_step)
-        for slope, value in zip(departure.gradient(departure.read(self.field, self.channels)), pulled, strict=True):
+        for slope, value in zip(
+            departure.gradient(departure.read(self.field, self.channels)), pulled, strict=True
+        ):
             velocity_gradient -= slope * value
         velocity_gradient *= dr.rcp(opaque(self.h))
         self.set_grad_in("velocity", mi.TensorXf(dr.ravel(velocity_gradient), self.velocity_shape))
@@ -169,7 +175,9 @@ def step(
     )
 
 
-def revert_mask(field: mi.TensorXf, velocity: mi.TensorXf, h: float = 1.0, outside: str = "zero") -> mi.TensorXf:
+def revert_mask(
+    field: mi.TensorXf, velocity: mi.TensorXf, h: float = 1.0, outside: str = "zero"
+) -> mi.TensorXf:
     """1 where the limiter of one MacCormack step reverts to the semi-Lagrangian value, else 0; shape of the field."""
     field, velocity = dr.detach(field), dr.detach(velocity)
     limited = step(field, velocity, "maccormack", h, outside)

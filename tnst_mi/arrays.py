@@ -37,8 +37,12 @@ def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
             if any(_is_torch(value) for value in given.values()):
                 return _call_from_torch(function, bound.arguments, given)
             if any(dr.is_array_v(value) for value in given.values()):
-                return function(**(bound.arguments | {name: _as_tensor(value) for name, value in given.items()}))
-            tensors = {name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()}
+                return function(
+                    **(bound.arguments | {name: _as_tensor(value) for name, value in given.items()})
+                )
+            tensors = {
+                name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()
+            }
             return function(**(bound.arguments | tensors)).numpy()
 
         return wrapper

@@ -5,6 +5,7 @@ Everything that depends on the machine is decided here, so that no other module 
 
 from __future__ import annotations
 
+import ctypes
 import importlib.metadata
 import os
 import re
@@ -85,30 +86,64 @@ def llvm_library() -> LlvmLibrary | None:
     if chosen and chosen != os.environ.get("_TNST_MI_LIBLLVM_PATH"):
         return LlvmLibrary(Path(chosen), _version_of(Path(chosen).resolve()), "named by DRJIT_LIBLLVM_PATH")
     if (path := _system_llvm()) is not None:
-        return LlvmLibrary(path, _version_of(path), f"newest LLVM of the system that is {OLDEST_LLVM} or newer")
+        return LlvmLibrary(
+            path, _version_of(path), f"newest LLVM of the system that is {OLDEST_LLVM} or newer"
+        )
     if (path := _wheel_llvm()) is not None:
         return LlvmLibrary(
-            path, _version_of(path), f"package karellen-llvm-core (the system has no LLVM {OLDEST_LLVM} or newer)"
+            path,
+            _version_of(path),
+            f"package karellen-llvm-core (the system has no LLVM {OLDEST_LLVM} or newer)",
         )
     return None
 
 
-def select_llvm() -> LlvmLibrary | None:
-    """Point Dr.Jit at the chosen LLVM library; must come before the first LLVM variant is used."""
+def select_llvm() -> None:
+    """Have Dr.Jit use the chosen LLVM library.
+
+    Dr.Jit loads LLVM while it is imported. Where it was imported first and took a library that it cannot work with,
+    its backends are shut down and started again; no variant may be active by then.
+    """
     library = llvm_library()
-    if library is not None:
+    if library is None:
+        return
+    if os.environ.get("DRJIT_LIBLLVM_PATH") != str(library.path):
         # The second variable remembers that this choice was ours, not the user's.
-        if os.environ.get("DRJIT_LIBLLVM_PATH") != str(library.path):
-            os.environ["_TNST_MI_LIBLLVM_PATH"] = str(library.path)
+        os.environ["_TNST_MI_LIBLLVM_PATH"] = str(library.path)
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)
-    return library
+    if "drjit" in sys.modules and _loaded_llvm() < OLDEST_LLVM and not _variant_is_active():
+        _restart_drjit()
+
+
+def _loaded_llvm() -> int:
+    """Major version of the LLVM library that Dr.Jit has loaded, 0 for none."""
+    import drjit as dr
+
+    return dr.detail.llvm_version()[0] if dr.has_backend(dr.JitBackend.LLVM) else 0
+
+
+def _variant_is_active() -> bool:
+    return "mitsuba" in sys.modules and sys.modules["mitsuba"].variant() is not None
+
+
+def _restart_drjit() -> None:
+    """Shut down Dr.Jit's backends and start them again (`jit_shutdown`, `jit_init_async` of its C interface)."""
+    import drjit as dr
+
+    core = Path(dr.__file__).with_name("libdrjit-core.so")
+    try:
+        library = ctypes.CDLL(str(core))
+        shut_down, start = library["_Z12jit_shutdowni"], library["_Z14jit_init_asyncj"]
+    except (OSError, AttributeError):
+        return  # check_llvm() tells the user what to do.
+    shut_down(ctypes.c_int(0))
+    backends = sum(1 << backend.value for backend in (dr.JitBackend.CUDA, dr.JitBackend.LLVM))
+    start(ctypes.c_uint32(backends))
 
 
 def check_llvm() -> None:
     """Raise InputError unless Dr.Jit has loaded an LLVM library that it can work with."""
-    import drjit as dr
-
-    loaded = dr.detail.llvm_version()[0] if dr.has_backend(dr.JitBackend.LLVM) else 0
+    loaded = _loaded_llvm()
     if loaded >= OLDEST_LLVM:
         return
     usable = llvm_library()
@@ -119,8 +154,8 @@ def check_llvm() -> None:
         )
     found = f"has loaded LLVM {loaded}" if loaded else "found no LLVM"
     raise InputError(
-        f"Dr.Jit {found}, expected {OLDEST_LLVM} or newer (older ones abort the process); it chooses while it is "
-        f"imported: import tnst_mi before drjit and mitsuba, or set DRJIT_LIBLLVM_PATH={usable.path}"
+        f"Dr.Jit {found}, expected {OLDEST_LLVM} or newer (older ones abort the process): "
+        f"import tnst_mi before a variant is set, or set DRJIT_LIBLLVM_PATH={usable.path}"
     )
 
 

@@ -37,7 +37,9 @@ def octaves(shape: Sequence[int], count: int, factor: float = 1.8) -> list[Octav
     An axis never falls below one cell.
     """
     if count < 1 or factor <= 1.0:
-        raise InputError(f"octaves: count {count} and factor {factor} given, expected count >= 1 and factor > 1")
+        raise InputError(
+            f"octaves: count {count} and factor {factor} given, expected count >= 1 and factor > 1"
+        )
     sizes = [tuple(int(n) for n in shape)]
     for _ in range(count - 1):
         sizes.append(tuple(max(1, int(n / factor)) for n in sizes[-1]))
@@ -74,7 +76,9 @@ class Cells:
         return mi.UInt32(dr.fma(dr.fma(z, self.size.y, y), self.size.x, x))
 
 
-def gather(values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True) -> list[mi.Float]:
+def gather(
+    values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True
+) -> list[mi.Float]:
     """All channels of the cells at `index`; inactive lanes read 0."""
     if channels == 1:
         return [dr.gather(mi.Float, values, index, active)]
@@ -137,7 +141,10 @@ class Trilinear:
         weights = [[self._weight(corner, axis) for corner, _, _ in self.corners] for axis in range(3)]
         for i in range(len(corners[0])):
             signed = [
-                [c[i] if corner[axis] else -c[i] for (corner, _, _), c in zip(self.corners, corners, strict=True)]
+                [
+                    c[i] if corner[axis] else -c[i]
+                    for (corner, _, _), c in zip(self.corners, corners, strict=True)
+                ]
                 for axis in range(3)
             ]
             result.append(mi.Vector3f(*(_weighted_sum(weights[axis], signed[axis]) for axis in range(3))))
@@ -178,7 +185,9 @@ class RepeatableSum:
         # Clearing the mantissa bits leaves the power of two below the bound; all scalings are then exact.
         # The floor keeps the scale finite in float32.
         exponent = dr.reinterpret_array(mi.UInt32, dr.maximum(bound, 2.0**-60)) & 0x7F800000
-        self.unit = dr.reinterpret_array(mi.Float, exponent) * opaque(2.0 ** -(61 - max(count, 1).bit_length()))
+        self.unit = dr.reinterpret_array(mi.Float, exponent) * opaque(
+            2.0 ** -(61 - max(count, 1).bit_length())
+        )
         self.scale = dr.rcp(self.unit)
 
     def add(self, index: mi.UInt32, value: mi.Float, active: mi.Bool | bool = True) -> None:

@@ -131,12 +131,16 @@ class EmissionAbsorption(RBIntegrator):
         if len(scene.emitters()) > 0:
             leaving = dr.select(entering, second.p, first.p)
             beyond = mi.Ray3f(ray)
-            beyond.o = dr.select(inside, leaving + ray.d * mi.math.RayEpsilon * (1 + dr.max(dr.abs(leaving))), ray.o)
+            beyond.o = dr.select(
+                inside, leaving + ray.d * mi.math.RayEpsilon * (1 + dr.max(dr.abs(leaving))), ray.o
+            )
             seen = scene.ray_intersect(beyond, active)
             background = seen.emitter(scene, active).eval(seen, active)
 
         step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
-        lattice = Lattice(medium, ray, step, dr.select(inside, entry, dr.inf), dr.select(inside, exit, -dr.inf))
+        lattice = Lattice(
+            medium, ray, step, dr.select(inside, entry, dr.inf), dr.select(inside, exit, -dr.inf)
+        )
         return lattice, background, inside
 
     # --------------------------------------------------------------------

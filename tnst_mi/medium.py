@@ -151,10 +151,14 @@ class Lattice:
     and the exit from both the bounding shape and the grid's box are visited.
     """
 
-    def __init__(self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float) -> None:
+    def __init__(
+        self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float
+    ) -> None:
         d, h, w = medium.grid_shape
         size = mi.Vector3f(*(dr.opaque(mi.Float, n) for n in (w, h, d)))
-        matrix = mi.Matrix3f([[dr.opaque(mi.Float, value) for value in row] for row in medium.transform.matrix.tolist()])
+        matrix = mi.Matrix3f(
+            [[dr.opaque(mi.Float, value) for value in row] for row in medium.transform.matrix.tolist()]
+        )
         centre = mi.Point3f(*(dr.opaque(mi.Float, value) for value in medium.transform.centre.tolist()))
         self.step = dr.opaque(mi.Float, step)
         phase = dr.opaque(mi.Float, 0.0 if d % 2 else 0.5)

@@ -80,9 +80,11 @@ class _Velocity(dr.CustomOp):
         return mi.TensorXf(dr.ravel(v), (*self.shape, 3))
 
     def forward(self) -> None:
-        self.set_grad_out(self._map(
-            self.grad_in("phi") if self.has_phi else None, self.grad_in("psi") if self.has_psi else None
-        ))
+        self.set_grad_out(
+            self._map(
+                self.grad_in("phi") if self.has_phi else None, self.grad_in("psi") if self.has_psi else None
+            )
+        )
 
     def backward(self) -> None:
         d = self._differences()
@@ -103,9 +105,7 @@ class _Velocity(dr.CustomOp):
 
 
 @any_array_kind("phi", "psi")
-def velocity(
-    phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: float = 1.0
-) -> mi.TensorXf:
+def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: float = 1.0) -> mi.TensorXf:
     """Velocity of the potentials, v = λ ∇Φ + (1 − λ) ∇×Ψ (paper Eq. 3).
 
     Args:

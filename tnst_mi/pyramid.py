@@ -114,4 +114,6 @@ def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
         levels: number of bands besides the residual; 0 normalises the field as a whole.
     """
     bands = split(field, levels)
-    return merge([mi.TensorXf(b.array / dr.maximum(root_mean_square(b), FLOOR), tuple(b.shape)) for b in bands])
+    return merge(
+        [mi.TensorXf(b.array / dr.maximum(root_mean_square(b), FLOOR), tuple(b.shape)) for b in bands]
+    )

@@ -126,7 +126,9 @@ class _RenderViews(dr.CustomOp):
             extinction = self._attached_extinction()
             tangent = self.grad_in("density").array * opaque(scene.gamma)
             dr.set_grad(extinction, mi.TensorXf(tangent, tuple(extinction.shape)))
-            image = scene.scene.integrator().render_forward(scene.scene, scene.parameters, scene.sensor, spp=1)
+            image = scene.scene.integrator().render_forward(
+                scene.scene, scene.parameters, scene.sensor, spp=1
+            )
         self.set_grad_out(mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:])))
 
     def backward(self) -> None:
@@ -182,11 +184,17 @@ def render(
     """
     angles = np.asarray(view, dtype=np.float64)
     if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():
-        raise InputError(f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs")
+        raise InputError(
+            f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs"
+        )
     if len(density.shape) != 3 or 0 in density.shape:
-        raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
+        raise InputError(
+            f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0"
+        )
     if quadrature not in QUADRATURES:
-        raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
+        raise InputError(
+            f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}"
+        )
     if not (gamma > 0 and h > 0):
         raise InputError(f"render: gamma {gamma} and h {h} given, expected both > 0")
     views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]

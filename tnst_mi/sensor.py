@@ -53,10 +53,17 @@ class OrthographicViews(mi.Sensor):
         if len(views) != self.view_count:
             raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
         #: right, up and towards-the-camera vectors of every view: 9 numbers each.
-        self.frames = mi.Float(np.concatenate([np.ravel(camera_frame(*view)) for view in views]).astype(np.float32))
+        self.frames = mi.Float(
+            np.concatenate([np.ravel(camera_frame(*view)) for view in views]).astype(np.float32)
+        )
 
     def sample_ray(
-        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Bool = True
+        self,
+        time: mi.Float,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        sample3: mi.Point2f,
+        active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """Ray through a position `sample2` of the film, in [0, 1]²."""
         width, height = (dr.opaque(mi.Float, n) for n in (self.view_width, self.view_height))
@@ -78,7 +85,12 @@ class OrthographicViews(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(
-        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Bool = True
+        self,
+        time: mi.Float,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        sample3: mi.Point2f,
+        active: mi.Bool = True,
     ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
         """As `sample_ray`; no textures are filtered in these scenes, so the differentials are left out."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)

@@ -1,0 +1,125 @@
+"""Make the sample frames of the two bundled scenes from our full simulations.
+
+    python scripts/make_scenes.py SOURCE [FOLDER]
+
+SOURCE holds suzanne/frame_0010.npz and smokejet/frame_0057.npz to frame_0065.npz with their meta.json, as
+simulated on 64 x 96 x 64 cells (`density` float32, `velocity` float16 in cells per frame). Suzanne is kept as
+it is; the jet is averaged down to 48 x 72 x 48 cells and rounded so that its nine frames stay small. scenes/
+is written into FOLDER, by default the checkout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+SUZANNE_FRAMES = (10,)
+SMOKEJET_FRAMES = tuple(range(57, 66))
+SMOKEJET_SCALE = 0.75
+# The jet is rounded to multiples of these: invisible in density, and the spacing of float16 between 2 and 4.
+DENSITY_STEP = 2.0**-12
+VELOCITY_STEP = 2.0**-9
+
+
+def averaging_matrix(cells: int, coarse_cells: int) -> np.ndarray:
+    """Return (coarse_cells, cells): each row averages exactly over the extent of one coarse cell."""
+    size = cells / coarse_cells
+    left = np.arange(coarse_cells)[:, None] * size
+    fine = np.arange(cells)[None, :]
+    return np.clip(np.minimum(left + size, fine + 1) - np.maximum(left, fine), 0.0, None) / size
+
+
+def averaged_down(field: np.ndarray, scale: float) -> np.ndarray:
+    """Average a (D, H, W) or (D, H, W, 3) field over cells that are 1 / scale as long."""
+    result = np.float64(field)
+    for axis in range(3):
+        cells = field.shape[axis]
+        matrix = averaging_matrix(cells, round(cells * scale))
+        result = np.moveaxis(np.tensordot(matrix, result, (1, axis)), 0, axis)
+    return result
+
+
+def smokejet_frame(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Resample one frame; velocities stay in cells per frame, which are larger cells now."""
+    density = averaged_down(density, SMOKEJET_SCALE)
+    velocity = SMOKEJET_SCALE * averaged_down(velocity, SMOKEJET_SCALE)
+    density = DENSITY_STEP * np.round(density / DENSITY_STEP)
+    velocity = VELOCITY_STEP * np.round(velocity / VELOCITY_STEP)
+    return np.float32(density), np.float16(velocity)
+
+
+def read_frame(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read `density` and `velocity` of one source frame."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return arrays["density"], arrays["velocity"]
+
+
+def write_meta(
+    folder: Path, source: dict, frames: tuple[int, ...], shape: tuple[int, ...], processing: str
+) -> None:
+    """Write where the frames come from and what their numbers mean."""
+    depth, height, width = shape
+    meta = {
+        "name": source["name"],
+        "licence": "MIT; simulated for this project",
+        "solver": source["solver"],
+        "solver_build": source["solver_build"],
+        "blender_version": source["blender_version"],
+        "source": source["source"],
+        "simulation_parameters": source["params"],
+        "processing": processing,
+        "frames": list(frames),
+        "shape_dhw": [depth, height, width],
+        "domain_size_m_xyz": source["domain_size_m_xyz_yup"],
+        "cell_size_m": source["domain_size_m_xyz_yup"][1] / height,
+        "frames_per_second": source["params"]["fps"],
+        "axis_order": "density[z, y, x], velocity[z, y, x, component], components (x, y, z); y up, "
+        "right-handed; values at cell centres",
+        "units": "density: 1 at the source; velocity: cells of this grid per frame, positive towards +axis",
+        "time_relation": "the velocity of frame t carries the density of frame t to frame t + 1",
+    }
+    (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def make_suzanne(source: Path, folder: Path) -> None:
+    """Copy one frame of the monkey head released as smoke, unchanged in value."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in SUZANNE_FRAMES:
+        density, velocity = read_frame(source / f"frame_{frame:04d}.npz")
+        np.savez_compressed(folder / f"frame_{frame:04d}.npz", density=density, velocity=velocity)
+    meta = json.loads((source / "meta.json").read_text(encoding="utf-8"))
+    write_meta(folder, meta, SUZANNE_FRAMES, density.shape, "none: the frame as simulated")
+
+
+def make_smokejet(source: Path, folder: Path) -> None:
+    """Average nine consecutive frames of the jet down to 3/4 of the cells per axis."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in SMOKEJET_FRAMES:
+        density, velocity = smokejet_frame(*read_frame(source / f"frame_{frame:04d}.npz"))
+        np.savez_compressed(folder / f"frame_{frame:04d}.npz", density=density, velocity=velocity)
+    meta = json.loads((source / "meta.json").read_text(encoding="utf-8"))
+    processing = (
+        "64 x 96 x 64 cells averaged exactly over each of 48 x 72 x 48 cells, velocity times 0.75; "
+        f"density rounded to multiples of {DENSITY_STEP:g}, velocity to {VELOCITY_STEP:g}"
+    )
+    write_meta(folder, meta, SMOKEJET_FRAMES, density.shape, processing)
+
+
+def main() -> None:
+    """Make both scenes from the folder given on the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("source", type=Path, help="folder with the simulations suzanne/ and smokejet/")
+    parser.add_argument("folder", nargs="?", type=Path, default=CHECKOUT, help="default: the checkout")
+    arguments = parser.parse_args()
+    make_suzanne(arguments.source / "suzanne", arguments.folder / "scenes" / "suzanne")
+    make_smokejet(arguments.source / "smokejet", arguments.folder / "scenes" / "smokejet")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,417 @@
+"""The command line: precedence of flags, exit codes, and one line for every kind of bad input."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from jobs import FakeOptimiser, frames, optimiser
+from networks import random_googlenet
+from PIL import Image
+
+from tnst_mi.cli import COMMANDS, main
+from tnst_mi.io import save_frames
+from tnst_mi.recipe import KINDS
+
+__all__ = ["optimiser"]
+
+
+@dataclass
+class Ran:
+    """What a command answered."""
+
+    code: int
+    out: str
+    errors: list[str]
+
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    """Run a command line in this process, catching what it and the libraries below it print."""
+
+    def run_(*arguments: object) -> Ran:
+        capfd.readouterr()
+        code = main([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Ran(code, out, err.splitlines())
+
+    return run_
+
+
+@pytest.fixture
+def smoke(tmp_path: Path) -> Path:
+    """A folder with three frames, 7 to 9."""
+    save_frames(tmp_path / "smoke", frames(0.2, 0.4, 0.3))
+    return tmp_path / "smoke"
+
+
+@pytest.fixture(scope="session")
+def tiny_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A GoogLeNet of random weights, an eighth as wide as the real one."""
+    return random_googlenet(tmp_path_factory.mktemp("weights") / "tiny.safetensors", narrow=8)
+
+
+# --- Commands, help and usage -----------------------------------------------------------------------------
+
+
+def test_help_names_every_command_and_every_flag(run: Run) -> None:
+    ran = run("--help")
+    assert ran.code == 0 and ran.errors == []
+    assert all(name in ran.out for name in COMMANDS)
+    assert run().out == ran.out
+    ran = run("stylize", "--help")
+    assert ran.code == 0 and ran.errors == []
+    for name in (*KINDS, "out", "recipe", "resume", "overwrite", "debug"):
+        assert f"--{name.replace('_', '-')} " in ran.out
+    for name in COMMANDS:
+        assert run(name, "--help").code == 0
+
+
+def test_help_loads_no_torch_and_starts_no_variant() -> None:
+    program = (
+        "import sys; from tnst_mi.cli import main; code = main(['stylize', '--help']); "
+        "import mitsuba; heavy = {'torch', 'matplotlib'} & set(sys.modules); "
+        "sys.exit(code or mitsuba.variant() or ', '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
+        ("frobnicate", "expected one of demo, stylize, render, info, weights, doctor"),
+        ("stylize", "Missing from tnst-mi stylize: INPUT .* --out FOLDER"),
+        ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),
+        ("stylize a --out", "Missing value for argument .*--out"),
+        ("stylize a --out b --lamm 1", "unexpected '--lamm'; did you mean --lam?"),
+        ("stylize a --out b --lamm=1", "unexpected '--lamm'; did you mean --lam?"),
+        ("stylize a --out b c", "unexpected 'c'"),
+        ("info", "expected one or more files"),
+        ("render a --out b --views 1,2,3", "--views 1,2,3: expected AZIMUTH,ELEVATION"),
+        ("render a --out b --views nan,0", "--views nan,0: expected"),
+        ("render a --out b --gamma 0", "--gamma 0: expected a number above 0"),
+        ("stylize a --out b --gamma x", "--gamma x: expected a number above 0"),
+        ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers"),
+        ("stylize a --out b --azimuth -10", "--azimuth -10: expected two numbers"),
+        ("stylize a --out b --quadrature Paper", '--quadrature Paper: expected one of "paper"'),
+        ("stylize a --out b --steps 0", "--steps 0: expected an integer"),
+        ("stylize a --out b --semantic conv2", "--semantic conv2: expected a list of layers"),
+        ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
+        ("stylize a --out b", "nothing to stylize towards"),
+        ("stylize a --out b --tag x --window 3", "window = 3: temporal windows come with a later version"),
+        ("stylize a --out b --tag x --integrator prbvolpath", "comes with a later version"),
+        ("stylize a --out b --tag x --resume --overwrite", "expected only one of them"),
+        ("stylize nowhere.npz --out b --tag x", "nowhere.npz: no such file"),
+        ("stylize nowhere --out b --tag x", "nowhere: unknown format ''"),
+        ("stylize a.vdb --out b --tag x", "a.vdb: unknown format '.vdb', expected one of .npz"),
+        ("info nowhere.npz", "nowhere.npz: no such file"),
+        ("render nowhere.npz --out b", "nowhere.npz: no such file"),
+    ],
+)
+def test_wrong_usage(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run, tmp_path, line.split(), message)
+
+
+def refused(run: Run, folder: Path, arguments: list[object], message: str) -> None:
+    """The command ends with code 2, one line on stderr, nothing on stdout, and no trace in the folder."""
+    before = sorted(folder.rglob("*"))
+    ran = run(*arguments)
+    assert ran.code == 2
+    assert ran.out == ""
+    assert len(ran.errors) == 1, ran.errors
+    assert ran.errors[0].startswith("tnst-mi: ")
+    assert re.search(message, ran.errors[0]), ran.errors[0]
+    assert sorted(folder.rglob("*")) == before
+
+
+# --- stylize ----------------------------------------------------------------------------------------------
+
+
+def test_flags_win_over_the_recipe_and_the_recipe_over_the_defaults(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(
+        'style = ["net"]\neta = 0.01\ngamma = 0.5\nazimuth = [0, 1]\niterations = 1\nframes = "8:9"\n'
+    )
+    ran = run(
+        *("stylize", smoke, "--recipe", recipe, "--out", tmp_path / "out", "--gamma", "0.7"),
+        *("--style", "spirals", "--style=cells", "--azimuth", "-20,20", "--semantic", "conv2/3x3:1,2"),
+    )
+    assert ran.code == 0, ran.errors
+    assert optimiser.names == ["f_08", "f_09"]
+    used = optimiser.calls[0]["recipe"]
+    assert (used.eta, used.gamma, used.octaves, used.azimuth) == (0.01, 0.7, 3, (-20.0, 20.0))
+    assert [Path(path).stem for path in used.style] == ["spirals", "cells"]
+    assert used.semantic == ("conv2/3x3:1,2",)
+    assert str(tmp_path / "out") in ran.out
+    assert "mass 48 → 96, largest displacement 5 cells" in ran.out
+    assert any("octave 3/3" in line for line in ran.errors)
+
+
+@pytest.mark.parametrize("flags", [("--azimuth", "-10,-.5"), ("--azimuth=-10,-.5",)])
+def test_values_that_start_with_a_minus(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser, flags: tuple[str, ...]
+) -> None:
+    ran = run("stylize", smoke / "f_07.npz", "--out", tmp_path / "out", "--tag", "volcano", *flags)
+    assert ran.code == 0, ran.errors
+    assert optimiser.calls[0]["recipe"].azimuth == (-10.0, -0.5)
+
+
+def test_an_interrupted_run_says_where_its_results_are(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    optimiser.interrupt_at = "f_08"
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--iterations", "1")
+    ran = run(*arguments)
+    assert ran.code == 3
+    assert f"interrupted; {tmp_path / 'out'} has what was reached" in ran.errors[-1]
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["status"] == "interrupted"
+    refused(run, tmp_path, list(arguments), "is not empty; continue its run with --resume")
+    optimiser.interrupt_at = ""
+    assert run(*arguments, "--resume").code == 0
+    assert optimiser.names == ["f_07", "f_08", "f_08", "f_09"]
+
+
+def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano")
+    optimiser.failure = RuntimeError("two\nlines")
+    ran = run(*arguments)
+    assert (ran.code, ran.errors) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    ran = run(*arguments, "--debug")
+    assert ran.code == 1
+    assert ran.errors[0].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    optimiser.failure = KeyboardInterrupt()
+    ran = run(*arguments)
+    assert ran.code == 3 and len(ran.errors) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_demo_replaces_an_earlier_demo_only(
+    run: Run, tmp_path: Path, optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        ran = run("demo")
+        assert ran.code == 0, ran.errors
+    assert optimiser.names == ["frame_0010", "frame_0010"]
+    assert "picture   tnst_mi-demo/images/frame_0010_comparison.png" in ran.out
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").touch()
+    refused(run, tmp_path, ["demo", "--out", "mine"], "mine: is not empty")
+
+
+# --- Bad input --------------------------------------------------------------------------------------------
+
+
+def npz(**arrays: object) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+GRID = np.full((4, 6, 5), 0.5, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"no zip", "frame.npz: not an npz file"),
+        (npz(density=GRID)[:300], "frame.npz: not an npz file, truncated"),
+        (npz(density=np.array([{}], object)), "array 'density' holds pickled objects"),
+        (npz(rho=GRID), "no array 'density'.*: rho"),
+        (npz(density=GRID[0]), r"frame.npz: density has shape \(6, 5\), expected \(D, H, W\)"),
+        (npz(density=GRID[:0]), r"density has shape \(0, 6, 5\), expected at least one cell"),
+        (npz(density=GRID * np.nan), "density has 120 NaN"),
+        (npz(density=GRID + np.inf), "density has 120 NaN or infinite"),
+        (npz(density=-GRID), "density has 120 negative values"),
+        (npz(density=GRID, velocity=GRID), r"velocity has shape \(4, 6, 5\), expected \(4, 6, 5, 3\)"),
+        (npz(x=np.zeros((4, 6, 5, 3))), r"density has shape \(4, 6, 5, 3\)"),
+    ],
+)
+def test_bad_frames(run: Run, tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "frame.npz"
+    path.write_bytes(content)
+    refused(run, tmp_path, ["stylize", path, "--out", tmp_path / "out", "--style", "spirals"], message)
+    refused(run, tmp_path, ["render", path, "--out", tmp_path / "out"], message)
+    refused(run, tmp_path, ["info", path], message)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "message"),
+    [
+        ("lamda = 1", "r.toml: unknown key 'lamda'; the nearest known key is 'lam'"),
+        ('octaves = "3"', "r.toml: octaves = '3': expected an integer"),
+        ("eta = -1", "r.toml: eta = -1: expected a number above 0"),
+        ('style = ["nowhere.png"]', "r.toml: style = 'nowhere.png': no such picture"),
+        ("eta", "r.toml: not valid TOML"),
+        ('weights = "nowhere"', "nowhere: no such file"),
+    ],
+)
+def test_bad_recipes(run: Run, smoke: Path, tmp_path: Path, recipe: str, message: str) -> None:
+    (tmp_path / "r.toml").write_text(recipe + "\n")
+    arguments = [
+        "stylize",
+        smoke,
+        "--recipe",
+        tmp_path / "r.toml",
+        "--out",
+        tmp_path / "out",
+        "--tag",
+        "volcano",
+    ]
+    refused(run, tmp_path, arguments, message)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (
+            ["--style", "spirals", "--style-layers", "conv2/3x4"],
+            "layer 'conv2/3x4': unknown; the nearest are conv2/3x3",
+        ),
+        (["--semantic", "inception_4z/output:1"], "layer 'inception_4z/output': unknown"),
+        (["--semantic", "conv2/3x3:9999"], "channel 9999 of layer 'conv2/3x3': expected 0 to"),
+        (["--tag", "vulcano"], "vulcano.*(volcano.*,.*,)"),
+        (["--style", "unreadable.png"], "unreadable.png"),
+        (["--style", "pixel.png"], "pixel.png: the picture has 1 x 1 pixels"),
+        (["--content", "pixel.png"], "pixel.png: the picture has 1 x 1 pixels"),
+    ],
+)
+def test_bad_goals(
+    run: Run,
+    smoke: Path,
+    tmp_path: Path,
+    tiny_weights: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    flags: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "unreadable.png").write_bytes(b"\x89PNG\r\n\x1a\n nothing more")
+    Image.new("L", (1, 1)).save(tmp_path / "pixel.png")
+    refused(run, tmp_path, ["stylize", smoke, "--out", "out", "--weights", tiny_weights, *flags], message)
+
+
+def other_network(path: Path) -> None:
+    import safetensors.numpy
+
+    safetensors.numpy.save_file({"layer.weight": np.zeros((3, 3), np.float32)}, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "message"),
+    [
+        ("other.safetensors", other_network, "other.safetensors"),
+        (
+            "cut.safetensors",
+            lambda path: path.write_bytes(random_googlenet(path, narrow=8).read_bytes()[:5000]),
+            "cut",
+        ),
+        ("googlenet_bvlc.safetensors", lambda path: random_googlenet(path, narrow=8), "wrong hash"),
+        ("no.pth", lambda path: path.write_bytes(b"nothing"), "no.pth"),
+    ],
+)
+def test_bad_weights(
+    run: Run, smoke: Path, tmp_path: Path, name: str, make: Callable[[Path], object], message: str
+) -> None:
+    make(tmp_path / name)
+    arguments = [
+        "stylize",
+        smoke,
+        "--out",
+        tmp_path / "out",
+        "--tag",
+        "volcano",
+        "--weights",
+        tmp_path / name,
+    ]
+    refused(run, tmp_path, arguments, message)
+
+
+@pytest.mark.parametrize("out", ["file", "file/below", "full", "/proc/nowhere"])
+def test_bad_output_folders(run: Run, smoke: Path, tmp_path: Path, out: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes").touch()
+    message = {"file": "is a file", "full": "is not empty"}.get(out, "cannot be written to")
+    refused(run, tmp_path, ["stylize", smoke, "--out", tmp_path / out, "--style", "spirals"], message)
+    refused(run, tmp_path, ["render", smoke, "--out", tmp_path / out], message)
+
+
+def test_an_empty_frame_is_left_unchanged(run: Run, tmp_path: Path, tiny_weights: Path) -> None:
+    save_frames(tmp_path / "empty.npz", frames(0.0))
+    out = tmp_path / "out"
+    ran = run(
+        "stylize", tmp_path / "empty.npz", "--out", out, "--style", "spirals", "--weights", tiny_weights
+    )
+    assert ran.code == 0, ran.errors
+    assert "empty" in ran.out
+    with np.load(out / "density" / "empty.npz") as file:
+        assert not file["density"].any()
+    assert "NaN" not in (out / "run.json").read_text()
+
+
+# --- The other commands -----------------------------------------------------------------------------------
+
+
+def test_render_uses_one_exposure_for_all_pictures(run: Run, smoke: Path, tmp_path: Path) -> None:
+    ran = run("render", smoke, "--out", tmp_path / "out", "--views", "0,0", "-90,0", "--gamma", "0.5")
+    assert ran.code == 0, ran.errors
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {
+        f"f_{n:02d}_view_{v}.{e}" for n in (7, 8, 9) for v in ("0_0", "-90_0") for e in ("png", "exr")
+    }
+
+    def pixels(name: str) -> tuple[np.ndarray, dict[str, object]]:
+        with OpenEXR.File(str(tmp_path / "out" / name)) as file:
+            header = {key: file.header()[key] for key in ("exposure", "gamma")}
+            return np.array(file.channels()["Y"].pixels), header
+
+    def column(density: float) -> float:
+        return density * sum(np.exp(-0.5 * density * k) for k in range(1, 5))
+
+    # Uniform grids: f_08 is the brightest, and every picture is a column sum over that of f_08.
+    for name, density in (("f_07", 0.2), ("f_08", 0.4), ("f_09", 0.3)):
+        image, header = pixels(f"{name}_view_0_0.exr")
+        np.testing.assert_allclose(image, np.full((6, 5), column(density) / column(0.4)), rtol=1e-4)
+        assert header["exposure"] == pytest.approx(1 / column(0.4), rel=1e-4)
+        assert header["gamma"] == 0.5
+
+
+def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
+    density = np.zeros((2, 2, 2))
+    density[0, 0] = 1.5, 0.5
+    np.savez(tmp_path / "a.npz", density=density, velocity=np.full((2, 2, 2, 3), [3.0, 4.0, 0.0]))
+    ran = run("info", tmp_path / "a.npz")
+    assert ran.code == 0 and ran.errors == []
+    assert "array 'velocity': float64, shape (2, 2, 2, 3)" in ran.out
+    assert "density: 0 to 1.5, mass 2, 75.0% of cells empty" in ran.out
+    assert "velocity: at most 5 cells per frame" in ran.out
+
+
+def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TNST_MI_WEIGHTS", str(tmp_path / "nowhere"))
+    refused(run, tmp_path, ["weights"], "nowhere: no such file")
+    monkeypatch.setenv("TNST_MI_WEIGHTS", str(random_googlenet(tmp_path / "tiny.safetensors", narrow=8)))
+    ran = run("weights")
+    assert ran.code == 0
+    assert f"{tmp_path / 'tiny.safetensors'} (not a published file)" in ran.out
+    assert "405fc5acd08a3bb12de8ee5e23a96bec22f08204" in ran.out and "https://" in ran.out

@@ -1,0 +1,226 @@
+"""Whole runs with a stand-in optimiser: what is handed to it, what is written, resumed and overwritten."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from jobs import SHAPE, FakeOptimiser, frames, optimiser
+from PIL import Image
+
+import tnst_mi
+from tnst_mi.errors import InputError
+from tnst_mi.io import load_frames, save_frames
+from tnst_mi.io.npz import read_headers
+from tnst_mi.job import Job
+from tnst_mi.outputs import require_writable
+from tnst_mi.recipe import Recipe
+
+__all__ = ["optimiser"]
+
+GAMMA = 0.3
+RECIPE = Recipe(style=("spirals",), gamma=GAMMA, octaves=2, iterations=3)
+
+
+def pixel(density: float) -> float:
+    """The paper's inclusive sum over a uniform column, in closed form."""
+    steps = np.exp(-GAMMA * density * np.arange(1, SHAPE[0] + 1))
+    return float(density * steps.sum())
+
+
+def files_of(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_exposure_and_step_scale_are_those_of_the_whole_run(optimiser: FakeOptimiser) -> None:
+    tnst_mi.stylize(frames(0.2, 0.4, 0.0), RECIPE, progress=False)
+    brightest = pixel(0.4)
+    for call in optimiser.calls:
+        assert call["exposure"] == pytest.approx(1.0 / brightest, rel=1e-4)
+    scales = [call["step_scale"] for call in optimiser.calls]
+    assert scales == pytest.approx([pixel(0.2) / brightest, 1.0, 0.0], rel=1e-4)
+
+
+def test_an_empty_run_has_finite_numbers(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    result = tnst_mi.stylize(frames(0.0), RECIPE, tmp_path / "out", progress=False)
+    assert (optimiser.calls[0]["exposure"], optimiser.calls[0]["step_scale"]) == (1.0, 1.0)
+    assert not result.densities[0].any()
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["frames"][0]["note"] == "empty: unchanged"
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.25, 1.0])
+def test_blend(optimiser: FakeOptimiser, blend: float) -> None:
+    (frame,) = frames(0.3)
+    result = tnst_mi.stylize(frame, {"style": ["spirals"], "blend": blend}, progress=False)
+    np.testing.assert_allclose(result.densities[0], (1 + blend) * frame.density, rtol=1e-6)
+    if blend in (0.0, 1.0):
+        np.testing.assert_array_equal(result.densities[0], (1 + np.float32(blend)) * frame.density)
+
+
+def test_everything_that_frames_can_be(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    (frame,) = frames(0.3)
+    save_frames(tmp_path / "f_07.npz", frame)
+    (tmp_path / "r.toml").write_text('style = ["spirals"]\ngamma = 0.3\n')
+    for given in (frame, [frame], frame.density, tmp_path / "f_07.npz", str(tmp_path)):
+        result = tnst_mi.stylize(given, tmp_path / "r.toml", progress=False)
+        np.testing.assert_array_equal(result.densities[0], 2 * frame.density)
+        assert result.out is None
+    with pytest.raises(InputError, match="expected a path, a density grid, or frames"):
+        tnst_mi.stylize([frame.density], RECIPE, progress=False)
+    with pytest.raises(InputError, match="'f_07' is there more than once"):
+        tnst_mi.stylize([frame, frame], RECIPE, progress=False)
+    with pytest.raises(InputError, match="nothing to stylize towards"):
+        tnst_mi.stylize(frame, {}, progress=False)
+
+
+def test_the_results_of_a_run(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    before = frames(0.2, 0.4)
+    result = tnst_mi.stylize(before, RECIPE, out, progress=False)
+
+    pictures = {"before.png", "before.exr", "after.png", "after.exr", "comparison.png", "loss.png"}
+    expected = {"recipe.toml", "run.json", "metrics.jsonl"}
+    for name in ("f_07", "f_08"):
+        expected |= {f"density/{name}.npz", f"velocity/{name}.npz"}
+        expected |= {f"images/{name}_{picture}" for picture in pictures}
+    assert files_of(out) == expected
+
+    for loaded, original, density in zip(load_frames(out / "density"), before, result.densities, strict=True):
+        np.testing.assert_array_equal(loaded.density, 2 * original.density)
+        np.testing.assert_array_equal(loaded.density, density)
+    header = read_headers(out / "velocity" / "f_07.npz")["velocity"]
+    assert (header.shape, header.dtype) == ((*SHAPE, 3), np.float32)
+    # Who searches for arrays named density finds the right ones.
+    holders = [path for path in out.rglob("*.npz") if "density" in read_headers(path)]
+    assert {path.parent.name for path in holders} == {"density"}
+
+    exposure = 1.0 / pixel(0.4)
+    with OpenEXR.File(str(out / "images" / "f_07_after.exr")) as file:
+        image = file.channels()["Y"].pixels
+        np.testing.assert_allclose(image, np.full(SHAPE[1:], exposure * pixel(0.4)), rtol=1e-4)
+        header = file.header()
+        assert (header["gamma"], header["exposure"]) == pytest.approx((GAMMA, exposure), rel=1e-4)
+        assert header["quadrature"] == "paper"
+        np.testing.assert_array_equal(header["view"], [0, 0])
+    grey = np.asarray(Image.open(out / "images" / "f_07_before.png"))
+    np.testing.assert_array_equal(grey, np.full(SHAPE[1:], round(255 * exposure * pixel(0.2)), np.uint8))
+
+    assert Recipe.from_toml(out / "recipe.toml") == optimiser.calls[0]["recipe"]
+    run = json.loads((out / "run.json").read_text())
+    assert run == result.run
+    assert (run["status"], run["seed"], run["weights"]["sha256"]) == ("done", 0, "0" * 64)
+    assert run["versions"]["tnst_mi"] == tnst_mi.__version__
+    assert run["peak_memory_bytes"] > 1 << 20
+    first = run["frames"][0]
+    assert first["mass_before"] == pytest.approx(0.2 * np.prod(SHAPE), rel=1e-6)
+    assert first["mass_after"] == pytest.approx(0.4 * np.prod(SHAPE), rel=1e-6)
+    assert first["largest_displacement"] == pytest.approx(5.0)
+    assert first["losses"] == [[0, -1, -2], [10, 9, 8]]
+    lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert [(line["frame"], line["octave"], line["iteration"]) for line in lines] == [
+        (name, octave, iteration) for name in ("f_07", "f_08") for octave in (0, 1) for iteration in (0, 1, 2)
+    ]
+
+
+def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    optimiser.interrupt_at = "f_08"
+    result = tnst_mi.stylize(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False)
+    assert result.run["status"] == "interrupted"
+    assert optimiser.names == ["f_07", "f_08"]
+    assert (out / "density" / "f_08.npz").exists()  # what was reached is kept
+
+    optimiser.calls.clear()
+    optimiser.interrupt_at = ""
+    for _ in Job(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False, resume=True).run():
+        pass
+    assert optimiser.names == ["f_08", "f_09"]
+    run = json.loads((out / "run.json").read_text())
+    assert run["status"] == "done"
+    assert [(frame["name"], frame["complete"]) for frame in run["frames"]] == [
+        ("f_07", True),
+        ("f_08", True),
+        ("f_09", True),
+    ]
+    lines = [json.loads(line)["frame"] for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert lines == ["f_07"] * 6 + ["f_08"] * 6 + ["f_09"] * 6
+
+    optimiser.calls.clear()
+    job = Job(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False, resume=True)
+    assert list(job.run()) == []
+    assert job.record["status"] == "done"
+
+
+def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
+    before = {name: (out / name).read_bytes() for name in files_of(out)}
+
+    def resume(densities: tuple[float, ...] = (0.2, 0.4), recipe: Recipe = RECIPE) -> None:
+        Job(frames(*densities), recipe, out, progress=False, resume=True)
+
+    resume()
+    with pytest.raises(InputError, match=r"its run had gamma = 0\.3 and the recipe now has 0\.5"):
+        resume(recipe=Recipe(style=("spirals",), gamma=0.5, octaves=2, iterations=3))
+    with pytest.raises(InputError, match="stylized another f_08"):
+        resume((0.2, 0.5))
+    with pytest.raises(InputError, match="only one of them"):
+        Job(frames(0.2), RECIPE, out, resume=True, overwrite=True)
+    (out / "run.json").write_text('{"frames": [{}]}')
+    with pytest.raises(InputError, match="damaged"):
+        resume()
+    (out / "run.json").unlink()
+    with pytest.raises(InputError, match="holds no run that could be resumed"):
+        resume()
+    (out / "run.json").write_bytes(before["run.json"])
+    assert {name: (out / name).read_bytes() for name in files_of(out)} == before
+
+
+def test_overwriting_removes_the_earlier_run_and_nothing_else(
+    optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
+    (out / "notes.txt").write_text("mine")
+    for _ in Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run():
+        pass
+    assert (out / "notes.txt").read_text() == "mine"
+    assert not any("f_08" in name for name in files_of(out))
+    assert [frame["mass_before"] for frame in json.loads((out / "run.json").read_text())["frames"]] == [
+        pytest.approx(0.3 * np.prod(SHAPE), rel=1e-6)
+    ]
+
+
+def test_a_failing_run_leaves_the_earlier_one(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2), RECIPE, out, progress=False)
+    before = {name: (out / name).read_bytes() for name in files_of(out)}
+    optimiser.failure = RuntimeError("no")
+    with pytest.raises(RuntimeError):
+        list(Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run())
+    assert {name: (out / name).read_bytes() for name in files_of(out)} == before
+
+
+def test_where_results_may_not_go(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    source = tmp_path / "run" / "density"
+    source.mkdir(parents=True)
+    (tmp_path / "other" / "notes").mkdir(parents=True)
+    for out, message in (
+        (tmp_path / "file", "is a file"),
+        (tmp_path / "file" / "below", "cannot be written to"),
+        (Path("/proc/nowhere"), "cannot be written to"),
+        (tmp_path / "other", "is not empty"),
+        (tmp_path / "run", "contains the input"),
+        (source, "contains the input"),
+    ):
+        if str(out).startswith("/proc") and not out.parent.exists():
+            continue
+        with pytest.raises(InputError, match=message):
+            require_writable(out, source)
+    require_writable(source / "out", source)
+    require_writable(tmp_path / "a" / "b" / "c", source)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "run"]

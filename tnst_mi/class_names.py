@@ -1,0 +1,45 @@
+"""The names of the classes that the network's `logits` stand for."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.resources
+from collections.abc import Sequence
+
+from tnst_mi.errors import InputError
+from tnst_mi.weight_readers.network_weights import CLASSIFIER, NetworkWeights
+
+
+def class_names(weights: NetworkWeights) -> list[str]:
+    """The file's own list, or the standard one of the 1000 ILSVRC classes; empty where neither applies."""
+    if weights.class_names is not None:
+        return list(weights.class_names)
+    if weights.flavour == "inception5h":
+        return []  # its order of classes is its own
+    data = importlib.resources.files("tnst_mi").joinpath("data/imagenet_classes.txt")
+    names = data.read_text("utf-8").splitlines()
+    return names if len(names) == weights.tensors[f"{CLASSIFIER}.bias"].numel() else []
+
+
+def class_index(names: Sequence[str], tag: str) -> int:
+    """The index of a class by its name, or by one of its comma-separated synonyms; case is ignored.
+
+    Raises `InputError` for a name that is unknown (naming the nearest three) or that several classes share.
+    """
+    synonyms = [
+        (synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")}
+    ]
+    wanted = tag.strip()
+    # Two classes may differ in case alone: Cardigan is a dog, cardigan a jacket.
+    matches = {index for synonym, index in synonyms if synonym == wanted}
+    matches = matches or {index for synonym, index in synonyms if synonym.lower() == wanted.lower()}
+    if len(matches) == 1:
+        return matches.pop()
+    if matches:
+        listed = ", ".join(f"{names[index]!r} (logits:{index})" for index in sorted(matches))
+        raise InputError(f"class tag {tag!r}: names several classes: {listed}")
+    lower = {synonym.lower(): synonym for synonym, _ in synonyms}
+    nearest = difflib.get_close_matches(wanted.lower(), lower, n=3, cutoff=0.0)
+    raise InputError(
+        f"class tag {tag!r}: unknown; the nearest are {', '.join(repr(lower[name]) for name in nearest)}"
+    )

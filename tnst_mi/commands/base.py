@@ -1,0 +1,55 @@
+"""What the commands share: the --debug flag, and flags made from the keys of the recipe."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from tnst_mi.recipe import KINDS, Recipe, documentation
+from tnst_mi.recipe_keys import Texts
+
+Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+
+
+@dataclass(kw_only=True)
+class Command(ABC):
+    """A command of `tnst-mi`."""
+
+    debug: bool = False
+    """Show Python's traceback when something fails."""
+
+    @abstractmethod
+    def run(self) -> int:
+        """Do the work and return the exit code."""
+
+
+def recipe_flag(name: str) -> Any:
+    """The type of the flag for a key of the recipe: its text; None, or no texts, where it is not given."""
+    kind = KINDS[name]
+    options = tyro.conf.arg(
+        metavar=kind.placeholder,
+        help=documentation()[name],
+        help_behavior_hint=f"(default: {kind.show(getattr(Recipe(), name))})",
+    )
+    if isinstance(kind, Texts):
+        return Annotated[tuple[str, ...], tyro.conf.UseAppendAction, options]
+    return Annotated[str | None, options]
+
+
+def recipe_flags(keys: Iterable[str]) -> type:
+    """A dataclass of the flags for some keys of the recipe."""
+    fields = [
+        (key, recipe_flag(key), field(default=() if isinstance(KINDS[key], Texts) else None)) for key in keys
+    ]
+    return make_dataclass("RecipeFlags", fields)
+
+
+def given(flags: Any) -> dict[str, Any]:
+    """The texts of those among some recipe flags that were given, by key."""
+    return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}

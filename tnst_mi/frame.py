@@ -1,0 +1,89 @@
+"""One frame of a smoke simulation: the arrays that go in, checked once, where they enter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A density grid with what belongs to it.
+
+    Grids are indexed (z, y, x) with y up and values at cell centres; a 2-D grid has D = 1.
+
+    Attributes:
+        density: (D, H, W) float32, finite, not negative.
+        velocity: (D, H, W, 3) float32, components (x, y, z) in cells per frame, or None.
+        obstacle: (D, H, W) bool, True inside solid objects, or None.
+        name: names the output files.
+        number: the frame's number in its sequence, or None.
+
+    Raises:
+        InputError: an array has another shape, is empty, or holds values that no simulation produces.
+    """
+
+    density: np.ndarray
+    velocity: np.ndarray | None = None
+    obstacle: np.ndarray | None = None
+    name: str = "frame"
+    number: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the arrays and convert them to the types of the attributes."""
+        density = self._numbers("density", self.density)
+        if density.ndim != 3:
+            raise InputError(
+                f"{self.name}: density has shape {density.shape}, expected (D, H, W); a 2-D grid has D = 1"
+            )
+        if density.size == 0:
+            raise InputError(f"{self.name}: density has shape {density.shape}, expected at least one cell")
+        self._require_finite("density", density)
+        if density.min() < 0.0:
+            raise InputError(
+                f"{self.name}: density has {int((density < 0.0).sum())} negative values "
+                f"(smallest {density.min():g}), expected values of 0 or more"
+            )
+        object.__setattr__(self, "density", density)
+        if self.velocity is not None:
+            velocity = self._numbers("velocity", self.velocity)
+            if velocity.shape != (*density.shape, 3):
+                raise InputError(
+                    f"{self.name}: velocity has shape {velocity.shape}, expected {(*density.shape, 3)} "
+                    f"to fit the density"
+                )
+            self._require_finite("velocity", velocity)
+            object.__setattr__(self, "velocity", velocity)
+        if self.obstacle is not None:
+            object.__setattr__(self, "obstacle", self._checked_obstacle(density.shape))
+
+    @property
+    def mass(self) -> float:
+        """Sum of the density over all cells."""
+        return float(self.density.sum(dtype=np.float64))
+
+    def _numbers(self, key: str, values: object) -> np.ndarray:
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiub":
+            raise InputError(f"{self.name}: {key} has type {array.dtype}, expected numbers")
+        # What overflows float32 becomes infinite here and is reported as such.
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(array, dtype=np.float32)
+
+    def _require_finite(self, key: str, array: np.ndarray) -> None:
+        bad = array.size - int(np.isfinite(array).sum())
+        if bad:
+            raise InputError(f"{self.name}: {key} has {bad} NaN or infinite values, expected finite numbers")
+
+    def _checked_obstacle(self, shape: tuple[int, ...]) -> np.ndarray:
+        obstacle = np.asarray(self.obstacle)
+        if obstacle.shape != shape:
+            raise InputError(
+                f"{self.name}: obstacle has shape {obstacle.shape}, expected {shape} to fit the density"
+            )
+        if obstacle.dtype.kind not in "fiub" or not np.isin(obstacle, (0, 1)).all():
+            raise InputError(f"{self.name}: obstacle has values besides 0 and 1, expected a mask of 0 and 1")
+        return np.ascontiguousarray(obstacle, dtype=bool)

@@ -1,0 +1,26 @@
+"""OpenEXR pictures: one float32 luminance channel, with what made the picture in the header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from tnst_mi.io.atomic import written_whole
+
+
+def write_exr(
+    path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]
+) -> None:
+    """Write a grey picture without loss.
+
+    Args:
+        path: the file, ending in .exr.
+        image: (H, W), linear values, row 0 at the top; stored as channel Y.
+        attributes: header entries by name.
+    """
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
+    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    with written_whole(path) as temporary, OpenEXR.File(header, {"Y": pixels}) as file:
+        file.write(str(temporary))

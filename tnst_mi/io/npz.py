@@ -1,0 +1,145 @@
+"""npz files: read without pickle and without trusting the sizes that they claim; written whole."""
+
+from __future__ import annotations
+
+import math
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import written_whole
+
+#: No array may be larger, in bytes.
+LARGEST_ARRAY = 1 << 34
+
+# Deflate shrinks data by at most this factor: a member that claims more lies about its size.
+_LARGEST_RATIO = 1032
+_LARGEST_HEADER = 10_000
+_CHUNK = 1 << 24
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
+    SyntaxError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    ValueError,
+)
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """Shape and type of an array, as its file says before the data."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    fortran_order: bool
+
+
+def read_headers(path: Path) -> dict[str, ArrayHeader]:
+    """Read the shape and type of every array in an npz file.
+
+    Raises:
+        InputError: the file is missing or damaged, or an array is pickled or claims an impossible size.
+    """
+    with _opened(path) as archive:
+        return {name: _read_header(path, archive, name) for name in _names(archive)}
+
+
+def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
+    """Read those of the arrays `keys` that an npz file has.
+
+    Raises:
+        InputError: as `read_headers`; or the data are truncated, damaged, no numbers, or too large.
+    """
+    with _opened(path) as archive:
+        return {key: _read_array(path, archive, key) for key in keys if key in _names(archive)}
+
+
+def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write a compressed npz file."""
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected an npz file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except PermissionError:
+        raise InputError(f"{path}: cannot be read (no permission)") from None
+    except _DAMAGE as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not an npz file, truncated, or damaged ({reason})") from None
+
+
+def _names(archive: zipfile.ZipFile) -> list[str]:
+    return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+
+
+def _parse_header(path: Path, name: str, stream: BinaryIO) -> ArrayHeader:
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(np.lib.format.read_magic(stream))
+    if read is None:
+        raise InputError(f"{path}: array {name!r} has an unknown npy version, expected 1.0 or 2.0")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # headers written by Python 2 are fine
+        shape, fortran_order, dtype = read(stream, max_header_size=_LARGEST_HEADER)
+    if dtype.hasobject:
+        raise InputError(
+            f"{path}: array {name!r} holds pickled objects, expected numbers (they are never unpickled)"
+        )
+    if any(extent < 0 for extent in shape):
+        raise InputError(f"{path}: array {name!r} claims the shape {shape}")
+    return ArrayHeader(shape, dtype, fortran_order)
+
+
+def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader:
+    with archive.open(f"{name}.npy") as stream:
+        return _parse_header(path, name, stream)
+
+
+def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """Read one array, growing into memory only as data really come out of the file."""
+    member = archive.getinfo(f"{name}.npy")
+    with archive.open(member) as stream:
+        header = _parse_header(path, name, stream)
+        if header.dtype.kind not in "fiub":
+            raise InputError(f"{path}: array {name!r} has type {header.dtype}, expected numbers")
+        size = math.prod(header.shape) * header.dtype.itemsize
+        if size > LARGEST_ARRAY:
+            raise InputError(f"{path}: array {name!r} has {size} bytes, expected at most {LARGEST_ARRAY}")
+        if size > _LARGEST_RATIO * member.compress_size or size > member.file_size:
+            raise InputError(
+                f"{path}: array {name!r} claims {size} bytes for shape {header.shape}, more than it holds"
+            )
+        array = np.empty(math.prod(header.shape), header.dtype)
+        buffer = memoryview(array.view(np.uint8))
+        filled = 0
+        while filled < size:
+            count = stream.readinto(buffer[filled : filled + _CHUNK])
+            if not count:
+                raise InputError(f"{path}: array {name!r} is truncated: {filled} of {size} bytes")
+            filled += count
+        if stream.read(1):
+            raise InputError(f"{path}: array {name!r} has more data than its shape {header.shape} needs")
+    return array.reshape(header.shape[::-1]).T if header.fortran_order else array.reshape(header.shape)

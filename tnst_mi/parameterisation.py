@@ -1,0 +1,114 @@
+"""What is optimised: potentials whose velocity transports the smoke, or the density values themselves."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.advection import advect
+from tnst_mi.grid import Octave, opaque
+from tnst_mi.potentials import velocity
+from tnst_mi.pyramid import gaussian, normalise
+from tnst_mi.resample import resample_potential
+
+#: Width of the blur of the gradient before it is normalised, in cells of the octave.
+GRADIENT_SIGMA = 1.2
+
+
+class Parameterisation:
+    """A set of fields on the grid of an octave, and how a density follows from them.
+
+    Attributes:
+        fields: the fields by name, (D, H, W) or (D, H, W, 3) tensors; empty before the first octave.
+    """
+
+    #: Channels of every field.
+    channels: dict[str, int]
+
+    def __init__(self) -> None:
+        self.fields: dict[str, mi.TensorXf] = {}
+        self.octave: Octave | None = None
+
+    def enter(self, octave: Octave) -> None:
+        """Carry the fields over to another octave; they start at zero."""
+        for name, channels in self.channels.items():
+            if self.octave is None:
+                shape = octave.shape if channels == 1 else (*octave.shape, channels)
+                values = np.zeros(shape, np.float32)
+            else:
+                values = resample_potential(
+                    self.fields[name].numpy(), self.octave.cell_size, octave.shape, octave.cell_size
+                )
+            self.fields[name] = mi.TensorXf(values)
+        self.octave = octave
+
+    def attach(self) -> None:
+        """Make the fields fresh leaves of the AD graph."""
+        for name, field in self.fields.items():
+            field = dr.detach(field)
+            dr.enable_grad(field)
+            self.fields[name] = field
+
+    def density(self, density: mi.TensorXf) -> mi.TensorXf:
+        """The stylized density on the current octave, from the unstylized one; both (D, H, W)."""
+        raise NotImplementedError
+
+    def unit_step(self, rows: int) -> float:
+        """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
+        raise NotImplementedError
+
+    def descend(self, mask: mi.TensorXf, eta: float, rows: int, levels: int) -> None:
+        """One step against the normalised gradient: field ← field − η · unit step · mask · N(g).
+
+        N(g) is the gradient, blurred and with the bands of its Laplacian pyramid normalised, each field by itself.
+        """
+        size = opaque(eta * self.unit_step(rows))
+        for name, field in self.fields.items():
+            direction = normalise(gaussian(dr.grad(field), GRADIENT_SIGMA), levels)
+            weight = mask if self.channels[name] == 1 else mi.TensorXf(mask.array, (*mask.shape, 1))
+            field = dr.detach(field) - size * weight * direction
+            dr.eval(field)
+            self.fields[name] = field
+
+
+class Transport(Parameterisation):
+    """Potentials Φ and Ψ; the density is the unstylized one, transported by their velocity (paper Eq. 3 and 4).
+
+    Args:
+        lam: share λ of the irrotational part; 1 leaves out Ψ and 0 leaves out Φ.
+        steps: sub-steps of the advection, or "auto".
+    """
+
+    def __init__(self, lam: float, steps: int | str = 1) -> None:
+        super().__init__()
+        self.lam, self.steps = lam, steps
+        self.channels = ({"phi": 1} if lam > 0 else {}) | ({"psi": 3} if lam < 1 else {})
+
+    def velocity(self) -> mi.TensorXf:
+        """Velocity (D, H, W, 3) on the current octave, in full-resolution cells per frame."""
+        return velocity(self.fields.get("phi"), self.fields.get("psi"), self.lam, self.octave.cell_size)
+
+    def density(self, density: mi.TensorXf) -> mi.TensorXf:
+        """MacCormack transport of the density by the potentials' velocity."""
+        return advect(density, self.velocity(), "maccormack", self.octave.cell_size, "zero", self.steps)
+
+    def unit_step(self, rows: int) -> float:
+        """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""
+        return rows / 2 * self.octave.cell_size
+
+
+class DensityOffset(Parameterisation):
+    """A change of every cell's density, the paper's value-based comparison: d* = max(0, d + offset)."""
+
+    channels = {"offset": 1}  # noqa: RUF012
+
+    def density(self, density: mi.TensorXf) -> mi.TensorXf:
+        """The density plus the offset, clamped to ≥ 0."""
+        return mi.TensorXf(
+            dr.maximum((density + self.fields["offset"]).array, mi.Float(0)), tuple(density.shape)
+        )
+
+    def unit_step(self, rows: int) -> float:
+        """1: η is a change of the density itself."""
+        return 1.0
