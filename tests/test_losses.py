@@ -59,7 +59,7 @@ def style_loss(rendered: np.ndarray, target: np.ndarray) -> float:
     """Oracle: Eq. 6 and 7 with explicit sums, for one view (C, H, W)."""
     channels, height, width = rendered.shape
     gram, gram_target = (np.einsum("ahw,bhw->ab", f, f) for f in (rendered, target))
-    return ((gram - gram_target) ** 2).sum() / (4 * (height * width) ** 2 * channels**2)
+    return ((gram - gram_target) ** 2).sum() / (gram_target**2).sum()
 
 
 def test_style_is_the_distance_of_gram_matrices(net: SmallNetwork) -> None:

@@ -124,9 +124,13 @@ class Content(Term):
 class Style(Term):
     """Match the Gram matrices G = FᵀF of a picture (paper Eq. 6 and 7).
 
-    L = Σ_l w_l ‖G_l - G_l(picture)‖² / (4 area_l² channels_l²). The picture, a path or a `GreyImage`, is
-    centre-cropped and resized to the image, so that the areas are equal; its alpha, resized to the feature
-    map, multiplies its features.
+    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance. Eq. 7 divides by
+    4 area_l² channels_l² instead, which leaves each layer the magnitude of its own features: equal weights then
+    let one layer decide (conv2/3x3 of the BVLC network outweighs inception_3b/output by 38 to 1). Divided by the
+    target's norm, equal weights mean equal shares.
+
+    The picture, a path or a `GreyImage`, is centre-cropped and resized to the image, so that the areas are equal;
+    its alpha, resized to the feature map, multiplies its features.
     """
 
     image: str | Path | GreyImage
@@ -157,22 +161,25 @@ class Style(Term):
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)
-            grams[layer] = scaled_gram(values)
+            grams[layer] = mean_gram(values)
+        scales = {
+            layer: weight / gram.square().sum().clamp_min(torch.finfo(gram.dtype).tiny)
+            for (layer, weight), gram in zip(weights, grams.values(), strict=True)
+        }
 
         def loss(features: Features) -> Tensor:
             distances = [
-                weight * (scaled_gram(features[layer]) - grams[layer]).square().sum()
-                for layer, weight in weights
+                scales[layer] * (mean_gram(features[layer]) - gram).square().sum() for layer, gram in grams.items()
             ]
             return torch.stack(distances).sum()
 
         return BoundTerm(tuple(grams), loss)
 
 
-def scaled_gram(values: Tensor) -> Tensor:
-    """Return FᵀF / (2 area channels), (N, C, C), of features (N, C, H, W): Eq. 7's divisor put inside."""
+def mean_gram(values: Tensor) -> Tensor:
+    """FᵀF / area, (N, C, C), of features (N, C, H, W): the mean of the products of channels over the positions."""
     flat = values.flatten(2)
-    return flat @ flat.transpose(1, 2) / (2 * flat.shape[1] * flat.shape[2])
+    return flat @ flat.transpose(1, 2) / flat.shape[2]
 
 
 def _match(layer: str, target: Tensor) -> BoundTerm:

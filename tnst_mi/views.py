@@ -12,9 +12,10 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 
-# Darts thrown at one radius before the radius shrinks, the factor it shrinks by, and the fraction of the
+# Darts thrown at one radius before the radius shrinks, the first radius relative to the densest packing, the factor it shrinks by, and the fraction of the
 # first radius below which points may coincide (ranges so narrow that floats run out), so the search ends.
 DARTS = 64
+DENSITY = 0.75
 SHRINK = 0.95
 GIVE_UP = 1e-3
 
@@ -28,8 +29,9 @@ def sample_views(
     """Spread n views evenly but irregularly over a range of directions (paper section 4.1).
 
     Poisson-disc sampling by dart throwing: a point is kept if it lies at least a radius away from all
-    others. The radius starts at that of the densest packing and shrinks until n points fit, so there are
-    always exactly n; in a range without extent they coincide.
+    others. The radius starts at 3/4 of that of the densest packing, a usual density of Poisson-disc sets (a larger
+    one would push a few views into the corners), and shrinks until n points fit, so there are always exactly n;
+    in a range without extent they coincide.
 
     Args:
         n: Number of views, at least 1.
@@ -52,7 +54,7 @@ def sample_views(
     extent = high - low
     views = np.empty((n, 2))
     views[0] = low + 0.5 * extent
-    first_radius = max(np.sqrt(2.0 / np.sqrt(3.0) * extent.prod() / n), extent.max() / n)
+    first_radius = DENSITY * max(np.sqrt(2.0 / np.sqrt(3.0) * extent.prod() / n), extent.max() / n)
     radius = first_radius
     found = 1
     while found < n:
