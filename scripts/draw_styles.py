@@ -125,9 +125,7 @@ def flames() -> np.ndarray:
         part = window(root_x - 0.25, root_x + 0.25, root_y - height, root_y)
         s = (root_y - y[part]) / height
         middle = root_x + lean * s + hook * np.sin(2.0 * np.pi * (0.1 + 0.9 * s)) * s
-        width = (
-            half_width * np.sqrt(np.clip(s, 0.0, 1.0) + 0.03) * 1.9 * np.clip(1.0 - s, 0.0, 1.0) ** 0.9 + 1e-9
-        )
+        width = half_width * np.sqrt(np.clip(s, 0.0, 1.0) + 0.03) * 1.9 * np.clip(1.0 - s, 0.0, 1.0) ** 0.9 + 1e-9
         depth = 1.0 - np.abs(x[part] - middle) / width
         rim = ramp(0.12, 0.4, depth) * (1.0 - 0.9 * ramp(0.45, 0.85, depth))
         tip = ramp(0.5, 0.95, s) * ramp(0.12, 0.5, depth)
@@ -172,12 +170,8 @@ def draw(name: str) -> Image.Image:
 
 def main() -> None:
     """Draw all styles into the folder given on the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "folder", nargs="?", type=Path, default=STYLES_FOLDER, help="default: the package's own"
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=STYLES_FOLDER, help="default: the package's own")
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     for name in STYLES:

@@ -58,9 +58,7 @@ def read_frame(path: Path) -> tuple[np.ndarray, np.ndarray]:
         return arrays["density"], arrays["velocity"]
 
 
-def write_meta(
-    folder: Path, source: dict, frames: tuple[int, ...], shape: tuple[int, ...], processing: str
-) -> None:
+def write_meta(folder: Path, source: dict, frames: tuple[int, ...], shape: tuple[int, ...], processing: str) -> None:
     """Write where the frames come from and what their numbers mean."""
     depth, height, width = shape
     meta = {
@@ -111,9 +109,7 @@ def make_smokejet(source: Path, folder: Path) -> None:
 
 def main() -> None:
     """Make both scenes from the folder given on the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("source", type=Path, help="folder with the simulations suzanne/ and smokejet/")
     parser.add_argument("folder", nargs="?", type=Path, default=CHECKOUT, help="default: the checkout")
     arguments = parser.parse_args()

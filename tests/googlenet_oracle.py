@@ -86,9 +86,7 @@ def features(
             return caffe_lrn(x, 5, 1e-4, 0.75)
         return tensorflow_lrn(x, **norms[index]) if flavour == "inception5h" else x
 
-    x = values["conv1/7x7_s2"] = relu(
-        layer("conv1/7x7_s2", prepare(image.astype(np.float64), flavour), stride)
-    )
+    x = values["conv1/7x7_s2"] = relu(layer("conv1/7x7_s2", prepare(image.astype(np.float64), flavour), stride))
     x = norm(max_pool(x, 3, 2, rule), 0)
     x = values["conv2/3x3_reduce"] = relu(layer("conv2/3x3_reduce", x))
     x = values["conv2/3x3"] = relu(layer("conv2/3x3", x))
@@ -124,9 +122,7 @@ def prepare(image: np.ndarray, flavour: str) -> np.ndarray:
 def normalise(y: np.ndarray, state: dict[str, np.ndarray], name: str) -> np.ndarray:
     """Batch normalisation with running statistics."""
     parts = ("weight", "bias", "running_mean", "running_var")
-    gamma, beta, mean, variance = (
-        state[f"{name}.bn.{part}"].astype(np.float64)[:, None, None] for part in parts
-    )
+    gamma, beta, mean, variance = (state[f"{name}.bn.{part}"].astype(np.float64)[:, None, None] for part in parts)
     return (y - mean) / np.sqrt(variance + BATCH_NORM_EPSILON) * gamma + beta
 
 

@@ -34,9 +34,7 @@ class FakeOptimiser:
         on_iteration: Callable[[Progress], None] | None,
         step_scale: float = 1.0,
     ) -> Stylized:
-        self.calls.append(
-            {"name": frame.name, "recipe": recipe, "exposure": exposure, "step_scale": step_scale}
-        )
+        self.calls.append({"name": frame.name, "recipe": recipe, "exposure": exposure, "step_scale": step_scale})
         if self.failure is not None:
             raise self.failure
         history = []
@@ -44,9 +42,7 @@ class FakeOptimiser:
             for iteration in range(recipe.iterations):
                 loss = 10.0 * octave - iteration
                 terms = {"style": loss}
-                history.append(
-                    {"octave": octave, "iteration": iteration, "loss": loss, "terms": terms, "seconds": 0.0}
-                )
+                history.append({"octave": octave, "iteration": iteration, "loss": loss, "terms": terms, "seconds": 0.0})
                 on_iteration(Progress(octave, recipe.octaves, iteration, recipe.iterations, loss, terms))
         velocity = np.broadcast_to(np.float32([3, 4, 0]), (*frame.density.shape, 3))
         return Stylized(

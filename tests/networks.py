@@ -192,7 +192,5 @@ def caffemodel(tensors: Tensors, legacy: bool) -> bytes:
     ]
     for name in sorted({name.rsplit(".", 1)[0] for name in tensors}):
         blobs = (tensors[f"{name}.weight"], tensors[f"{name}.bias"])
-        layers.append(
-            field(name_field, name) + b"".join(field(blobs_field, blob(values)) for values in blobs)
-        )
+        layers.append(field(name_field, name) + b"".join(field(blobs_field, blob(values)) for values in blobs))
     return field(1, "GoogleNet") + b"".join(field(layers_field, layer) for layer in layers)

@@ -6,8 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-import tnst_mi
 from fields import blob, directional_error, smooth_noise
+
+import tnst_mi
 from tnst_mi.advection import METHODS, revert_mask, step
 
 SHAPE = (9, 12, 7)
@@ -219,5 +220,5 @@ def test_gradient_has_the_same_bits_in_every_run() -> None:
 )
 def test_bad_arguments_are_named(change: dict) -> None:
     arguments = {"field": np.zeros((3, 3, 3)), "v": np.zeros((3, 3, 3, 3))} | change
-    with pytest.raises(tnst_mi.InputError, match="advect: .*expected"):
+    with pytest.raises(tnst_mi.InputError, match=r"advect: .*expected"):
         tnst_mi.advect(**arguments)

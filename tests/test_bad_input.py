@@ -155,9 +155,7 @@ def test_bad_output_folders(run: Run, smoke: Path, tmp_path: Path, out: str) -> 
 def test_an_empty_frame_is_left_unchanged(run: Run, tmp_path: Path, tiny_weights: Path) -> None:
     save_frames(tmp_path / "empty.npz", frames(0.0))
     out = tmp_path / "out"
-    ran = run(
-        "stylize", tmp_path / "empty.npz", "--out", out, "--style", "spirals", "--weights", tiny_weights
-    )
+    ran = run("stylize", tmp_path / "empty.npz", "--out", out, "--style", "spirals", "--weights", tiny_weights)
     assert ran.code == 0, ran.errors
     assert "empty" in ran.out
     with np.load(out / "density" / "empty.npz") as file:

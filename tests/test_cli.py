@@ -79,9 +79,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("render nowhere.npz --out b", "nowhere.npz: no such file"),
     ],
 )
-def test_wrong_usage(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
-) -> None:
+def test_wrong_usage(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
     monkeypatch.chdir(tmp_path)
     refused(run, tmp_path, line.split(), message)
 
@@ -93,9 +91,7 @@ def test_flags_win_over_the_recipe_and_the_recipe_over_the_defaults(
     run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
 ) -> None:
     recipe = tmp_path / "r.toml"
-    recipe.write_text(
-        'style = ["net"]\neta = 0.01\ngamma = 0.5\nazimuth = [0, 1]\niterations = 1\nframes = "8:9"\n'
-    )
+    recipe.write_text('style = ["net"]\neta = 0.01\ngamma = 0.5\nazimuth = [0, 1]\niterations = 1\nframes = "8:9"\n')
     ran = run(
         *("stylize", smoke, "--recipe", recipe, "--out", tmp_path / "out", "--gamma", "0.7"),
         *("--style", "spirals", "--style=cells", "--azimuth", "-20,20", "--semantic", "conv2/3x3:1,2"),
@@ -170,9 +166,7 @@ def test_render_uses_one_exposure_for_all_pictures(run: Run, smoke: Path, tmp_pa
     ran = run("render", smoke, "--out", tmp_path / "out", "--views", "0,0", "-90,0", "--gamma", "0.5")
     assert ran.code == 0, ran.errors
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {
-        f"f_{n:02d}_view_{v}.{e}" for n in (7, 8, 9) for v in ("0_0", "-90_0") for e in ("png", "exr")
-    }
+    assert names == {f"f_{n:02d}_view_{v}.{e}" for n in (7, 8, 9) for v in ("0_0", "-90_0") for e in ("png", "exr")}
 
     def pixels(name: str) -> tuple[np.ndarray, dict[str, object]]:
         with OpenEXR.File(str(tmp_path / "out" / name)) as file:

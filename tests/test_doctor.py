@@ -45,9 +45,7 @@ def test_a_sound_machine(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.endswith("The main job can run: tnst-mi demo\n")
 
 
-def test_missing_weights_stop_the_main_job(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_weights_stop_the_main_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("tnst_mi.weights.list_weights", lambda: [FoundWeights("bvlc", Path("w.pb"), False)])
     assert main(["doctor"]) == 1
     out = capsys.readouterr().out
@@ -76,9 +74,7 @@ def test_a_variant_that_cannot_start_stops_the_main_job(monkeypatch: pytest.Monk
         ({}, False, "CUDA build of torch"),
     ],
 )
-def test_gpus(
-    monkeypatch: pytest.MonkeyPatch, changed: dict[str, str], torch_has_cuda: bool, remedy: str
-) -> None:
+def test_gpus(monkeypatch: pytest.MonkeyPatch, changed: dict[str, str], torch_has_cuda: bool, remedy: str) -> None:
     monkeypatch.setattr(environment, "gpus", lambda: [GPU | changed])
     monkeypatch.setattr("torch.cuda.is_available", lambda: torch_has_cuda)
     check = checks()["GPU"]

@@ -75,9 +75,7 @@ def test_bvlc_features_match_the_oracle(bvlc_weights: Path, asset) -> None:
     ("stride", "size"), [(2, (64, 50)), (2, (75, 93)), (1, (37, 40)), (1, (20, 12)), (2, (20, 12))]
 )
 @pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
-def test_every_flavour_matches_the_oracle(
-    tmp_path: Path, flavour: str, stride: int, size: tuple[int, int]
-) -> None:
+def test_every_flavour_matches_the_oracle(tmp_path: Path, flavour: str, stride: int, size: tuple[int, int]) -> None:
     path = networks.random_googlenet(tmp_path / "random.safetensors", flavour, seed=1, narrow=8)
     tensors = networks.random_tensors(flavour, seed=1, narrow=8)
     batch_norm = networks.torchvision_state_dict(tensors, seed=1) if flavour == "torchvision" else None
@@ -98,17 +96,13 @@ def test_widths_come_from_the_file(tmp_path: Path) -> None:
 
 def test_channels_are_those_of_the_values(net: GoogLeNet) -> None:
     values = net(torch.rand(2, 3, 24, 24), net.layer_names)
-    assert {layer: net.channels(layer) for layer in net.layer_names} == {
-        k: v.shape[1] for k, v in values.items()
-    }
+    assert {layer: net.channels(layer) for layer in net.layer_names} == {k: v.shape[1] for k, v in values.items()}
 
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (20, 12), (7, 33)])
 @pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
 def test_small_images_reach_the_classifier(tmp_path: Path, flavour: str, size: tuple[int, int]) -> None:
-    network = GoogLeNet.load(
-        networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=16), stride1=False
-    )
+    network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=16), stride1=False)
     logits = network(torch.rand(2, 3, *size), ["logits"])["logits"]
     assert logits.shape == (2, network.channels("logits"))
     assert bool(logits.isfinite().all())
@@ -151,9 +145,7 @@ def test_only_what_is_needed_is_evaluated(narrow: Path) -> None:
         convolution.register_forward_hook(lambda *_, name=name: evaluated.append(name))
     network(torch.rand(1, 3, 32, 32), ["inception_3b/pool_proj", "conv2/3x3"])
     needed = ["conv1/7x7_s2", "conv2/3x3_reduce", "conv2/3x3"]
-    needed += [
-        f"inception_3a/{branch}" for branch in ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
-    ]
+    needed += [f"inception_3a/{branch}" for branch in ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")]
     assert sorted(evaluated) == sorted([*needed, "inception_3b/pool_proj"])  # each once, nothing else
 
 
@@ -257,15 +249,11 @@ def test_loading_leaves_torch_alone(narrow: Path) -> None:
 
 @pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
 def test_gradient_is_the_finite_difference(tmp_path: Path, flavour: str) -> None:
-    network = GoogLeNet.load(
-        networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=8)
-    ).double()
+    network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=8)).double()
     images = torch.rand(1, 3, 21, 18, dtype=torch.float64, requires_grad=True)
 
     def loss(x: torch.Tensor) -> torch.Tensor:
-        return sum(
-            value.square().mean() for value in network(x, ["conv2/3x3", "inception_4a/output"]).values()
-        )
+        return sum(value.square().mean() for value in network(x, ["conv2/3x3", "inception_4a/output"]).values())
 
     (gradient,) = torch.autograd.grad(loss(images), images)
     generator = torch.Generator().manual_seed(0)

@@ -51,9 +51,7 @@ def test_other_kinds_of_pixels_agree_with_their_rgb_form(tmp_path: Path, mode: s
 
 def test_sixteen_bit_grey_keeps_its_precision(tmp_path: Path) -> None:
     pixels = np.array([[0, 1, 256], [40000, 65534, 65535]], np.uint16)
-    np.testing.assert_allclose(
-        read_image(saved(tmp_path / "deep.png", pixels)).grey, pixels / 65535, atol=1e-7
-    )
+    np.testing.assert_allclose(read_image(saved(tmp_path / "deep.png", pixels)).grey, pixels / 65535, atol=1e-7)
 
 
 def test_alpha_is_kept_apart_and_does_not_darken_the_grey(tmp_path: Path) -> None:

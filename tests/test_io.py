@@ -91,9 +91,7 @@ def test_every_number_type_and_memory_order_is_read_right(tmp_path: Path) -> Non
         np.testing.assert_array_equal(load_frames(tmp_path / "a.npz")[0].density, values.astype(np.float32))
 
 
-def npz_with(
-    path: Path, member: bytes, name: str = "density.npy", method: int = zipfile.ZIP_DEFLATED
-) -> Path:
+def npz_with(path: Path, member: bytes, name: str = "density.npy", method: int = zipfile.ZIP_DEFLATED) -> Path:
     with zipfile.ZipFile(path, "w", method) as archive:
         archive.writestr(name, member)
     return path

@@ -23,9 +23,7 @@ def net() -> SmallNetwork:
 
 @pytest.mark.parametrize("channels", [(0,), (5,), (1, 4), (4, 1, 4), tuple(range(6))])
 @pytest.mark.parametrize("damping", [0.0, 0.7])
-def test_semantic_is_the_negated_mean_plus_damping(
-    net: SmallNetwork, channels: tuple, damping: float
-) -> None:
+def test_semantic_is_the_negated_mean_plus_damping(net: SmallNetwork, channels: tuple, damping: float) -> None:
     deep = features(net, views(), "deep")
     others = np.delete(deep, channels, axis=1)
     expected = -deep[:, list(set(channels))].mean((1, 2, 3)).sum()
@@ -35,9 +33,7 @@ def test_semantic_is_the_negated_mean_plus_damping(
 
 
 def test_class_tag_is_the_negated_logit(net: SmallNetwork) -> None:
-    assert value(ClassTag("cloud"), net, views()) == pytest.approx(
-        -features(net, views(), "logits")[:, 3].sum()
-    )
+    assert value(ClassTag("cloud"), net, views()) == pytest.approx(-features(net, views(), "logits")[:, 3].sum())
 
 
 @pytest.mark.parametrize("shape", [(), (6, 1, 1), (5,), (6, 6, 5)])
@@ -57,7 +53,6 @@ def test_content_matches_the_features_of_the_cropped_and_resized_picture(net: Sm
 
 def style_loss(rendered: np.ndarray, target: np.ndarray) -> float:
     """Oracle: Eq. 6 and 7 with explicit sums, for one view (C, H, W)."""
-    channels, height, width = rendered.shape
     gram, gram_target = (np.einsum("ahw,bhw->ab", f, f) for f in (rendered, target))
     return ((gram - gram_target) ** 2).sum() / (gram_target**2).sum()
 
@@ -73,9 +68,7 @@ def test_style_is_the_distance_of_gram_matrices(net: SmallNetwork) -> None:
     assert value(Style(picture(), weights), net, views()) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    "term", [Style(picture(), {"shallow": 1.0, "deep": 1.0}), Content(picture(), "deep")]
-)
+@pytest.mark.parametrize("term", [Style(picture(), {"shallow": 1.0, "deep": 1.0}), Content(picture(), "deep")])
 def test_a_rendering_equal_to_the_picture_has_no_loss(net: SmallNetwork, term: Objective) -> None:
     same = torch.from_numpy(picture().grey).double()[None]
     assert value(term, net, same) < 1e-25 < 1e-6 < value(term, net, views(1))

@@ -42,9 +42,7 @@ def test_views_are_summed_whatever_their_order(net: SmallNetwork, kind: str) -> 
     torch.testing.assert_close(gradient(TERMS[kind], net, images[order]), together[order])
     singles = [gradient(TERMS[kind], net, image[None]) for image in images]
     torch.testing.assert_close(torch.cat(singles), together)
-    assert value(TERMS[kind], net, images) == pytest.approx(
-        sum(value(TERMS[kind], net, i[None]) for i in images)
-    )
+    assert value(TERMS[kind], net, images) == pytest.approx(sum(value(TERMS[kind], net, i[None]) for i in images))
 
 
 @pytest.mark.parametrize("kind", TERMS)

@@ -179,9 +179,7 @@ def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) 
     assert {name: (out / name).read_bytes() for name in files_of(out)} == before
 
 
-def test_overwriting_removes_the_earlier_run_and_nothing_else(
-    optimiser: FakeOptimiser, tmp_path: Path
-) -> None:
+def test_overwriting_removes_the_earlier_run_and_nothing_else(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
     (out / "notes.txt").write_text("mine")

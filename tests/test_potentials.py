@@ -6,9 +6,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-import tnst_mi
 import torch
 from fields import smooth_noise
+
+import tnst_mi
 
 SHAPE = (6, 9, 7)
 
@@ -98,5 +99,5 @@ def test_torch_tensors_are_differentiated_by_torch() -> None:
     ],
 )
 def test_bad_arguments_are_named(phi: object, psi: object, lam: float, h: float) -> None:
-    with pytest.raises(tnst_mi.InputError, match="velocity: .*expected"):
+    with pytest.raises(tnst_mi.InputError, match=r"velocity: .*expected"):
         tnst_mi.velocity(phi, psi, lam, h)

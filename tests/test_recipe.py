@@ -105,10 +105,7 @@ def test_style_layers_as_table_list_or_flag(tmp_path: Path) -> None:
     entries = 'style_layers = ["conv2/3x3", "inception_3b/output=0.5"]\n'
     assert Recipe.from_toml(write(tmp_path, table)).style_layers == expected
     assert Recipe.from_toml(write(tmp_path, entries)).style_layers == expected
-    assert (
-        Recipe().updated_by_flags({"style_layers": "conv2/3x3,inception_3b/output=0.5"}).style_layers
-        == expected
-    )
+    assert Recipe().updated_by_flags({"style_layers": "conv2/3x3,inception_3b/output=0.5"}).style_layers == expected
 
 
 def test_semantic_targets_are_split() -> None:

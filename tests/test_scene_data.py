@@ -48,9 +48,7 @@ def carried(density: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("scene", FRAMES)
 def test_frames_have_the_documented_format(scene: str) -> None:
     frames, shape = FRAMES[scene]
-    assert sorted(path.name for path in (SCENES / scene).glob("*.npz")) == [
-        f"frame_{f:04d}.npz" for f in frames
-    ]
+    assert sorted(path.name for path in (SCENES / scene).glob("*.npz")) == [f"frame_{f:04d}.npz" for f in frames]
     for frame in frames:
         density, velocity = load(scene, frame)
         assert density.shape == shape and density.dtype == np.float32

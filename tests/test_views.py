@@ -70,9 +70,7 @@ def test_views_of_many_draws_cover_the_range_evenly() -> None:
     assert np.abs(counts / len(drawn) - 0.25).max() < 0.04
 
 
-@pytest.mark.parametrize(
-    "azimuth, elevation, spread", [((2.0, 2.0), (-5.0, 5.0), 1), ((-10.0, 10.0), (0.0, 0.0), 0)]
-)
+@pytest.mark.parametrize("azimuth, elevation, spread", [((2.0, 2.0), (-5.0, 5.0), 1), ((-10.0, 10.0), (0.0, 0.0), 0)])
 def test_a_range_flat_in_one_axis_is_sampled_along_the_other(
     azimuth: tuple[float, float], elevation: tuple[float, float], spread: int
 ) -> None:

@@ -49,9 +49,7 @@ def assert_same(found: dict[str, torch.Tensor], expected: networks.Tensors) -> N
 
 
 @pytest.mark.parametrize("as_float_list", [False, True])
-def test_graphdef_with_its_own_constants(
-    tmp_path: Path, tensors5h: networks.Tensors, as_float_list: bool
-) -> None:
+def test_graphdef_with_its_own_constants(tmp_path: Path, tensors5h: networks.Tensors, as_float_list: bool) -> None:
     path = tmp_path / "graph.pb"
     path.write_bytes(networks.graphdef(tensors5h, NORMS, as_float_list))
     assert_same(read_weights(path).tensors, tensors5h)
@@ -76,9 +74,7 @@ def test_graphdef_and_lucents_state_dict_are_one_network(tmp_path: Path, tensors
     published = (oracle.INCEPTION5H_LRN, oracle.INCEPTION5H_LRN)
     graph, state = tmp_path / "graph.pb", tmp_path / "state.pth"
     graph.write_bytes(networks.graphdef(tensors5h, published))
-    torch.save(
-        {name: torch.from_numpy(value) for name, value in networks.lucent_names(tensors5h).items()}, state
-    )
+    torch.save({name: torch.from_numpy(value) for name, value in networks.lucent_names(tensors5h).items()}, state)
     images = torch.rand(1, 3, 33, 40, generator=torch.Generator().manual_seed(0))
     values = [GoogLeNet.load(path)(images, ["logits"])["logits"] for path in (graph, state)]
     torch.testing.assert_close(values[0], values[1], rtol=1e-6, atol=0)
@@ -148,9 +144,7 @@ def test_batch_normalisation_is_folded(tmp_path: Path) -> None:
     x = np.random.default_rng(0).normal(size=(3, 9, 9))
     convolved = oracle.convolve(x, state["conv1.conv.weight"], np.zeros(1), "caffe")
     expected = oracle.normalise(convolved, state, "conv1")
-    found = oracle.convolve(
-        x, folded["conv1/7x7_s2.weight"].numpy(), folded["conv1/7x7_s2.bias"].numpy(), "caffe"
-    )
+    found = oracle.convolve(x, folded["conv1/7x7_s2.weight"].numpy(), folded["conv1/7x7_s2.bias"].numpy(), "caffe")
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
 
 
@@ -219,9 +213,7 @@ def _files(tensors: networks.Tensors, tensors5h: networks.Tensors, folder: Path)
     }
 
 
-def test_truncated_and_corrupted_files(
-    tmp_path: Path, tensors: networks.Tensors, tensors5h: networks.Tensors
-) -> None:
+def test_truncated_and_corrupted_files(tmp_path: Path, tensors: networks.Tensors, tensors5h: networks.Tensors) -> None:
     random = np.random.default_rng(0)
     for name, data in _files(tensors, tensors5h, tmp_path).items():
         path = tmp_path / name
@@ -234,9 +226,7 @@ def test_truncated_and_corrupted_files(
             assert "\n" not in str(error.value)
         for _ in range(30):
             damaged = bytearray(data)
-            for position in random.integers(
-                -2000, 2000, 4
-            ):  # structure at the start, a zip's directory at the end
+            for position in random.integers(-2000, 2000, 4):  # structure at the start, a zip's directory at the end
                 damaged[position] = random.integers(256)
             path.write_bytes(damaged)
             try:  # the damage may hit a weight or an unused name
@@ -273,9 +263,7 @@ def test_shapes_that_lie_about_the_values(tmp_path: Path, tensors5h: networks.Te
     # The same number of bytes, so that all lengths around it stay true.
     lie = networks.field(2, networks.field(2, networks.field(1, 127)))
     assert len(lie) == len(shape)
-    path.write_bytes(
-        good.replace(shape + networks.field(4, bias.tobytes()), lie + networks.field(4, bias.tobytes()))
-    )
+    path.write_bytes(good.replace(shape + networks.field(4, bias.tobytes()), lie + networks.field(4, bias.tobytes())))
     with pytest.raises(InputError, match=rf"'conv2d0_b' states the shape \[127\] for {bias.size} values"):
         read_weights(path)
 
@@ -310,9 +298,7 @@ def _with(name: str, values: np.ndarray) -> Callable[[networks.Tensors], network
         ),
     ],
 )
-def test_weights_of_another_network(
-    tmp_path: Path, tensors: networks.Tensors, change: Callable, message: str
-) -> None:
+def test_weights_of_another_network(tmp_path: Path, tensors: networks.Tensors, change: Callable, message: str) -> None:
     path = tmp_path / "net.safetensors"
     safetensors.numpy.save_file(change(tensors), path)
     with pytest.raises(InputError, match=message) as error:

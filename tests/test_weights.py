@@ -87,9 +87,7 @@ def test_the_preferred_flavour_and_the_one_asked_for(places: Path) -> None:
     assert weights.find_weights()[1] == "bvlc"
     assert weights.find_weights(flavour="torchvision") == (places / "cache" / TORCHVISION, "torchvision")
     assert weights.find_weights(folder, "inception5h") == (folder / GRAPH, "inception5h")
-    with pytest.raises(
-        InputError, match="flavour 'vgg': unknown; expected one of bvlc, inception5h, torchvision"
-    ):
+    with pytest.raises(InputError, match="flavour 'vgg': unknown; expected one of bvlc, inception5h, torchvision"):
         weights.find_weights(flavour="vgg")
 
 

@@ -31,8 +31,16 @@ class _Step(dr.CustomOp):
     """One advection step of a field with `channels` values per cell (1 or 3)."""
 
     def eval(
-        self, field, velocity, shape: Shape, method: str, h: float, outside: str, reverted, field_varies: bool
-    ):  # noqa: ANN001, ANN201
+        self,
+        field: mi.TensorXf,
+        velocity: mi.TensorXf,
+        shape: Shape,
+        method: str,
+        h: float,
+        outside: str,
+        reverted: mi.TensorXf | None,
+        field_varies: bool,
+    ) -> mi.TensorXf:
         self.shape, self.outside, self.h, self.field_varies = shape, outside, h, field_varies
         self.channels = 1 if len(field.shape) == 3 else field.shape[3]
         self.corrected = method != "semi_lagrangian"
@@ -134,9 +142,7 @@ class _Step(dr.CustomOp):
 
         departure = Trilinear(cells, -displacement, self.outside)
         pulled = self._channels_of(on_forward_step)
-        for slope, value in zip(
-            departure.gradient(departure.read(self.field, self.channels)), pulled, strict=True
-        ):
+        for slope, value in zip(departure.gradient(departure.read(self.field, self.channels)), pulled, strict=True):
             velocity_gradient -= slope * value
         velocity_gradient *= dr.rcp(opaque(self.h))
         self.set_grad_in("velocity", mi.TensorXf(dr.ravel(velocity_gradient), self.velocity_shape))
@@ -165,19 +171,16 @@ def step(
     outside: str = "zero",
     reverted: mi.TensorXf | None = None,
 ) -> mi.TensorXf:
-    """One advection step of Dr.Jit tensors; `reverted` (shape of the field, non-zero: use f) fixes the limiter's choice.
+    """One advection step of Dr.Jit tensors.
 
-    Finite differences need the choice fixed: the limiter is a switch, so a difference across it is no derivative.
+    `reverted`, of the field's shape and non-zero where the result is f, fixes the limiter's choice. Finite differences
+    need the choice fixed: the limiter is a switch, so a difference across it is no derivative.
     """
     shape = tuple(velocity.shape)[:3]
-    return dr.custom(
-        _Step, field, velocity, shape, method, float(h), outside, reverted, bool(dr.grad_enabled(field))
-    )
+    return dr.custom(_Step, field, velocity, shape, method, float(h), outside, reverted, bool(dr.grad_enabled(field)))
 
 
-def revert_mask(
-    field: mi.TensorXf, velocity: mi.TensorXf, h: float = 1.0, outside: str = "zero"
-) -> mi.TensorXf:
+def revert_mask(field: mi.TensorXf, velocity: mi.TensorXf, h: float = 1.0, outside: str = "zero") -> mi.TensorXf:
     """1 where the limiter of one MacCormack step reverts to the semi-Lagrangian value, else 0; shape of the field."""
     field, velocity = dr.detach(field), dr.detach(velocity)
     limited = step(field, velocity, "maccormack", h, outside)

@@ -11,6 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.backend import VARIANTS, activate
+
 
 def _is_torch(value: Any) -> bool:
     return type(value).__module__.split(".")[0] == "torch"
@@ -28,21 +30,16 @@ def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
 
         @functools.wraps(function)
         def wrapper(*args: Any, **kwargs: Any) -> Any:
-            from tnst_mi.backend import activate
-
-            activate()
+            if mi.variant() not in VARIANTS:
+                activate()
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = {name: bound.arguments[name] for name in names if bound.arguments[name] is not None}
             if any(_is_torch(value) for value in given.values()):
                 return _call_from_torch(function, bound.arguments, given)
             if any(dr.is_array_v(value) for value in given.values()):
-                return function(
-                    **(bound.arguments | {name: _as_tensor(value) for name, value in given.items()})
-                )
-            tensors = {
-                name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()
-            }
+                return function(**(bound.arguments | {name: _as_tensor(value) for name, value in given.items()}))
+            tensors = {name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()}
             return function(**(bound.arguments | tensors)).numpy()
 
         return wrapper

@@ -86,9 +86,7 @@ def llvm_library() -> LlvmLibrary | None:
     if chosen and chosen != os.environ.get("_TNST_MI_LIBLLVM_PATH"):
         return LlvmLibrary(Path(chosen), _version_of(Path(chosen).resolve()), "named by DRJIT_LIBLLVM_PATH")
     if (path := _system_llvm()) is not None:
-        return LlvmLibrary(
-            path, _version_of(path), f"newest LLVM of the system that is {OLDEST_LLVM} or newer"
-        )
+        return LlvmLibrary(path, _version_of(path), f"newest LLVM of the system that is {OLDEST_LLVM} or newer")
     if (path := _wheel_llvm()) is not None:
         return LlvmLibrary(
             path,

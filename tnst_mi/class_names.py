@@ -26,9 +26,7 @@ def class_index(names: Sequence[str], tag: str) -> int:
 
     Raises `InputError` for a name that is unknown (naming the nearest three) or that several classes share.
     """
-    synonyms = [
-        (synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")}
-    ]
+    synonyms = [(synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")}]
     wanted = tag.strip()
     # Two classes may differ in case alone: Cardigan is a dog, cardigan a jacket.
     matches = {index for synonym, index in synonyms if synonym == wanted}
@@ -40,6 +38,4 @@ def class_index(names: Sequence[str], tag: str) -> int:
         raise InputError(f"class tag {tag!r}: names several classes: {listed}")
     lower = {synonym.lower(): synonym for synonym, _ in synonyms}
     nearest = difflib.get_close_matches(wanted.lower(), lower, n=3, cutoff=0.0)
-    raise InputError(
-        f"class tag {tag!r}: unknown; the nearest are {', '.join(repr(lower[name]) for name in nearest)}"
-    )
+    raise InputError(f"class tag {tag!r}: unknown; the nearest are {', '.join(repr(lower[name]) for name in nearest)}")

@@ -91,9 +91,7 @@ def _gpu() -> Check:
     if all(float(gpu["compute_capability"]) < 7.5 for gpu in gpus):
         return Check("GPU", found, "Dr.Jit needs compute capability 7.5 or newer; the CPU computes")
     if all(int(gpu["driver"].split(".")[0]) < 535 for gpu in gpus):
-        return Check(
-            "GPU", found, "Dr.Jit needs driver R535 or newer: update it; until then the CPU computes"
-        )
+        return Check("GPU", found, "Dr.Jit needs driver R535 or newer: update it; until then the CPU computes")
     if not _torch_has_cuda():
         return Check("GPU", found, "this torch is built for the CPU alone: install a CUDA build of torch")
     return Check("GPU", found)

@@ -44,9 +44,7 @@ def download(url: str, target: Path, algorithm: str, digest: str) -> None:
         found = file_hash(part, algorithm)
         if not found.startswith(digest):
             part.unlink()
-            raise InputError(
-                f"{url}: wrong hash: {algorithm} {found}, expected {digest}; download deleted, try again"
-            )
+            raise InputError(f"{url}: wrong hash: {algorithm} {found}, expected {digest}; download deleted, try again")
         os.replace(part, target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error.strerror or error})") from None
@@ -76,21 +74,15 @@ def _fetch(url: str, part: Path) -> None:
         ):
             while chunk := _read(response, url, bar.n):
                 if bar.n + len(chunk) > _LARGEST_DOWNLOAD:
-                    raise InputError(
-                        f"{url}: larger than {_LARGEST_DOWNLOAD} bytes; expected GoogLeNet weights"
-                    )
+                    raise InputError(f"{url}: larger than {_LARGEST_DOWNLOAD} bytes; expected GoogLeNet weights")
                 file.write(chunk)
                 bar.update(len(chunk))
             if total is not None and bar.n < total:
-                raise InputError(
-                    f"{url}: the connection broke off at {bar.n} of {total} bytes; run again to go on"
-                )
+                raise InputError(f"{url}: the connection broke off at {bar.n} of {total} bytes; run again to go on")
 
 
 def _read(response: http.client.HTTPResponse, url: str, done: int) -> bytes:
     try:
         return response.read1(_CHUNK)
     except (OSError, http.client.HTTPException) as error:
-        raise InputError(
-            f"{url}: the connection broke off at {done} bytes ({error}); run again to go on"
-        ) from None
+        raise InputError(f"{url}: the connection broke off at {done} bytes ({error}); run again to go on") from None

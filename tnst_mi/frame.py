@@ -81,9 +81,7 @@ class Frame:
     def _checked_obstacle(self, shape: tuple[int, ...]) -> np.ndarray:
         obstacle = np.asarray(self.obstacle)
         if obstacle.shape != shape:
-            raise InputError(
-                f"{self.name}: obstacle has shape {obstacle.shape}, expected {shape} to fit the density"
-            )
+            raise InputError(f"{self.name}: obstacle has shape {obstacle.shape}, expected {shape} to fit the density")
         if obstacle.dtype.kind not in "fiub" or not np.isin(obstacle, (0, 1)).all():
             raise InputError(f"{self.name}: obstacle has values besides 0 and 1, expected a mask of 0 and 1")
         return np.ascontiguousarray(obstacle, dtype=bool)

@@ -114,9 +114,7 @@ class GoogLeNet(nn.Module):
         self.to(memory_format=torch.channels_last).requires_grad_(False).eval()
 
     @classmethod
-    def load(
-        cls, source: str | Path | None = None, flavour: str | None = None, stride1: bool = True
-    ) -> GoogLeNet:
+    def load(cls, source: str | Path | None = None, flavour: str | None = None, stride1: bool = True) -> GoogLeNet:
         """The network of a weights file, in evaluation mode, float32, without gradients of its weights.
 
         `source` (a file or folder) and `flavour` ("bvlc", "inception5h", "torchvision") are as in
@@ -138,9 +136,7 @@ class GoogLeNet(nn.Module):
         Raises `InputError` for an unknown layer or another shape of `x`.
         """
         if x.ndim != 4 or x.shape[1] != 3 or 0 in x.shape or not x.is_floating_point():
-            raise InputError(
-                f"images of shape {tuple(x.shape)}, {x.dtype}: expected floating point (N, 3, H, W)"
-            )
+            raise InputError(f"images of shape {tuple(x.shape)}, {x.dtype}: expected floating point (N, 3, H, W)")
         names = {layer: self.resolve(layer) for layer in layers}
         image = (x * 255 - self.mean) / self._description.divisor
         known = {"image": image.contiguous(memory_format=torch.channels_last)}
@@ -224,9 +220,7 @@ class GoogLeNet(nn.Module):
         if not self._description.same_padding:
             return convolution(image)
         rows, columns = (_same_padding(size, 7, convolution.stride[0]) for size in image.shape[2:])
-        return F.conv2d(
-            F.pad(image, (*columns, *rows)), convolution.weight, convolution.bias, convolution.stride
-        )
+        return F.conv2d(F.pad(image, (*columns, *rows)), convolution.weight, convolution.bias, convolution.stride)
 
     def _pool(self, values: Tensor, window: int = 3) -> Tensor:
         """Maximum over windows at stride 2; the last may reach beyond the end (`ceil_mode`), as in Caffe.

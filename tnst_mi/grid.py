@@ -7,6 +7,7 @@ large the grid is.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,9 +38,7 @@ def octaves(shape: Sequence[int], count: int, factor: float = 1.8) -> list[Octav
     An axis never falls below one cell.
     """
     if count < 1 or factor <= 1.0:
-        raise InputError(
-            f"octaves: count {count} and factor {factor} given, expected count >= 1 and factor > 1"
-        )
+        raise InputError(f"octaves: count {count} and factor {factor} given, expected count >= 1 and factor > 1")
     sizes = [tuple(int(n) for n in shape)]
     for _ in range(count - 1):
         sizes.append(tuple(max(1, int(n / factor)) for n in sizes[-1]))
@@ -48,7 +47,37 @@ def octaves(shape: Sequence[int], count: int, factor: float = 1.8) -> list[Octav
 
 def opaque(value: float) -> mi.Float:
     """A number that changes between calls, kept out of the generated code so that no kernel is recompiled."""
-    return dr.opaque(mi.Float, value)
+    return _opaque(mi.Float, value)
+
+
+def opaque_int(value: int) -> mi.Int32:
+    """As `opaque`, for whole numbers."""
+    return _opaque(mi.Int32, value)
+
+
+@functools.lru_cache(maxsize=512)
+def _opaque(kind: type, value: float) -> mi.Float | mi.Int32:
+    # Creating one costs a memory allocation and a fill; a run uses few different numbers.
+    return dr.opaque(kind, value)
+
+
+class Divisor:
+    """Division of indices below 2^30 by a size that is not part of the generated code.
+
+    Vector units have no integer division. A multiplication by a scaled reciprocal is exact here (Granlund and
+    Montgomery 1994): with d' = 2d and l = ⌈log2 d'⌉, ⌊n/d⌋ = ⌊2n · (⌊2^(31+l)/d'⌋ + 1) / 2^(31+l)⌋ for 2n < 2^31.
+    """
+
+    def __init__(self, size: int) -> None:
+        bits = (2 * size - 1).bit_length()
+        factor = 2 ** (31 + bits) // (2 * size) + 1
+        self.size = opaque_int(size)
+        self.factor, self.shift = _opaque(mi.UInt32, factor), _opaque(mi.UInt32, bits - 1)
+
+    def split(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        """Quotient and remainder."""
+        quotient = dr.mul_hi(index << 1, self.factor) >> self.shift
+        return quotient, index - quotient * mi.UInt32(self.size)
 
 
 @dataclass
@@ -65,20 +94,17 @@ class Cells:
     def of(cls, shape: Shape) -> Cells:
         """The cells of a (D, H, W) grid."""
         d, h, w = shape
-        size = mi.Vector3i(*(dr.opaque(mi.Int32, n) for n in (w, h, d)))
-        flat = dr.arange(mi.Int32, d * h * w)
-        row = flat // size.x
-        z = row // size.y
-        return cls(shape, size, flat - row * size.x, row - z * size.y, z)
+        row, x = Divisor(w).split(dr.arange(mi.UInt32, d * h * w))
+        z, y = Divisor(h).split(row)
+        size = mi.Vector3i(*(opaque_int(n) for n in (w, h, d)))
+        return cls(shape, size, mi.Int32(x), mi.Int32(y), mi.Int32(z))
 
     def index(self, x: mi.Int32, y: mi.Int32, z: mi.Int32) -> mi.UInt32:
         """Storage index of cell (x, y, z), which must lie inside the grid."""
         return mi.UInt32(dr.fma(dr.fma(z, self.size.y, y), self.size.x, x))
 
 
-def gather(
-    values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True
-) -> list[mi.Float]:
+def gather(values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True) -> list[mi.Float]:
     """All channels of the cells at `index`; inactive lanes read 0."""
     if channels == 1:
         return [dr.gather(mi.Float, values, index, active)]
@@ -141,10 +167,7 @@ class Trilinear:
         weights = [[self._weight(corner, axis) for corner, _, _ in self.corners] for axis in range(3)]
         for i in range(len(corners[0])):
             signed = [
-                [
-                    c[i] if corner[axis] else -c[i]
-                    for (corner, _, _), c in zip(self.corners, corners, strict=True)
-                ]
+                [c[i] if corner[axis] else -c[i] for (corner, _, _), c in zip(self.corners, corners, strict=True)]
                 for axis in range(3)
             ]
             result.append(mi.Vector3f(*(_weighted_sum(weights[axis], signed[axis]) for axis in range(3))))
@@ -185,9 +208,7 @@ class RepeatableSum:
         # Clearing the mantissa bits leaves the power of two below the bound; all scalings are then exact.
         # The floor keeps the scale finite in float32.
         exponent = dr.reinterpret_array(mi.UInt32, dr.maximum(bound, 2.0**-60)) & 0x7F800000
-        self.unit = dr.reinterpret_array(mi.Float, exponent) * opaque(
-            2.0 ** -(61 - max(count, 1).bit_length())
-        )
+        self.unit = dr.reinterpret_array(mi.Float, exponent) * opaque(2.0 ** -(61 - max(count, 1).bit_length()))
         self.scale = dr.rcp(self.unit)
 
     def add(self, index: mi.UInt32, value: mi.Float, active: mi.Bool | bool = True) -> None:

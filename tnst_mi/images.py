@@ -96,9 +96,7 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32]:
         limit = Image.MAX_IMAGE_PIXELS
         raise InputError(f"{path}: the picture has more than {limit} pixels; make it smaller") from None
     except UnidentifiedImageError:
-        raise InputError(
-            f"{path}: not a picture in a known format; use one of {', '.join(FORMATS)}"
-        ) from None
+        raise InputError(f"{path}: not a picture in a known format; use one of {', '.join(FORMATS)}") from None
     except Exception as error:  # Pillow's decoders raise many types on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or JPEG") from None

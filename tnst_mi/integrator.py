@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 from mitsuba.ad.integrators.common import RBIntegrator
 
-from tnst_mi.grid import RepeatableSum, Trilinear
+from tnst_mi.grid import RepeatableSum, Trilinear, opaque
 from tnst_mi.medium import GridMedium, Lattice
 
 QUADRATURES = ("paper", "exact", "transmittance")
@@ -59,7 +59,7 @@ class EmissionAbsorption(RBIntegrator):
             raise ValueError(
                 f'emission_absorption: "quadrature" is {self.quadrature!r}, expected one of {", ".join(QUADRATURES)}'
             )
-        if props.has_property("step") and not self.step > 0:
+        if "step" in props and not self.step > 0:
             raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
         self._medium: GridMedium | None = None
 
@@ -131,16 +131,12 @@ class EmissionAbsorption(RBIntegrator):
         if len(scene.emitters()) > 0:
             leaving = dr.select(entering, second.p, first.p)
             beyond = mi.Ray3f(ray)
-            beyond.o = dr.select(
-                inside, leaving + ray.d * mi.math.RayEpsilon * (1 + dr.max(dr.abs(leaving))), ray.o
-            )
+            beyond.o = dr.select(inside, leaving + ray.d * mi.math.RayEpsilon * (1 + dr.max(dr.abs(leaving))), ray.o)
             seen = scene.ray_intersect(beyond, active)
             background = seen.emitter(scene, active).eval(seen, active)
 
         step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
-        lattice = Lattice(
-            medium, ray, step, dr.select(inside, entry, dr.inf), dr.select(inside, exit, -dr.inf)
-        )
+        lattice = Lattice(medium, ray, step, dr.select(inside, entry, dr.inf), dr.select(inside, exit, -dr.inf))
         return lattice, background, inside
 
     # --------------------------------------------------------------------
@@ -161,7 +157,7 @@ class EmissionAbsorption(RBIntegrator):
     def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: Trilinear) -> Any:
         """Interpolated extinction: `mi.Float` for a grey medium, `mi.Color3f` for a coloured one."""
         value = stencil.value(stencil.read(tensor.array, medium.channels))
-        scale = dr.opaque(mi.Float, medium.scale)
+        scale = opaque(medium.scale)
         return value[0] * scale if medium.channels == 1 else mi.Color3f(*value) * scale
 
     def _zeros(self, medium: GridMedium, lattice: Lattice) -> Any:
@@ -170,7 +166,7 @@ class EmissionAbsorption(RBIntegrator):
 
     def _radiance(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
         σ_t = dr.detach(medium.extinction)
-        inv_gamma = dr.opaque(mi.Float, 1 / self.gamma)
+        inv_gamma = opaque(1 / self.gamma)
         h = lattice.step
         zeros = self._zeros(medium, lattice)
 
@@ -206,7 +202,7 @@ class EmissionAbsorption(RBIntegrator):
             if not dr.grad_enabled(medium.extinction):
                 return
         σ_t = dr.detach(medium.extinction)
-        inv_gamma = dr.opaque(mi.Float, 1 / self.gamma)
+        inv_gamma = opaque(1 / self.gamma)
         h = lattice.step
         L = mi.Spectrum(L)
         if medium.channels == 1:
@@ -216,7 +212,7 @@ class EmissionAbsorption(RBIntegrator):
         zeros = self._zeros(medium, lattice)
 
         limit = inv_gamma if self.quadrature != "transmittance" else mi.Float(1)
-        scale = dr.opaque(mi.Float, medium.scale)
+        scale = opaque(medium.scale)
         bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * h * dr.abs(scale)
         size = dr.width(σ_t.array)
         total = RepeatableSum(size, bound, dr.width(lattice.count) * lattice.longest)
@@ -252,7 +248,7 @@ class EmissionAbsorption(RBIntegrator):
         """Derivative of the radiance along the tangent of the extinction tensor."""
         with dr.resume_grad():
             σ_t, σ_dot = dr.detach(medium.extinction), dr.grad(medium.extinction)
-        inv_gamma = dr.opaque(mi.Float, 1 / self.gamma)
+        inv_gamma = opaque(1 / self.gamma)
         h = lattice.step
         zeros = self._zeros(medium, lattice)
 
@@ -281,4 +277,4 @@ def _expm1(x: Any) -> Any:
     return dr.select(dr.abs(x) < 1e-2, x * (1 + x * (0.5 + x * (1 / 6 + x * (1 / 24)))), dr.exp(x) - 1)
 
 
-mi.register_integrator("emission_absorption", lambda props: EmissionAbsorption(props))
+mi.register_integrator("emission_absorption", EmissionAbsorption)

@@ -197,9 +197,7 @@ class Job:
         largest = max(measure.pixel_sum for measure in self._measures)
         step_scale = measure.pixel_sum / largest if largest > 0.0 else 1.0
         self._bar.frame = frame.name
-        stylized = optimise(
-            frame, self.recipe, self._network, self.exposure, self._bar.advance, step_scale=step_scale
-        )
+        stylized = optimise(frame, self.recipe, self._network, self.exposure, self._bar.advance, step_scale=step_scale)
         blend = self.recipe.blend
         density = np.float32((1.0 - blend) * frame.density + blend * stylized.density)
         record = {
@@ -219,9 +217,7 @@ class Job:
 
     def _write(self, folder: RunFolder, frame: StylizedFrame) -> None:
         name = frame.source.name
-        before, after = (
-            self.exposure * self._main_view(density) for density in (frame.source.density, frame.density)
-        )
+        before, after = (self.exposure * self._main_view(density) for density in (frame.source.density, frame.density))
         attributes = {
             "view": self.recipe.main_view,
             "gamma": self.recipe.gamma,
@@ -248,9 +244,7 @@ class Job:
         names = [measure.name for measure in self._measures]
         double = next((name for name in names if names.count(name) > 1), None)
         if double is not None:
-            raise InputError(
-                f"frames: the name {double!r} is there more than once, expected one name per frame"
-            )
+            raise InputError(f"frames: the name {double!r} is there more than once, expected one name per frame")
 
     def _require_same_input(self) -> None:
         digests = {measure.name: measure.sha256 for measure in self._measures}
@@ -274,15 +268,11 @@ class _Measure:
 
 def _require_supported(recipe: Recipe) -> None:
     if not (recipe.style or recipe.semantic or recipe.tag or recipe.content):
-        raise InputError(
-            "nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe"
-        )
+        raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
     if recipe.window > 1:
         raise InputError(f"window = {recipe.window}: temporal windows come with a later version, expected 1")
     if recipe.integrator == "prbvolpath":
-        raise InputError(
-            "integrator = 'prbvolpath': comes with a later version, expected 'emission_absorption'"
-        )
+        raise InputError("integrator = 'prbvolpath': comes with a later version, expected 'emission_absorption'")
 
 
 def _path_keys(recipe: Recipe) -> dict[str, Any]:
@@ -294,9 +284,7 @@ def _sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
         files: FrameFiles = open_frames(frames)
         return files if recipe.frame_range is None else files.numbered(*recipe.frame_range)
     if recipe.frames is not None:
-        raise InputError(
-            f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays"
-        )
+        raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
     if isinstance(frames, np.ndarray):
         return [Frame(frames)]
     if isinstance(frames, Frame):

@@ -155,9 +155,7 @@ class Style(Term):
         grams = {}
         for layer, values in _picture_features(net, picture, [layer for layer, _ in weights]).items():
             if values.ndim != 4:
-                raise InputError(
-                    f"style layer {layer!r}: it has no positions to sum over; use a layer before it"
-                )
+                raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)

@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.grid import Cells, Shape, Trilinear
+from tnst_mi.grid import Cells, Shape, Trilinear, opaque
 
 
 class _Children(mi.TraversalCallback):
@@ -114,9 +114,7 @@ class GridMedium:
         self.medium = self.shape.interior_medium()
         self.volume = _children(self.medium).get("sigma_t")
         if self.volume is None or "data" not in mi.traverse(self.volume):
-            raise RuntimeError(
-                "emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t"
-            )
+            raise RuntimeError("emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t")
         if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
             raise RuntimeError("emission_absorption: the shape around the medium must have a `null` BSDF")
         self.transform = probe_transform(self.volume)
@@ -151,17 +149,13 @@ class Lattice:
     and the exit from both the bounding shape and the grid's box are visited.
     """
 
-    def __init__(
-        self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float
-    ) -> None:
+    def __init__(self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float) -> None:
         d, h, w = medium.grid_shape
-        size = mi.Vector3f(*(dr.opaque(mi.Float, n) for n in (w, h, d)))
-        matrix = mi.Matrix3f(
-            [[dr.opaque(mi.Float, value) for value in row] for row in medium.transform.matrix.tolist()]
-        )
-        centre = mi.Point3f(*(dr.opaque(mi.Float, value) for value in medium.transform.centre.tolist()))
-        self.step = dr.opaque(mi.Float, step)
-        phase = dr.opaque(mi.Float, 0.0 if d % 2 else 0.5)
+        size = mi.Vector3f(*(opaque(n) for n in (w, h, d)))
+        matrix = mi.Matrix3f([[opaque(value) for value in row] for row in medium.transform.matrix.tolist()])
+        centre = mi.Point3f(*(opaque(value) for value in medium.transform.centre.tolist()))
+        self.step = opaque(step)
+        phase = opaque(0.0 if d % 2 else 0.5)
 
         nearest = dr.dot(centre - ray.o, ray.d)
         # Both in cells, with the centre of cell 0 as origin.

@@ -163,9 +163,7 @@ class BoundObjective:
 
     def _losses(self, images: Tensor) -> dict[str, Tensor]:
         if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
-            raise ValueError(
-                f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})"
-            )
+            raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         features = self._net(as_rgb(images), layers=self._layers)
         return {name: term.loss(features) for name, term in self._terms.items()}
 

@@ -16,8 +16,8 @@ from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import Octave, octaves, opaque
 from tnst_mi.mask import soft_mask
-from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.objective import Objective
+from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.recipe import Recipe
 from tnst_mi.resample import resample_density
 from tnst_mi.scene import GridScene, render
@@ -123,7 +123,13 @@ def optimise(
                 since = time.perf_counter()
                 loss, terms = run.iterate(index, iteration)
                 seconds = time.perf_counter() - since
-                entry = {"octave": index, "iteration": iteration, "loss": loss, "terms": terms, "seconds": seconds}
+                entry = {
+                    "octave": index,
+                    "iteration": iteration,
+                    "loss": loss,
+                    "terms": terms,
+                    "seconds": seconds,
+                }
                 result.history.append(entry)
                 if on_iteration is not None:
                     on_iteration(Progress(index, len(levels), iteration, recipe.iterations, loss, terms))
@@ -200,7 +206,7 @@ class _Run:
             self.calibrated = True
 
         @dr.wrap(source="drjit", target="torch")
-        def loss(batch):  # noqa: ANN001, ANN202
+        def loss(batch):  # noqa: ANN202
             return self.loss(batch)
 
         return loss(images)

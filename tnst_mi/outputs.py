@@ -59,9 +59,7 @@ def require_writable(out: Path, source: Path | None = None, occupied_ok: bool = 
     except OSError as error:
         raise InputError(f"{out}: cannot be written to ({error.strerror}); give another folder") from None
     if occupied and not occupied_ok:
-        raise InputError(
-            f"{out}: is not empty; continue its run with --resume, or replace it with --overwrite"
-        )
+        raise InputError(f"{out}: is not empty; continue its run with --resume, or replace it with --overwrite")
 
 
 def finished_frames(out: Path, recipe: Recipe, weights: dict[str, Any]) -> list[dict[str, Any]]:
@@ -73,17 +71,13 @@ def finished_frames(out: Path, recipe: Recipe, weights: dict[str, Any]) -> list[
     if not out.exists() or not any(out.iterdir()):
         return []
     if not (out / "run.json").is_file() or not (out / "recipe.toml").is_file():
-        raise InputError(
-            f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)"
-        )
+        raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
         frames = [frame for frame in run["frames"] if frame["complete"]]
         earlier_weights = run["weights"]["sha256"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(
-            f"{out / 'run.json'}: damaged, so the run cannot be resumed; use --overwrite"
-        ) from None
+        raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; use --overwrite") from None
     earlier = Recipe.from_toml(out / "recipe.toml")
     for key in KINDS:
         before, now = getattr(earlier, key), getattr(recipe, key)
@@ -93,9 +87,7 @@ def finished_frames(out: Path, recipe: Recipe, weights: dict[str, Any]) -> list[
                 "resume with the same recipe, or use --overwrite"
             )
     if earlier_weights != weights["sha256"]:
-        raise InputError(
-            f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones"
-        )
+        raise InputError(f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones")
     return frames
 
 
@@ -115,9 +107,7 @@ class RunFolder:
         write_arrays(self.out / "density" / f"{name}.npz", {"density": density})
         write_arrays(self.out / "velocity" / f"{name}.npz", {"velocity": velocity})
 
-    def write_images(
-        self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]
-    ) -> None:
+    def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, exposed alike; `attributes` go into the EXR headers."""
         images = self.out / "images"
         for suffix, image in (("before", before), ("after", after)):

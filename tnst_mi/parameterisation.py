@@ -105,9 +105,7 @@ class DensityOffset(Parameterisation):
 
     def density(self, density: mi.TensorXf) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""
-        return mi.TensorXf(
-            dr.maximum((density + self.fields["offset"]).array, mi.Float(0)), tuple(density.shape)
-        )
+        return mi.TensorXf(dr.maximum((density + self.fields["offset"]).array, mi.Float(0)), tuple(density.shape))
 
     def unit_step(self, rows: int) -> float:
         """1: η is a change of the density itself."""

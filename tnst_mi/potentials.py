@@ -53,7 +53,7 @@ class _AxisDifference:
 class _Velocity(dr.CustomOp):
     """(Φ, Ψ) → v; linear, so that its derivative in forward mode is the map itself."""
 
-    def eval(self, phi, psi, shape: Shape, lam: float, h: float):  # noqa: ANN001, ANN201
+    def eval(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None, shape: Shape, lam: float, h: float) -> mi.TensorXf:
         self.shape, self.lam, self.h = shape, lam, h
         self.has_phi, self.has_psi = phi is not None, psi is not None
         return self._map(phi, psi)
@@ -81,9 +81,7 @@ class _Velocity(dr.CustomOp):
 
     def forward(self) -> None:
         self.set_grad_out(
-            self._map(
-                self.grad_in("phi") if self.has_phi else None, self.grad_in("psi") if self.has_psi else None
-            )
+            self._map(self.grad_in("phi") if self.has_phi else None, self.grad_in("psi") if self.has_psi else None)
         )
 
     def backward(self) -> None:

@@ -25,9 +25,7 @@ class ProgressBar:
         if self._bar is None:
             total = self.frames * progress.octaves * progress.iterations
             self._bar = tqdm(total=total, unit="it", disable=not self._shown, dynamic_ncols=True)
-        self._bar.set_description(
-            f"{self.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False
-        )
+        self._bar.set_description(f"{self.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
             refresh=False,

@@ -11,6 +11,8 @@ import math
 import drjit as dr
 import mitsuba as mi
 
+from tnst_mi.grid import Divisor, opaque_int
+
 #: Below this root mean square a band counts as empty and is left alone.
 FLOOR = 1e-10
 
@@ -39,21 +41,19 @@ class _Axis:
 
     def __init__(self, field: mi.TensorXf, axis: int, length: int) -> None:
         shape = list(field.shape)
-        self.values = field.array
-        self.source_length = dr.opaque(mi.Int32, shape[axis])
-        shape[axis], length_before = length, shape[axis]
-        self.shape = tuple(shape)
-        inner = dr.opaque(mi.Int32, math.prod(shape[axis + 1 :]))
-        flat = dr.arange(mi.Int32, math.prod(shape))
-        row = flat // inner
-        outer = row // dr.opaque(mi.Int32, length)
+        length_before, shape[axis] = shape[axis], length
+        self.values, self.shape = field.array, tuple(shape)
+        inner = math.prod(shape[axis + 1 :])
+        row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape)))
+        outer, coordinate = Divisor(length).split(row)
         #: Coordinate of every target element along the axis.
-        self.coordinate = row - outer * dr.opaque(mi.Int32, length)
-        self.inner, self.offset = inner, flat - row * inner
-        self.base = outer * dr.opaque(mi.Int32, length_before)
+        self.coordinate = mi.Int32(coordinate)
+        self.last = opaque_int(length_before - 1)
+        self.inner, self.offset = opaque_int(inner), mi.Int32(offset)
+        self.base = mi.Int32(outer) * opaque_int(length_before)
 
     def read(self, coordinate: mi.Int32) -> mi.Float:
-        clamped = dr.clip(coordinate, 0, self.source_length - 1)
+        clamped = dr.clip(coordinate, 0, self.last)
         return dr.gather(mi.Float, self.values, mi.UInt32((self.base + clamped) * self.inner + self.offset))
 
     def store(self, values: mi.Float) -> mi.TensorXf:
@@ -114,6 +114,4 @@ def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
         levels: number of bands besides the residual; 0 normalises the field as a whole.
     """
     bands = split(field, levels)
-    return merge(
-        [mi.TensorXf(b.array / dr.maximum(root_mean_square(b), FLOOR), tuple(b.shape)) for b in bands]
-    )
+    return merge([mi.TensorXf(b.array / dr.maximum(root_mean_square(b), FLOOR), tuple(b.shape)) for b in bands])

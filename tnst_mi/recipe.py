@@ -119,9 +119,7 @@ class Resources:
         str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
     ] = None
     """Numbers of the first and the last frame of a sequence to stylize; all where not set."""
-    weights: Annotated[
-        str | None, Text("FILE|FOLDER|patterns", "a file or folder with GoogLeNet weights")
-    ] = None
+    weights: Annotated[str | None, Text("FILE|FOLDER|patterns", "a file or folder with GoogLeNet weights")] = None
     """GoogLeNet weights; searched for where not set (tnst-mi weights lists the places)."""
     variant: Annotated[
         str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
@@ -168,9 +166,7 @@ class Recipe(Resources, Method, Goals):
         return cls.from_dict(values, source=f"{path}: ", folder=path.parent)
 
     @classmethod
-    def from_dict(
-        cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None
-    ) -> Recipe:
+    def from_dict(cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None) -> Recipe:
         """Make a recipe from TOML values; errors start with `source`, relative paths are in `folder`."""
         return cls().updated(values, source, folder or Path.cwd())
 

@@ -30,9 +30,7 @@ _EXTINCTION = "smoke.interior_medium.sigma_t.data"
 _MAJORANT = 1e6
 
 
-def scene_description(
-    shape: Shape, gamma: float, quadrature: str, h: float, view_count: int
-) -> dict[str, object]:
+def scene_description(shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> dict[str, object]:
     """The scene as a dictionary for `mi.load_dict`: box, medium, sensor and integrator (density still 0)."""
     d, rows, columns = shape
     half = (columns * h / 2, rows * h / 2, d * h / 2)
@@ -126,9 +124,7 @@ class _RenderViews(dr.CustomOp):
             extinction = self._attached_extinction()
             tangent = self.grad_in("density").array * opaque(scene.gamma)
             dr.set_grad(extinction, mi.TensorXf(tangent, tuple(extinction.shape)))
-            image = scene.scene.integrator().render_forward(
-                scene.scene, scene.parameters, scene.sensor, spp=1
-            )
+            image = scene.scene.integrator().render_forward(scene.scene, scene.parameters, scene.sensor, spp=1)
         self.set_grad_out(mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:])))
 
     def backward(self) -> None:
@@ -137,9 +133,7 @@ class _RenderViews(dr.CustomOp):
         image_gradient = mi.TensorXf(self.grad_out().array, (scene.view_count * rows, columns, 1))
         with dr.resume_grad():
             extinction = self._attached_extinction()
-            scene.scene.integrator().render_backward(
-                scene.scene, scene.parameters, image_gradient, scene.sensor, spp=1
-            )
+            scene.scene.integrator().render_backward(scene.scene, scene.parameters, image_gradient, scene.sensor, spp=1)
             gradient = dr.grad(extinction).array * opaque(scene.gamma)
         self.set_grad_in("density", mi.TensorXf(gradient, scene.shape))
 
@@ -148,9 +142,7 @@ class _RenderViews(dr.CustomOp):
 
 
 @functools.lru_cache(maxsize=4)
-def _cached_scene(
-    variant: str, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int
-) -> GridScene:
+def _cached_scene(variant: str, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> GridScene:
     return GridScene(shape, gamma, quadrature, h, view_count)
 
 
@@ -188,13 +180,9 @@ def render(
             f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs"
         )
     if len(density.shape) != 3 or 0 in density.shape:
-        raise InputError(
-            f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0"
-        )
+        raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
     if quadrature not in QUADRATURES:
-        raise InputError(
-            f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}"
-        )
+        raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
     if not (gamma > 0 and h > 0):
         raise InputError(f"render: gamma {gamma} and h {h} given, expected both > 0")
     views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.grid import opaque, opaque_int
 from tnst_mi.views import camera_frame
 
 
@@ -23,7 +24,8 @@ class OrthographicViews(mi.Sensor):
 
      * - view_count
        - |int|
-       - Number V of views. The film shows them from top to bottom, so its height is V times that of a view. (Default: 1)
+       - Number V of views. The film shows them from top to bottom: its height is V times that of a view.
+         (Default: 1)
      * - spacing
        - |float|
        - Distance between pixels in world units. (Default: 1)
@@ -53,9 +55,7 @@ class OrthographicViews(mi.Sensor):
         if len(views) != self.view_count:
             raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
         #: right, up and towards-the-camera vectors of every view: 9 numbers each.
-        self.frames = mi.Float(
-            np.concatenate([np.ravel(camera_frame(*view)) for view in views]).astype(np.float32)
-        )
+        self.frames = mi.Float(np.concatenate([np.ravel(camera_frame(*view)) for view in views]).astype(np.float32))
 
     def sample_ray(
         self,
@@ -66,10 +66,10 @@ class OrthographicViews(mi.Sensor):
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """Ray through a position `sample2` of the film, in [0, 1]²."""
-        width, height = (dr.opaque(mi.Float, n) for n in (self.view_width, self.view_height))
-        row = sample2.y * height * dr.opaque(mi.Float, self.view_count)
-        view = dr.clip(mi.UInt32(row / height), 0, dr.opaque(mi.UInt32, self.view_count - 1))
-        spacing = dr.opaque(mi.Float, self.spacing)
+        width, height = (opaque(n) for n in (self.view_width, self.view_height))
+        row = sample2.y * height * opaque(self.view_count)
+        view = dr.clip(mi.UInt32(row / height), 0, mi.UInt32(opaque_int(self.view_count - 1)))
+        spacing = opaque(self.spacing)
         x = (sample2.x * width - width * 0.5) * spacing
         y = (height * 0.5 - (row - mi.Float(view) * height)) * spacing
 
@@ -78,7 +78,7 @@ class OrthographicViews(mi.Sensor):
             for v in range(3)
         )
         ray = dr.zeros(mi.Ray3f, dr.width(row))
-        ray.o = mi.Point3f(right * x + up * y + towards * dr.opaque(mi.Float, self.distance))
+        ray.o = mi.Point3f(right * x + up * y + towards * opaque(self.distance))
         ray.d = -towards
         ray.maxt = dr.inf
         ray.time = time
@@ -101,4 +101,4 @@ class OrthographicViews(mi.Sensor):
         return f"OrthographicViews[view_count = {self.view_count}, spacing = {self.spacing}]"
 
 
-mi.register_sensor("orthographic_views", lambda props: OrthographicViews(props))
+mi.register_sensor("orthographic_views", OrthographicViews)

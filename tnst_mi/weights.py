@@ -101,9 +101,7 @@ def find_weights(source: str | Path | None = None, flavour: str | None = None) -
     a published name has the wrong hash, and where nothing is found and nothing can be downloaded.
     """
     if "patterns" in (flavour, str(source)):
-        raise InputError(
-            "weights 'patterns': this network does not come with this version; expected a file or folder"
-        )
+        raise InputError("weights 'patterns': this network does not come with this version; expected a file or folder")
     if flavour is not None and flavour not in FLAVOURS:
         raise InputError(f"flavour {flavour!r}: unknown; expected one of {', '.join(FLAVOURS)}")
     if source is not None:
@@ -192,9 +190,7 @@ def _downloaded(flavour: str) -> tuple[Path, str]:
     try:
         download(known.url, target, known.algorithm, known.digest)
     except Unreachable as error:
-        raise InputError(
-            f"no GoogLeNet weights found and no download ({error}); {_instructions(flavour)}"
-        ) from None
+        raise InputError(f"no GoogLeNet weights found and no download ({error}); {_instructions(flavour)}") from None
     return target, flavour
 
 

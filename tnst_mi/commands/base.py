@@ -44,9 +44,7 @@ def recipe_flag(name: str) -> Any:
 
 def recipe_flags(keys: Iterable[str]) -> type:
     """A dataclass of the flags for some keys of the recipe."""
-    fields = [
-        (key, recipe_flag(key), field(default=() if isinstance(KINDS[key], Texts) else None)) for key in keys
-    ]
+    fields = [(key, recipe_flag(key), field(default=() if isinstance(KINDS[key], Texts) else None)) for key in keys]
     return make_dataclass("RecipeFlags", fields)
 
 

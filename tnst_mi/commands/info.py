@@ -43,9 +43,7 @@ def describe(file: Path, frame: object) -> str:
     for name, header in read_headers(file).items():
         lines.append(f"  array {name!r}: {header.dtype}, shape {header.shape}")
     empty = 100.0 * float((density == 0.0).mean())
-    lines.append(
-        f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty"
-    )
+    lines.append(f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty")
     if velocity is not None:
         lines.append(f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame")
     if obstacle is not None:

@@ -17,9 +17,7 @@ class Weights(Command):
 
         found = list_weights()
         for weights in found:
-            state = {True: "hash verified", False: "WRONG HASH", None: "not a published file"}[
-                weights.hash_ok
-            ]
+            state = {True: "hash verified", False: "WRONG HASH", None: "not a published file"}[weights.hash_ok]
             print(f"found      {weights.flavour:12} {weights.path} ({state})")
         if not found:
             print("found      none")

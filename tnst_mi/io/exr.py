@@ -10,9 +10,7 @@ import OpenEXR
 from tnst_mi.io.atomic import written_whole
 
 
-def write_exr(
-    path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]
-) -> None:
+def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
     """Write a grey picture without loss.
 
     Args:

@@ -105,9 +105,7 @@ def _parse_header(path: Path, name: str, stream: BinaryIO) -> ArrayHeader:
         warnings.simplefilter("ignore", UserWarning)  # headers written by Python 2 are fine
         shape, fortran_order, dtype = read(stream, max_header_size=_LARGEST_HEADER)
     if dtype.hasobject:
-        raise InputError(
-            f"{path}: array {name!r} holds pickled objects, expected numbers (they are never unpickled)"
-        )
+        raise InputError(f"{path}: array {name!r} holds pickled objects, expected numbers (they are never unpickled)")
     if any(extent < 0 for extent in shape):
         raise InputError(f"{path}: array {name!r} claims the shape {shape}")
     return ArrayHeader(shape, dtype, fortran_order)
@@ -129,9 +127,7 @@ def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
         if size > LARGEST_ARRAY:
             raise InputError(f"{path}: array {name!r} has {size} bytes, expected at most {LARGEST_ARRAY}")
         if size > _LARGEST_RATIO * member.compress_size or size > member.file_size:
-            raise InputError(
-                f"{path}: array {name!r} claims {size} bytes for shape {header.shape}, more than it holds"
-            )
+            raise InputError(f"{path}: array {name!r} claims {size} bytes for shape {header.shape}, more than it holds")
         array = np.empty(math.prod(header.shape), header.dtype)
         buffer = memoryview(array.view(np.uint8))
         filled = 0

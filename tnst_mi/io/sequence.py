@@ -92,8 +92,7 @@ def checked_shapes(frames: Iterable[Frame]) -> Iterable[Frame]:
         shape = shape or frame.density.shape
         if frame.density.shape != shape:
             raise InputError(
-                f"{frame.name}: density has shape {frame.density.shape}, "
-                f"expected {shape} like the first frame"
+                f"{frame.name}: density has shape {frame.density.shape}, expected {shape} like the first frame"
             )
         yield frame
 

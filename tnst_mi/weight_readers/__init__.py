@@ -66,9 +66,7 @@ def _input_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except MalformedFile as error:
-        raise InputError(
-            f"{path}: {error}; expected the weights of a GoogLeNet (tnst-mi weights lists them)"
-        ) from None
+        raise InputError(f"{path}: {error}; expected the weights of a GoogLeNet (tnst-mi weights lists them)") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
 
@@ -77,9 +75,7 @@ def _suffix(path: Path) -> str:
     """The ending of the name, which tells the format; the size is checked on the way."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise MalformedFile(
-            f"no known weights format (the name ends in {suffix!r}, not in {', '.join(SUFFIXES)})"
-        )
+        raise MalformedFile(f"no known weights format (the name ends in {suffix!r}, not in {', '.join(SUFFIXES)})")
     if (size := _unpacked_size(path)) > _LARGEST_FILE:
         raise MalformedFile(f"too large ({size} bytes)")
     return suffix
@@ -129,9 +125,7 @@ def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive
-    except (
-        Exception
-    ) as error:  # a damaged directory raises more than BadZipFile: zlib, Unicode, RuntimeError, …
+    except Exception as error:  # a damaged directory raises more than BadZipFile: zlib, Unicode, RuntimeError, …
         raise MalformedFile(f"truncated or not a zip archive ({error})") from None
 
 

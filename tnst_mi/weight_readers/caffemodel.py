@@ -28,9 +28,7 @@ def read_caffemodel(data: bytes) -> NetworkWeights:
             if not blobs or name.startswith(_AUXILIARY):
                 continue
             if len(blobs) != 2:
-                raise MalformedFile(
-                    f"weights of another network: layer {name!r} has {len(blobs)} blobs, expected 2"
-                )
+                raise MalformedFile(f"weights of another network: layer {name!r} has {len(blobs)} blobs, expected 2")
             weight, bias = (_blob(blob, name) for blob in blobs)
             # Old files give every blob four axes: a matrix is (1, 1, rows, columns), a vector (1, 1, 1, n).
             matrix = name == CLASSIFIER and weight.ndim == 4

@@ -46,9 +46,7 @@ def read_graphdef(data: bytes) -> NetworkWeights:
         tensors[f"{layer}.{kind}"] = torch.from_numpy(np.ascontiguousarray(values.transpose(axes)))
     first, second = (response_norms.get(f"localresponsenorm{index}") for index in (0, 1))
     if first is None or second is None:
-        raise MalformedFile(
-            "weights of another network: no nodes 'localresponsenorm0' and 'localresponsenorm1'"
-        )
+        raise MalformedFile("weights of another network: no nodes 'localresponsenorm0' and 'localresponsenorm1'")
     return NetworkWeights("inception5h", tensors, response_norms=(first, second))
 
 
@@ -75,12 +73,7 @@ def _response_norm(attributes: dict[str, Message]) -> ResponseNorm:
         alpha=number("alpha", 1.0),
         beta=number("beta", 0.5),
     )
-    if not (
-        norm.depth_radius < 1000
-        and norm.bias > 0
-        and norm.alpha >= 0
-        and math.isfinite(norm.bias + norm.alpha)
-    ):
+    if not (norm.depth_radius < 1000 and norm.bias > 0 and norm.alpha >= 0 and math.isfinite(norm.bias + norm.alpha)):
         raise MalformedFile(f"impossible constants of local response normalisation: {norm}")
     return norm
 

@@ -47,9 +47,7 @@ class Message:
             else:
                 raise MalformedFile(f"truncated or not a protocol buffer (wire type {wire_type})")
             if size > len(data) - position:
-                raise MalformedFile(
-                    f"truncated: a field of {size} bytes where {len(data) - position} are left"
-                )
+                raise MalformedFile(f"truncated: a field of {size} bytes where {len(data) - position} are left")
             self._fields[number].append(data[position : position + size])
             position += size
 

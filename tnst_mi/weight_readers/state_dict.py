@@ -26,9 +26,7 @@ from tnst_mi.weight_readers.network_weights import (
     tensorflow_name,
 )
 
-_TENSORFLOW_KEY = re.compile(
-    r"(?P<layer>.+?)(_pre_relu|_pre_activation)?(_conv|_matmul)?\.(?P<kind>weight|bias)"
-)
+_TENSORFLOW_KEY = re.compile(r"(?P<layer>.+?)(_pre_relu|_pre_activation)?(_conv|_matmul)?\.(?P<kind>weight|bias)")
 _AUXILIARY = ("loss1/", "loss2/", "aux1.", "aux2.")
 """The classifiers that only training uses."""
 
@@ -131,9 +129,7 @@ def _fold_batch_norm(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     folded = {}
     for layer in CONVOLUTIONS:
         prefix = _torchvision_name(layer)
-        names = [
-            f"{prefix}.{part}" for part in ("conv.weight", *(f"bn.{part}" for part in _BATCH_NORM_PARTS))
-        ]
+        names = [f"{prefix}.{part}" for part in ("conv.weight", *(f"bn.{part}" for part in _BATCH_NORM_PARTS))]
         parts = [remaining.pop(name) for name in names if name in remaining]
         if len(parts) != len(names):
             continue  # reported as missing
