@@ -23,10 +23,6 @@ from tnst_mi.resample import resample_density
 from tnst_mi.scene import GridScene, render
 from tnst_mi.views import sample_views
 
-#: Iterations between full garbage collections. `dr.wrap` ties each iteration's torch graph into reference cycles that
-#: only the collector frees, and arrays outside Python's heap do not make it run.
-_COLLECT_EVERY = 8
-
 #: Layer whose features a content picture is matched in: deep enough for shapes rather than strokes.
 CONTENT_LAYER = "inception_4d/output"
 
@@ -194,9 +190,10 @@ class _Run:
 
         terms = {name: float(value) for name, value in self.loss.last_terms.items()}
         value = float(loss.array[0])
-        if iteration % _COLLECT_EVERY == 0:
-            del loss, images, seen, density
-            gc.collect()
+        # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
+        # run, so it is asked to look at the young objects, which costs little.
+        del loss, images, seen, density
+        gc.collect(1)
         return value, terms
 
     def _enter_torch(self, images: mi.TensorXf) -> mi.TensorXf:

@@ -1,0 +1,92 @@
+"""Scenes as users of the plugin write them: Mitsuba's own sensors, a medium with a phase function, any transform."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+from ray_march import camera_axes
+
+#: The parameter that holds the extinction (D, H, W, C).
+EXTINCTION = "smoke.interior_medium.sigma_t.data"
+
+
+def film(width: int, height: int, pixel_format: str = "luminance") -> dict[str, object]:
+    """A film and a sampler that give one noise-free sample at each pixel centre."""
+    return {
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": pixel_format,
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+    }
+
+
+def orthographic(
+    shape: tuple[int, int, int], view: tuple[float, float] = (0.0, 0.0), pixel_format: str = "luminance"
+) -> dict[str, object]:
+    """Mitsuba's `orthographic` sensor, placed like the views of `tnst_mi.render` for cells of size 1."""
+    _, rows, columns = shape
+    _, up, towards = camera_axes(view)
+    placed = mi.ScalarTransform4f().look_at((200 * towards).tolist(), [0, 0, 0], up.tolist())
+    # Mitsuba's film spans [-1, 1] horizontally.
+    to_world = placed @ mi.ScalarTransform4f().scale([columns / 2, columns / 2, 1])
+    return {"type": "orthographic", "to_world": to_world, **film(columns, rows, pixel_format)}
+
+
+def affine(edges: np.ndarray, centre: np.ndarray) -> mi.ScalarTransform4f:
+    """The map from [-1/2, 1/2]³ to the parallelepiped with these edges (columns) and this centre."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = edges, centre
+    return mi.ScalarTransform4f(matrix.tolist())
+
+
+def medium(extinction: np.ndarray, to_world: mi.ScalarTransform4f, scale: float = 1.0) -> dict[str, object]:
+    """A scattering `heterogeneous` medium of extinction (D, H, W[, C]) filling the image of [-1/2, 1/2]³."""
+    grid = np.ascontiguousarray(extinction / scale, np.float32)
+    return {
+        "type": "heterogeneous",
+        "albedo": 0.9,
+        "phase": {"type": "hg", "g": 0.3},
+        "scale": scale,
+        "sigma_t": {
+            "type": "gridvolume",
+            "grid": mi.VolumeGrid(grid if grid.ndim == 4 else grid[..., None]),
+            "to_world": to_world @ mi.ScalarTransform4f().translate(-0.5),
+        },
+    }
+
+
+def smoke_scene(
+    extinction: np.ndarray,
+    sensor: dict[str, object],
+    integrator: dict[str, object],
+    edges: np.ndarray | None = None,
+    centre: np.ndarray | None = None,
+    scale: float = 1.0,
+    boundary: dict[str, object] | None = None,
+    **others: dict[str, object],
+) -> mi.Scene:
+    """A scene of one medium inside a box, or inside another convex `boundary`, with `others` around it.
+
+    `edges` and `centre` place the grid; unit cells about the origin if left out.
+    """
+    edges = np.diag(extinction.shape[2::-1]).astype(float) if edges is None else edges
+    to_world = affine(edges, np.zeros(3) if centre is None else centre)
+    box = {"type": "cube", "to_world": to_world @ mi.ScalarTransform4f().scale(0.5)}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "emission_absorption", **integrator},
+            "sensor": sensor,
+            "smoke": {
+                **(boundary or box),
+                "bsdf": {"type": "null"},
+                "interior": medium(extinction, to_world, scale),
+            },
+            **others,
+        }
+    )
