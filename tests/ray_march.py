@@ -8,7 +8,7 @@ import numpy as np
 
 
 def camera_axes(view: tuple[float, float]) -> np.ndarray:
-    """Rows right, up and towards the camera: at (0, 0) these are x, y and z; +azimuth leans towards +x, +elevation up."""
+    """Rows right, up and towards the camera: x, y and z at (0, 0); +azimuth leans towards +x, +elevation up."""
     azimuth, elevation = np.radians(view)
     right = [np.cos(azimuth), 0, -np.sin(azimuth)]
     up = [-np.sin(azimuth) * np.sin(elevation), np.cos(elevation), -np.cos(azimuth) * np.sin(elevation)]

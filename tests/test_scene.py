@@ -178,7 +178,7 @@ def test_moving_the_smoke_moves_the_image(h: float) -> None:
     image = tnst_mi.render(density, gamma=0.5, h=h)
     for cells, axis, pixels, image_axis in ((2, 2, 2, 1), (3, 1, -3, 0)):
         moved = tnst_mi.render(np.roll(density, cells, axis), gamma=0.5, h=h)
-        np.testing.assert_allclose(moved, np.roll(image, pixels, image_axis), atol=1e-6)
+        np.testing.assert_allclose(moved, np.roll(image, pixels, image_axis), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("quadrature", QUADRATURES)
@@ -281,13 +281,14 @@ def test_gradient_has_the_same_bits_in_every_run(quadrature: str) -> None:
 @pytest.mark.parametrize("changed", ["density", "views", "gamma"])
 @pytest.mark.parametrize("mode", ["forward", "backward"])
 def test_no_kernel_is_compiled_after_the_first_renders(mode: str, changed: str) -> None:
+    densities = {seed: mi.TensorXf(dr.linspace(mi.Float, 0.1, seed, int(np.prod(SHAPE))), SHAPE) for seed in (1, 2)}
+    dr.eval(densities)
+
     def differentiate(seed: int, views: list, gamma: float) -> None:
-        density = dr.linspace(mi.Float, 0.1 * seed, 1, int(np.prod(SHAPE)))
-        density = mi.TensorXf(density, SHAPE)
-        dr.eval(density)
+        density = mi.TensorXf(densities[seed])
         dr.enable_grad(density)
         if mode == "forward":
-            dr.set_grad(density, 1.0)
+            dr.set_grad(density, densities[seed])
             dr.eval(dr.forward_to(tnst_mi.render(density, views, gamma)))
         else:
             dr.backward(dr.sum(tnst_mi.render(density, views, gamma), axis=None))
@@ -302,6 +303,7 @@ def test_no_kernel_is_compiled_after_the_first_renders(mode: str, changed: str) 
         differentiate(**(usual | other))
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert len(kernels) > 0
+    # A kernel from the cache on disk is new to this process: without that cache it would have been compiled.
     assert sum(not kernel["cache_hit"] or kernel["cache_disk"] for kernel in kernels) == 0
 
 
