@@ -75,11 +75,6 @@ def objective_of(recipe: Recipe) -> Objective:
     return Objective(pair for term in weighted for pair in term.weighted_terms)
 
 
-def main_view(frame: Frame, recipe: Recipe) -> np.ndarray:
-    """Image (H, W) of the unstylized frame at full resolution, from the centre of the recipe's view ranges."""
-    return render(frame.density, recipe.main_view, recipe.gamma, recipe.quadrature)
-
-
 def optimise(
     frame: Frame,
     recipe: Recipe,
@@ -103,7 +98,7 @@ def optimise(
         empty = np.zeros((*frame.density.shape, 3), np.float32)
         return Stylized(frame.density.copy(), empty, note=f"{frame.name} is empty: nothing to stylize, left unchanged")
     if exposure is None:
-        exposure = 1 / float(main_view(frame, recipe).max())
+        exposure = 1 / float(render(frame.density, recipe.main_view, recipe.gamma, recipe.quadrature).max())
     if recipe.parameterisation == "density":
         parameters = DensityOffset()
     else:

@@ -1,0 +1,361 @@
+"""The `emission_absorption` plugin in scenes that are not ours: sensors, transforms, emitters, surfaces and colour."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+import ray_march
+from fields import directional_error, smooth_noise
+from ray_march import camera_axes
+from smoke_scenes import EXTINCTION, film, medium, orthographic, smoke_scene
+
+import tnst_mi
+
+SHAPE = (11, 12, 8)
+QUADRATURES = ("paper", "exact", "transmittance")
+VIEW = (37.0, -12.0)
+GAMMA = 0.5
+
+
+def smoke(seed: int, *shape: int) -> np.ndarray:
+    """A density that does not vanish at the walls of its grid."""
+    return np.abs(smooth_noise(np.random.default_rng(seed), *(shape or SHAPE))) + 0.05
+
+
+def image_of(scene: mi.Scene) -> np.ndarray:
+    """The first channel (H, W) of the scene's image."""
+    return mi.render(scene).numpy()[..., 0]
+
+
+def extinction_gradient(scene: mi.Scene, weights: np.ndarray) -> np.ndarray:
+    """Gradient of the weighted sum of the image with respect to `sigma_t.data`."""
+    parameters = mi.traverse(scene)
+    dr.enable_grad(parameters[EXTINCTION])
+    parameters.update()
+    dr.backward(dr.sum(mi.render(scene, parameters) * mi.TensorXf(weights), axis=None))
+    return dr.grad(parameters[EXTINCTION]).numpy()
+
+
+def density_gradient(density: np.ndarray, weights: np.ndarray, quadrature: str) -> np.ndarray:
+    """Gradient of the weighted sum of `tnst_mi.render`'s image with respect to the density."""
+    leaf = mi.TensorXf(density)
+    dr.enable_grad(leaf)
+    dr.backward(dr.sum(tnst_mi.render(leaf, VIEW, GAMMA, quadrature) * mi.TensorXf(weights), axis=None))
+    return dr.grad(leaf).numpy()
+
+
+def message(error: BaseException) -> str:
+    """The text at the origin of an error that passed through Mitsuba and Dr.Jit."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return str(error)
+
+
+# --------------------------------------------------------------------
+# Images and gradients
+# --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_a_foreign_scene_shows_what_render_shows(quadrature: str, scale: float) -> None:
+    """Mitsuba's own sensor, a scattering medium, the default step; γ ∂/∂σ_t is the gradient of the density."""
+    density = smoke(1)
+    integrator = {"gamma": GAMMA, "quadrature": quadrature}
+    scene = smoke_scene(GAMMA * density, orthographic(SHAPE, VIEW), integrator, scale=scale)
+    expected = tnst_mi.render(density, VIEW, GAMMA, quadrature)
+    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=1e-4)
+
+    weights = smooth_noise(np.random.default_rng(1), *SHAPE[1:], 1)
+    gradient = extinction_gradient(scene, weights)[..., 0] * GAMMA / scale
+    expected = density_gradient(density, weights[..., 0], quadrature)
+    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+#: Edges of the grid's box as columns: rotated, with flat cells, sheared.
+_turn = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+EDGES = {
+    "rotated": _turn @ np.diag([8.0, 12.0, 11.0]),
+    "flat cells": _turn @ np.diag([4.0, 2.0, 9.0]),
+    "sheared": _turn @ np.diag([8.0, 12.0, 11.0]) @ [[1, 0.4, 0], [0, 1, -0.3], [0, 0, 1]],
+}
+
+
+@pytest.mark.parametrize("camera", ["outside", "inside"])
+@pytest.mark.parametrize("boundary", ["box", "sphere"])
+@pytest.mark.parametrize("placement", EDGES)
+def test_any_transform_boundary_and_camera_against_a_numpy_march(placement: str, boundary: str, camera: str) -> None:
+    edges, centre = EDGES[placement], np.array([3.0, -2.0, 1.5])
+    radius = 0.4 * np.linalg.norm(edges, axis=0).min()
+    sphere = {"type": "sphere", "center": centre.tolist(), "radius": radius}
+    towards = np.array([0.36, 0.48, 0.8])
+    origin = centre + towards * (0.3 * radius if camera == "inside" else 2 * np.linalg.norm(edges))
+    width, height = 24, 18
+    sensor = {
+        "type": "perspective",
+        "fov": 80 if camera == "inside" else 25,
+        "near_clip": 1e-3,
+        "to_world": mi.ScalarTransform4f().look_at(origin.tolist(), centre.tolist(), [0, 1, 0]),
+        **film(width, height),
+    }
+    scale, density = 0.7, smoke(2)
+    scene = smoke_scene(
+        GAMMA * density, sensor, {"gamma": GAMMA}, edges, centre, scale, sphere if boundary == "sphere" else None
+    )
+
+    row, column = np.divmod(np.arange(width * height), width)
+    position = mi.Point2f((column + 0.5) / width, (row + 0.5) / height)
+    rays, _ = scene.sensors()[0].sample_ray(0.0, 0.0, position, mi.Point2f(0.5))
+    origins, directions = (np.float64(vectors).T for vectors in (rays.o, rays.d))
+    step = (np.linalg.norm(edges, axis=0) / SHAPE[::-1]).min()
+    in_sphere = lambda points: ((points - centre) ** 2).sum(-1) <= radius**2  # noqa: E731
+    values = ray_march.samples(
+        density, edges, centre, origins, directions, step, in_sphere if boundary == "sphere" else None
+    )
+    expected = ray_march.radiance(values, GAMMA, step, "paper").reshape(height, width)
+    assert (expected > 0).mean() > 0.05
+    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=1e-4 * expected.max())
+
+
+@pytest.mark.parametrize("step", [0.37, 2.5])
+def test_the_step_is_a_world_length(step: float) -> None:
+    density = smoke(3)
+    sensor = orthographic(SHAPE, VIEW)
+    scene = smoke_scene(GAMMA * density, sensor, {"gamma": GAMMA, "step": step})
+    towards = camera_axes(VIEW)[2]
+    origins = ray_march.pixel_centres(SHAPE, VIEW, 1.0) + 50 * towards
+    directions = np.broadcast_to(-towards, origins.shape)
+    edges = np.diag(SHAPE[::-1]).astype(float)
+    values = ray_march.samples(density, edges, np.zeros(3), origins, directions, step)
+    expected = ray_march.radiance(values, GAMMA, step, "paper").reshape(SHAPE[1:])
+    # Mitsuba computes these rays through two matrices: their rounding moves the samples by 1e-5 cells.
+    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=1e-4 * expected.max())
+
+
+def test_changed_parameters_show_in_the_next_image() -> None:
+    """New values, another resolution with its own default step, another scale."""
+    sensor, integrator = orthographic(SHAPE, VIEW), {"gamma": GAMMA}
+    scene = smoke_scene(GAMMA * smoke(4), sensor, integrator)
+    image_of(scene)
+    parameters = mi.traverse(scene)
+    for seed, shape in ((5, SHAPE), (6, (22, 24, 16))):
+        extinction = GAMMA * smoke(seed, *shape)
+        parameters[EXTINCTION] = mi.TensorXf(extinction[..., None])
+        parameters.update()
+        fresh = smoke_scene(extinction, sensor, integrator, edges=np.diag(SHAPE[::-1]).astype(float))
+        np.testing.assert_allclose(image_of(scene), image_of(fresh), rtol=0, atol=1e-5)
+    parameters["smoke.interior_medium.scale"] = 1.7
+    parameters.update()
+    fresh = smoke_scene(1.7 * extinction, sensor, integrator, edges=np.diag(SHAPE[::-1]).astype(float))
+    np.testing.assert_allclose(image_of(scene), image_of(fresh), rtol=0, atol=1e-5)
+
+
+def test_every_parameter_that_the_plugin_exposes_can_be_set() -> None:
+    scene = smoke_scene(GAMMA * smoke(4), orthographic(SHAPE, VIEW), {"gamma": GAMMA, "step": 1.0})
+    parameters = mi.traverse(scene)
+    for key in [key for key in parameters.keys() if key.startswith("integrator.")]:  # noqa: SIM118
+        before = image_of(scene)
+        parameters[key] = 2.0
+        parameters.update()
+        assert np.abs(image_of(scene) - before).max() > 1e-2, key
+
+
+def test_one_integrator_serves_two_scenes_in_turn() -> None:
+    scenes = [smoke_scene(GAMMA * smoke(seed), orthographic(SHAPE, VIEW), {"gamma": GAMMA}) for seed in (7, 8)]
+    own = [image_of(scene) for scene in scenes]
+    integrator = scenes[0].integrator()
+    for i in (0, 1, 0, 1):
+        shared = mi.render(scenes[i], integrator=integrator).numpy()[..., 0]
+        np.testing.assert_array_equal(shared, own[i])
+
+
+# --------------------------------------------------------------------
+# Emitters and surfaces
+# --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+def test_an_environment_behind_is_multiplied_by_the_transmittance(quadrature: str) -> None:
+    rng = np.random.default_rng(9)
+    density, sky = smoke(9), 0.7
+    scene = smoke_scene(
+        GAMMA * density,
+        orthographic(SHAPE, VIEW),
+        {"gamma": GAMMA, "quadrature": quadrature},
+        sky={"type": "constant", "radiance": sky},
+    )
+    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")
+    expected = tnst_mi.render(density, VIEW, GAMMA, quadrature) + sky * transmittance
+    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
+
+    weights = smooth_noise(rng, *SHAPE[1:], 1)
+    parameters = mi.traverse(scene)
+    start = parameters[EXTINCTION].numpy()
+
+    def objective(extinction: np.ndarray) -> float:
+        parameters[EXTINCTION] = mi.TensorXf(extinction)
+        parameters.update()
+        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
+
+    directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
+    gradient = extinction_gradient(scene, weights)
+    assert directional_error(objective, gradient, start, directions, 5e-3) <= 1e-3
+
+    leaf = mi.TensorXf(start)
+    dr.enable_grad(leaf)
+    parameters[EXTINCTION] = leaf
+    parameters.update()
+    dr.set_grad(leaf, mi.TensorXf(directions[0]))
+    tangent = dr.forward_to(mi.render(scene, parameters)).numpy()
+    assert (tangent * weights).sum() == pytest.approx((gradient * directions[0]).sum(), rel=1e-4)
+
+
+def plate(distance: float, **what: object) -> dict[str, object]:
+    """A 6×6 square facing the camera, `distance` from the centre towards it."""
+    _, up, towards = camera_axes(VIEW)
+    placed = mi.ScalarTransform4f().look_at(
+        (distance * towards).tolist(), ((distance + 1) * towards).tolist(), up.tolist()
+    )
+    return {"type": "rectangle", "to_world": placed @ mi.ScalarTransform4f().scale([3, 3, 1]), **what}
+
+
+@pytest.mark.parametrize("where", ["behind", "in front"])
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_plate_is_attenuated_behind_the_smoke_and_hides_it_in_front(where: str, lit: bool) -> None:
+    density, radiance = smoke(10), 2.0 if lit else 0.0
+    what = {"emitter": {"type": "area", "radiance": radiance}} if lit else {"bsdf": {"type": "diffuse"}}
+    scene = smoke_scene(
+        GAMMA * density,
+        orthographic(SHAPE, VIEW),
+        {"gamma": GAMMA},
+        plate=plate(-40 if where == "behind" else 40, **what),
+        # A plate without a light hides the sky; the sky goes around the plate.
+        sky={"type": "constant", "radiance": 0.5},
+    )
+    row, column = np.indices(SHAPE[1:])
+    covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
+    smoke_alone = tnst_mi.render(density, VIEW, GAMMA)
+    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")
+    seen_behind = np.where(covered & (where == "behind"), radiance, 0.5)
+    expected = smoke_alone + transmittance * seen_behind
+    if where == "in front":
+        expected = np.where(covered, radiance, expected)
+    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
+
+
+def test_rays_that_miss_the_smoke_see_the_sky() -> None:
+    sensor = orthographic((1, 30, 40))
+    scene = smoke_scene(GAMMA * smoke(11), sensor, {"gamma": GAMMA}, sky={"type": "constant", "radiance": 0.25})
+    image = image_of(scene)
+    np.testing.assert_allclose(image[:5], 0.25, rtol=1e-6)
+    rows, columns = (30 - SHAPE[1]) // 2, (40 - SHAPE[2]) // 2
+    assert np.abs(image[rows:-rows, columns:-columns] - 0.25).min() > 1e-3
+
+
+def test_a_surface_inside_the_medium_is_an_error() -> None:
+    ball = {"type": "sphere", "radius": 2.0}
+    scene = smoke_scene(GAMMA * smoke(12), orthographic(SHAPE, VIEW), {"gamma": GAMMA}, ball=ball)
+    with pytest.raises(RuntimeError) as error:
+        mi.render(scene)
+    assert "a surface lies inside the medium, expected none" in message(error.value)
+
+
+def test_a_surface_beside_the_medium_is_none() -> None:
+    density, ball = smoke(12), {"type": "sphere", "center": [30, 0, 0], "radius": 2.0}
+    scene = smoke_scene(GAMMA * density, orthographic(SHAPE, VIEW), {"gamma": GAMMA}, ball=ball)
+    np.testing.assert_allclose(image_of(scene), tnst_mi.render(density, VIEW, GAMMA), rtol=0, atol=1e-4)
+
+
+# --------------------------------------------------------------------
+# Colour
+# --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+def test_each_channel_of_a_coloured_medium_is_a_grey_medium(quadrature: str) -> None:
+    colours = smoke(13, *SHAPE, 3)
+    channels = [np.ascontiguousarray(colours[..., c]) for c in range(3)]
+    sensor = orthographic(SHAPE, VIEW, "rgb")
+    scene = smoke_scene(GAMMA * colours, sensor, {"gamma": GAMMA, "quadrature": quadrature}, scale=1.5)
+    expected = np.stack([tnst_mi.render(channel, VIEW, GAMMA, quadrature) for channel in channels], -1)
+    assert np.abs(expected[..., 0] - expected[..., 1]).max() > 0.05
+    np.testing.assert_allclose(mi.render(scene).numpy(), expected, rtol=0, atol=1e-4)
+
+    weights = smooth_noise(np.random.default_rng(13), *SHAPE[1:], 3)
+    expected = np.stack(
+        [density_gradient(d, np.ascontiguousarray(weights[..., c]), quadrature) for c, d in enumerate(channels)], -1
+    )
+    gradient = extinction_gradient(scene, weights) * GAMMA / 1.5
+    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+def test_grey_smoke_before_a_coloured_sky_on_a_colour_film() -> None:
+    density, sky = smoke(14), np.array([0.9, 0.5, 0.1])
+    scene = smoke_scene(
+        GAMMA * density,
+        orthographic(SHAPE, VIEW, "rgb"),
+        {"gamma": GAMMA},
+        sky={"type": "constant", "radiance": {"type": "rgb", "value": sky.tolist()}},
+    )
+    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")[..., None]
+    expected = tnst_mi.render(density, VIEW, GAMMA)[..., None] + sky * transmittance
+    np.testing.assert_allclose(mi.render(scene).numpy(), expected, rtol=0, atol=1e-4)
+
+    rng = np.random.default_rng(14)
+    weights, direction = smooth_noise(rng, *SHAPE[1:], 3), smooth_noise(rng, *SHAPE)[..., None]
+    gradient, start = extinction_gradient(scene, weights), (GAMMA * density)[..., None]
+    parameters = mi.traverse(scene)
+
+    def objective(extinction: np.ndarray) -> float:
+        parameters[EXTINCTION] = mi.TensorXf(extinction)
+        parameters.update()
+        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
+
+    assert directional_error(objective, gradient, start, [direction], 5e-3) <= 1e-3
+
+
+# --------------------------------------------------------------------
+# Scenes and properties that cannot be rendered
+# --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("properties", "named"),
+    [
+        ({"gamma": 0.0}, '"gamma" is 0.0, expected'),
+        ({"gamma": -2.0}, '"gamma" is -2.0, expected'),
+        ({"gamma": float("nan")}, '"gamma" is nan, expected'),
+        ({"gamma": float("inf")}, '"gamma" is inf, expected'),
+        ({"step": 0.0}, '"step" is 0.0, expected'),
+        ({"step": -1.0}, '"step" is -1.0, expected'),
+        ({"step": float("inf")}, '"step" is inf, expected'),
+        ({"quadrature": "simpson"}, "\"quadrature\" is 'simpson', expected one of paper, exact, transmittance"),
+        ({"gama": 1.0}, '"gama"'),
+    ],
+)
+def test_bad_properties_are_named(properties: dict, named: str) -> None:
+    with pytest.raises((RuntimeError, ValueError)) as error:
+        mi.load_dict({"type": "emission_absorption", **properties})
+    assert named in str(error.value)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_scene_without_exactly_one_medium_is_an_error(count: int) -> None:
+    box = mi.ScalarTransform4f().scale(2.0)
+    spheres = {
+        f"sphere{i}": {
+            "type": "sphere",
+            "center": [10 * i, 0, 0],
+            "bsdf": {"type": "null"},
+            "interior": medium(np.ones((3, 3, 3)), box),
+        }
+        for i in range(count)
+    }
+    scene = mi.load_dict(
+        {"type": "scene", "integrator": {"type": "emission_absorption"}, "sensor": orthographic(SHAPE), **spheres}
+    )
+    with pytest.raises(RuntimeError) as error:
+        mi.render(scene)
+    assert f"the scene has {count} shapes with an interior medium, expected one" in message(error.value)
