@@ -115,7 +115,7 @@ def test_any_transform_boundary_and_camera_against_a_numpy_march(placement: str,
         density, edges, centre, origins, directions, step, in_sphere if boundary == "sphere" else None
     )
     expected = ray_march.radiance(values, GAMMA, step, "paper").reshape(height, width)
-    assert (expected > 0).mean() > 0.05
+    assert (expected > 0).mean() > 0.03
     np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=1e-4 * expected.max())
 
 
@@ -155,7 +155,7 @@ def test_changed_parameters_show_in_the_next_image() -> None:
 def test_every_parameter_that_the_plugin_exposes_can_be_set() -> None:
     scene = smoke_scene(GAMMA * smoke(4), orthographic(SHAPE, VIEW), {"gamma": GAMMA, "step": 1.0})
     parameters = mi.traverse(scene)
-    for key in [key for key in parameters.keys() if key.startswith("integrator.")]:  # noqa: SIM118
+    for key in [key for key in parameters.keys() if key.startswith("integrator.")]:
         before = image_of(scene)
         parameters[key] = 2.0
         parameters.update()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from tnst_mi.backend import activate, select_llvm
+from tnst_mi.backend import activate, let_idle_threads_sleep, select_llvm
 from tnst_mi.errors import InputError
 
 __version__ = "0.1.0"
@@ -81,6 +81,7 @@ def _install_plugins() -> None:
     """Have the plugins registered now, if a variant is active, and at each change of the variant."""
     # Dr.Jit, which Mitsuba imports, loads LLVM while it is imported.
     select_llvm()
+    let_idle_threads_sleep()
     mi = importlib.import_module("mitsuba")
     mi.detail.add_variant_callback(_register_plugins)
     if mi.variant() is not None:

@@ -194,6 +194,15 @@ def activate(variant: str | None = None) -> str:
     return variant
 
 
+def let_idle_threads_sleep() -> None:
+    """Have torch's OpenMP threads sleep while they wait; must come before torch is imported.
+
+    By default they spin, taking cores from Dr.Jit's threads, with which they alternate, and from other programs: on
+    two shared cores the network took five times as long.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+
 def _share_threads(dr: object) -> None:
     """Give Dr.Jit and torch the cores that this process may use; neither looks at the CPU affinity itself."""
     if not hasattr(os, "sched_getaffinity"):

@@ -5,6 +5,7 @@ Importing this module registers the plugin for the active variant; `tnst_mi.plug
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
@@ -13,8 +14,7 @@ from mitsuba.ad.integrators.common import RBIntegrator
 
 from tnst_mi.grid import RepeatableSum, Trilinear, opaque
 from tnst_mi.medium import GridMedium, Lattice
-
-QUADRATURES = ("paper", "exact", "transmittance")
+from tnst_mi.quadrature import QUADRATURES
 
 
 class EmissionAbsorption(RBIntegrator):
@@ -53,20 +53,15 @@ class EmissionAbsorption(RBIntegrator):
         self.gamma = float(props.get("gamma", 0.1))
         self.quadrature = str(props.get("quadrature", "paper"))
         self.step = float(props.get("step", 0.0))
-        if not self.gamma > 0:
+        if not 0 < self.gamma < math.inf:
             raise ValueError(f'emission_absorption: "gamma" is {self.gamma}, expected a number > 0')
         if self.quadrature not in QUADRATURES:
             raise ValueError(
                 f'emission_absorption: "quadrature" is {self.quadrature!r}, expected one of {", ".join(QUADRATURES)}'
             )
-        if "step" in props and not self.step > 0:
+        if "step" in props and not 0 < self.step < math.inf:
             raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
         self._medium: GridMedium | None = None
-
-    def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose γ and the step; neither is differentiable."""
-        callback.put("gamma", self.gamma, mi.ParamFlags.NonDifferentiable)
-        callback.put("step", self.step, mi.ParamFlags.NonDifferentiable)
 
     def parameters_changed(self, keys: list[str]) -> None:
         """Forget what was resolved from the scene."""
@@ -110,34 +105,68 @@ class EmissionAbsorption(RBIntegrator):
     def _intersect(
         self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
     ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
-        boundary = mi.ShapePtr(medium.shape)
-        first = scene.ray_intersect(ray, active)
-        hit = first.is_valid() & (first.shape == boundary)
-        entering = hit & (dr.dot(first.n, ray.d) < 0)
-
-        # A ray that starts inside meets the boundary once, from behind.
-        second = scene.ray_intersect(first.spawn_ray(ray.d), entering)
-        entry = dr.select(entering, first.t, 0)
-        exit = dr.select(entering, first.t + second.t, first.t)
-        inside = hit & (~entering | second.is_valid())
-
-        # Checking costs a pass over the rays, and needs none where there is nothing but the boundary.
-        if len(scene.shapes()) > 1 and dr.any(entering & second.is_valid() & (second.shape != boundary)):
-            raise RuntimeError(
-                "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
-            )
-
-        background = None
-        if len(scene.emitters()) > 0:
-            leaving = dr.select(entering, second.p, first.p)
-            beyond = mi.Ray3f(ray)
-            beyond.o = dr.select(inside, leaving + ray.d * mi.math.RayEpsilon * (1 + dr.max(dr.abs(leaving))), ray.o)
-            seen = scene.ray_intersect(beyond, active)
-            background = seen.emitter(scene, active).eval(seen, active)
-
         step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
-        lattice = Lattice(medium, ray, step, dr.select(inside, entry, dr.inf), dr.select(inside, exit, -dr.inf))
-        return lattice, background, inside
+        lattice = Lattice(medium, ray, step, None if medium.fills_box else self._crossing(scene, medium, ray, active))
+        through = active & (lattice.exit > lattice.entry) & (lattice.exit > 0)
+
+        alone = len(scene.shapes()) == 1
+        if alone and scene.environment() is None:
+            return lattice, None, through
+        surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
+        surface.wi, surface.t = -ray.d, dr.inf
+        if not alone:
+            surface = self._first_surface(scene, medium, ray, active)
+            distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
+            if dr.any(through & (distance > dr.maximum(lattice.entry, 0)) & (distance < lattice.exit)):
+                raise RuntimeError(
+                    "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
+                )
+            hidden = distance < lattice.exit
+            through &= ~hidden
+            lattice.leave_out(hidden)
+        background = surface.emitter(scene, active).eval(surface, active) if len(scene.emitters()) > 0 else None
+        return lattice, background, through
+
+    def _crossing(
+        self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float]:
+        """Distances at which rays enter (0: they start inside) and leave the convex shape; empty where they miss it."""
+        boundary = mi.ShapePtr(medium.shape)
+
+        def body(here: mi.Ray3f, active: mi.Bool, entry: mi.Float, exit: mi.Float) -> tuple:
+            hit = scene.ray_intersect(here, active)
+            distance = dr.dot(hit.p - ray.o, ray.d)
+            on_boundary = active & hit.is_valid() & (hit.shape == boundary)
+            entering = dr.dot(hit.n, ray.d) < 0
+            entry = dr.select(on_boundary & entering, distance, entry)
+            exit = dr.select(on_boundary & ~entering, distance, exit)
+            # Other surfaces are passed; the caller decides whether they are in the way.
+            return hit.spawn_ray(ray.d), active & hit.is_valid() & ~(on_boundary & ~entering), entry, exit
+
+        n = dr.width(ray)
+        state = (
+            mi.Ray3f(ray),
+            mi.Bool(active) & dr.full(mi.Bool, True, n),
+            dr.zeros(mi.Float, n),
+            dr.full(mi.Float, -dr.inf, n),
+        )
+        _, _, entry, exit = dr.while_loop(state, lambda here, active, *_: active, body, label="medium boundary")
+        return entry, exit
+
+    def _first_surface(
+        self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
+    ) -> mi.SurfaceInteraction3f:
+        """The first surface on the rays that is not the boundary of the medium."""
+        boundary = mi.ShapePtr(medium.shape)
+
+        def body(here: mi.Ray3f, active: mi.Bool, seen: mi.SurfaceInteraction3f) -> tuple:
+            hit = scene.ray_intersect(here, active)
+            passed = active & hit.is_valid() & (hit.shape == boundary)
+            return hit.spawn_ray(ray.d), passed, dr.select(active & ~passed, hit, seen)
+
+        n = dr.width(ray)
+        state = (mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n), dr.zeros(mi.SurfaceInteraction3f, n))
+        return dr.while_loop(state, lambda here, active, *_: active, body, label="first surface")[2]
 
     # --------------------------------------------------------------------
     # The march

@@ -79,7 +79,7 @@ def probe_transform(volume: mi.Volume) -> GridTransform:
                 interaction = dr.zeros(mi.Interaction3f)
                 interaction.p = mi.Point3f(*centre)
                 dr.enable_grad(interaction.p)
-                dr.backward(volume.eval(interaction)[0])
+                dr.backward(volume.eval(interaction)[0], flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
                 rows.append(np.array(dr.grad(interaction.p), dtype=np.float64).ravel())
         finally:
             parameters["data"] = data
@@ -102,6 +102,7 @@ class GridMedium:
         extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the scene's is.
         scale: the medium's `scale`.
         transform: world space to the grid's unit cube.
+        fills_box: the shape is the box of the grid.
     """
 
     def __init__(self, scene: mi.Scene) -> None:
@@ -118,7 +119,18 @@ class GridMedium:
         if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
             raise RuntimeError("emission_absorption: the shape around the medium must have a `null` BSDF")
         self.transform = probe_transform(self.volume)
+        self.fills_box = self._is_the_box()
         self.refresh()
+
+    def _is_the_box(self) -> bool:
+        """Whether the shape around the medium is the box of the grid, so that no ray need be traced to find it."""
+        if not isinstance(self.shape, mi.Mesh) or self.shape.face_count() != 12:
+            return False
+        vertices = np.array(mi.traverse(self.shape)["vertex_positions"], np.float64).reshape(-1, 3)
+        local = (vertices - self.transform.centre) @ self.transform.matrix.T + 0.5
+        corners = np.round(local)
+        on_corners = np.abs(local - corners).max() < 1e-4 and np.isin(corners, (0, 1)).all()
+        return bool(on_corners and len(np.unique(corners, axis=0)) == 8)
 
     def belongs_to(self, scene: mi.Scene) -> bool:
         """Whether this is the medium of `scene`."""
@@ -145,11 +157,25 @@ class Lattice:
     """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
 
     Sample k of n lies at (k − (n − 1)/2) step from that point, n having the parity of D: a ray along z through a grid
-    of cubic cells, with the cell as step, samples exactly the cell centres. Only samples between the entry into
-    and the exit from both the bounding shape and the grid's box are visited.
+    of cubic cells, with the cell as step, samples exactly the cell centres. Only samples between the entry into and the
+    exit from the grid's box are visited, and of these only the ones in front of the ray's origin and inside the shape
+    around the medium.
+
+    Args:
+        medium: the grid and its place in the world.
+        ray: the rays; their directions are unit vectors.
+        step: distance between samples in world units.
+        crossing: distances at which the rays enter and leave that shape; None if it is the grid's box.
+
+    Attributes:
+        entry, exit: distances along the rays between which there are samples; empty where entry > exit.
+        count: number of samples of each ray.
+        longest: no ray has more samples than this.
     """
 
-    def __init__(self, medium: GridMedium, ray: mi.Ray3f, step: float, entry: mi.Float, exit: mi.Float) -> None:
+    def __init__(
+        self, medium: GridMedium, ray: mi.Ray3f, step: float, crossing: tuple[mi.Float, mi.Float] | None = None
+    ) -> None:
         d, h, w = medium.grid_shape
         size = mi.Vector3f(*(opaque(n) for n in (w, h, d)))
         matrix = mi.Matrix3f([[opaque(value) for value in row] for row in medium.transform.matrix.tolist()])
@@ -168,17 +194,24 @@ class Lattice:
         within = (origin >= -0.5) & (origin <= size - 0.5)
         low = dr.select(parallel, dr.select(within, -dr.inf, dr.inf), dr.minimum(to_low, to_high))
         high = dr.select(parallel, dr.select(within, dr.inf, -dr.inf), dr.maximum(to_low, to_high))
-        begin = dr.maximum(dr.max(low), entry - nearest)
-        end = dr.minimum(dr.min(high), exit - nearest)
+        begin = dr.maximum(dr.max(low), -nearest)
+        end = dr.min(high)
+        if crossing is not None:
+            begin = dr.maximum(begin, crossing[0] - nearest)
+            end = dr.minimum(end, crossing[1] - nearest)
+        self.entry, self.exit = begin + nearest, end + nearest
 
         first = dr.ceil(begin / self.step - phase)
         last = dr.floor(end / self.step - phase)
         self.count = mi.UInt32(mi.Int32(dr.select(last >= first, last - first + 1, 0)))
         self.increment = direction * self.step
         self.origin = origin + (dr.select(last >= first, first, 0) + phase) * self.increment
-        #: No ray has more samples than this.
         self.longest = math.ceil(medium.transform.diagonal() / step) + 2
         self.cells = Cells((d, h, w), mi.Vector3i(size), mi.Int32(0), mi.Int32(0), mi.Int32(0))
+
+    def leave_out(self, hidden: mi.Bool) -> None:
+        """Take all samples from some of the rays."""
+        self.count = dr.select(hidden, 0, self.count)
 
     def stencil(self, k: mi.UInt32) -> Trilinear:
         """The eight cells around sample k; inside its box the grid is clamped, as gridvolume does."""

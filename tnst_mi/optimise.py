@@ -20,7 +20,7 @@ from tnst_mi.objective import Objective
 from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.recipe import Recipe
 from tnst_mi.resample import resample_density
-from tnst_mi.scene import GridScene, render
+from tnst_mi.scene import grid_scene, render
 from tnst_mi.views import sample_views
 
 #: Layer whose features a content picture is matched in: deep enough for shapes rather than strokes.
@@ -157,7 +157,7 @@ class _Run:
         self.parameters.enter(octave)
         self.density = mi.TensorXf(resample_density(self.frame.density, 1.0, shape, h))
         self.mask = mi.TensorXf(resample_density(self.mask_full, 1.0, shape, h))
-        self.scene = GridScene(shape, recipe.gamma, recipe.quadrature, h, recipe.views)
+        self.scene = grid_scene(shape, recipe.gamma, recipe.quadrature, h, recipe.views)
         self.loss = self.objective.bind(self.network, shape[1], shape[2])
         self.calibrated = False
 

@@ -24,6 +24,7 @@ from typing import Annotated, Any, get_type_hints
 import tomlkit
 
 from tnst_mi.errors import InputError
+from tnst_mi.quadrature import QUADRATURES
 from tnst_mi.recipe_keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
 
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
@@ -76,7 +77,7 @@ class Method:
     gamma: Annotated[float, Number(above=0.0)] = 0.1
     """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
     looks."""
-    quadrature: Annotated[str, Choice(("paper", "exact", "transmittance"))] = "paper"
+    quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
     """Sum along the viewing rays: the paper's program, the exact integral, or opacity alone."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""

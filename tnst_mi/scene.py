@@ -17,8 +17,7 @@ import numpy as np
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
 from tnst_mi.grid import Shape, opaque
-
-QUADRATURES = ("paper", "exact", "transmittance")
+from tnst_mi.quadrature import QUADRATURES
 
 #: (azimuth, elevation) in degrees.
 View = tuple[float, float]
@@ -141,9 +140,14 @@ class _RenderViews(dr.CustomOp):
         return "render views"
 
 
-@functools.lru_cache(maxsize=4)
-def _cached_scene(variant: str, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> GridScene:
-    return GridScene(shape, gamma, quadrature, h, view_count)
+def grid_scene(shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> GridScene:
+    """A `GridScene`, taken from a small cache: loading one is slow, and Mitsuba does not give back all its memory."""
+    return _cached_scene(mi.variant(), shape, gamma, quadrature, h, view_count)
+
+
+@functools.lru_cache(maxsize=6)
+def _cached_scene(variant: str, *arguments: object) -> GridScene:
+    return GridScene(*arguments)
 
 
 @any_array_kind("density")
@@ -183,9 +187,9 @@ def render(
         raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
     if quadrature not in QUADRATURES:
         raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
-    if not (gamma > 0 and h > 0):
-        raise InputError(f"render: gamma {gamma} and h {h} given, expected both > 0")
+    if not (0 < gamma < math.inf and 0 < h < math.inf):
+        raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
     views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
-    scene = _cached_scene(mi.variant(), tuple(density.shape), float(gamma), quadrature, float(h), len(views))
+    scene = grid_scene(tuple(density.shape), float(gamma), quadrature, float(h), len(views))
     images = scene.render(density, views)
     return images if angles.ndim == 2 else mi.TensorXf(images.array, tuple(density.shape)[1:])

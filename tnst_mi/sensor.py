@@ -84,16 +84,9 @@ class OrthographicViews(mi.Sensor):
         ray.time = time
         return ray, mi.Spectrum(1)
 
-    def sample_ray_differential(
-        self,
-        time: mi.Float,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        sample3: mi.Point2f,
-        active: mi.Bool = True,
-    ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+    def sample_ray_differential(self, *arguments: object, **named: object) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
         """As `sample_ray`; no textures are filtered in these scenes, so the differentials are left out."""
-        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        ray, weight = self.sample_ray(*arguments, **named)
         return mi.RayDifferential3f(ray), weight
 
     def to_string(self) -> str:
