@@ -19,7 +19,6 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import torch
 
 import tnst_mi
 from tnst_mi.environment import device, versions
@@ -87,6 +86,8 @@ def field_tasks(density: np.ndarray, views: int) -> dict[str, Callable[[], objec
 
 def network_task(weights: str | None, views: int, rows: int, columns: int) -> Callable[[], object]:
     """Features of the style layers and their gradient with respect to the images."""
+    import torch
+
     network = tnst_mi.GoogLeNet.load(weights)
     images = torch.rand(views, 3, rows, columns, generator=torch.Generator().manual_seed(0))
 

@@ -9,7 +9,7 @@ import pytest
 import ray_march
 from fields import directional_error, smooth_noise
 from ray_march import camera_axes
-from smoke_scenes import EXTINCTION, film, medium, orthographic, smoke_scene
+from smoke_scenes import EXTINCTION, affine, film, medium, orthographic, smoke_scene
 
 import tnst_mi
 
@@ -84,12 +84,16 @@ EDGES = {
 
 
 @pytest.mark.parametrize("camera", ["outside", "inside"])
-@pytest.mark.parametrize("boundary", ["box", "sphere"])
+@pytest.mark.parametrize("boundary", ["box", "smaller box", "sphere"])
 @pytest.mark.parametrize("placement", EDGES)
 def test_any_transform_boundary_and_camera_against_a_numpy_march(placement: str, boundary: str, camera: str) -> None:
     edges, centre = EDGES[placement], np.array([3.0, -2.0, 1.5])
     radius = 0.4 * np.linalg.norm(edges, axis=0).min()
-    sphere = {"type": "sphere", "center": centre.tolist(), "radius": radius}
+    shapes, inside = {"box": None}, {"box": None}
+    shapes["sphere"] = {"type": "sphere", "center": centre.tolist(), "radius": radius}
+    inside["sphere"] = lambda points: ((points - centre) ** 2).sum(-1) <= radius**2
+    shapes["smaller box"] = {"type": "cube", "to_world": affine(0.35 * edges, centre)}
+    inside["smaller box"] = lambda points: (np.abs((points - centre) @ np.linalg.inv(edges).T) <= 0.35).all(-1)
     towards = np.array([0.36, 0.48, 0.8])
     origin = centre + towards * (0.3 * radius if camera == "inside" else 2 * np.linalg.norm(edges))
     width, height = 24, 18
@@ -101,22 +105,66 @@ def test_any_transform_boundary_and_camera_against_a_numpy_march(placement: str,
         **film(width, height),
     }
     scale, density = 0.7, smoke(2)
-    scene = smoke_scene(
-        GAMMA * density, sensor, {"gamma": GAMMA}, edges, centre, scale, sphere if boundary == "sphere" else None
-    )
+    scene = smoke_scene(GAMMA * density, sensor, {"gamma": GAMMA}, edges, centre, scale, shapes[boundary])
 
     row, column = np.divmod(np.arange(width * height), width)
     position = mi.Point2f((column + 0.5) / width, (row + 0.5) / height)
     rays, _ = scene.sensors()[0].sample_ray(0.0, 0.0, position, mi.Point2f(0.5))
     origins, directions = (np.float64(vectors).T for vectors in (rays.o, rays.d))
     step = (np.linalg.norm(edges, axis=0) / SHAPE[::-1]).min()
-    in_sphere = lambda points: ((points - centre) ** 2).sum(-1) <= radius**2  # noqa: E731
-    values = ray_march.samples(
-        density, edges, centre, origins, directions, step, in_sphere if boundary == "sphere" else None
-    )
+    values = ray_march.samples(density, edges, centre, origins, directions, step, inside[boundary])
     expected = ray_march.radiance(values, GAMMA, step, "paper").reshape(height, width)
     assert (expected > 0).mean() > 0.03
     np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=1e-4 * expected.max())
+
+
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+def test_gradient_against_central_differences_with_everything_at_once(quadrature: str) -> None:
+    """A sheared grid in a sphere, the camera inside it, a scale, a plate behind, a coloured sky, several samples."""
+    rng, scale, centre = np.random.default_rng(20), 0.7, np.array([1.0, -2.0, 0.5])
+    to_world = mi.ScalarTransform4f().look_at((centre + np.array([0.5, 1, 2.5])).tolist(), centre.tolist(), [0, 1, 0])
+    sensor = {"type": "perspective", "fov": 80, "near_clip": 1e-3, "to_world": to_world, **film(9, 8, "rgb")}
+    sensor["sampler"] = {"type": "stratified", "sample_count": 4, "jitter": False}
+    scene = smoke_scene(
+        GAMMA * smoke(20),
+        sensor,
+        {"gamma": GAMMA, "quadrature": quadrature},
+        EDGES["sheared"],
+        centre,
+        scale,
+        {"type": "sphere", "center": centre.tolist(), "radius": 4.5},
+        plate=plate(-20, emitter={"type": "area", "radiance": 2.0}),
+        sky={"type": "constant", "radiance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}},
+    )
+    weights = smooth_noise(rng, 8, 9, 3)
+    parameters = mi.traverse(scene)
+    start = parameters[EXTINCTION].numpy()
+
+    def objective(extinction: np.ndarray) -> float:
+        parameters[EXTINCTION] = mi.TensorXf(extinction)
+        parameters.update()
+        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
+
+    directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
+    gradient = extinction_gradient(scene, weights)
+    assert directional_error(objective, gradient, start, directions, 1e-2) <= 1e-3
+    assert 0.1 < (gradient != 0).mean() < 1, "cells outside the sphere or out of sight have no gradient"
+
+
+def test_several_samples_of_a_pixel_are_averaged() -> None:
+    """2×2 samples in the middles of a pixel's quarters: a film of twice the resolution, averaged."""
+    density = smoke(21)
+    weights = smooth_noise(np.random.default_rng(21), *SHAPE[1:], 1)
+    coarse_sensor, fine_sensor = orthographic(SHAPE, VIEW), orthographic(SHAPE, VIEW)
+    coarse_sensor["sampler"] = {"type": "stratified", "sample_count": 4, "jitter": False}
+    fine_sensor |= film(2 * SHAPE[2], 2 * SHAPE[1])
+    coarse, fine = (smoke_scene(GAMMA * density, sensor, {"gamma": GAMMA}) for sensor in (coarse_sensor, fine_sensor))
+    quarters = image_of(fine)
+    averaged = sum(quarters[i::2, j::2] for i in (0, 1) for j in (0, 1)) / 4
+    np.testing.assert_allclose(image_of(coarse), averaged, rtol=0, atol=1e-5)
+    expected = extinction_gradient(fine, np.kron(weights[..., 0], np.full((2, 2), 0.25, np.float32))[..., None])
+    gradient = extinction_gradient(coarse, weights)
+    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("step", [0.37, 2.5])
@@ -221,28 +269,49 @@ def plate(distance: float, **what: object) -> dict[str, object]:
     return {"type": "rectangle", "to_world": placed @ mi.ScalarTransform4f().scale([3, 3, 1]), **what}
 
 
+BOUNDARIES = {"box": None, "sphere": {"type": "sphere", "radius": 3.7}}
+
+
 @pytest.mark.parametrize("where", ["behind", "in front"])
 @pytest.mark.parametrize("lit", [True, False])
-def test_a_plate_is_attenuated_behind_the_smoke_and_hides_it_in_front(where: str, lit: bool) -> None:
-    density, radiance = smoke(10), 2.0 if lit else 0.0
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_a_plate_is_attenuated_behind_the_smoke_and_hides_it_in_front(boundary: str, lit: bool, where: str) -> None:
+    extinction, radiance, sky = GAMMA * smoke(10), 2.0 if lit else 0.0, 0.5
+
+    def image(quadrature: str, **others: dict) -> np.ndarray:
+        integrator = {"gamma": GAMMA, "quadrature": quadrature}
+        shape = BOUNDARIES[boundary]
+        return image_of(smoke_scene(extinction, orthographic(SHAPE, VIEW), integrator, boundary=shape, **others))
+
+    # A plate without a light hides what is behind it; the sky goes around the plate.
     what = {"emitter": {"type": "area", "radiance": radiance}} if lit else {"bsdf": {"type": "diffuse"}}
-    scene = smoke_scene(
-        GAMMA * density,
-        orthographic(SHAPE, VIEW),
-        {"gamma": GAMMA},
-        plate=plate(-40 if where == "behind" else 40, **what),
-        # A plate without a light hides the sky; the sky goes around the plate.
-        sky={"type": "constant", "radiance": 0.5},
-    )
+    placed = plate(-40 if where == "behind" else 40, **what)
     row, column = np.indices(SHAPE[1:])
     covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
-    smoke_alone = tnst_mi.render(density, VIEW, GAMMA)
-    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")
-    seen_behind = np.where(covered & (where == "behind"), radiance, 0.5)
-    expected = smoke_alone + transmittance * seen_behind
+    transmittance = 1 - image("transmittance")
+    expected = image("paper") + transmittance * np.where(covered & (where == "behind"), radiance, sky)
     if where == "in front":
         expected = np.where(covered, radiance, expected)
-    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
+    shown = image("paper", plate=placed, sky={"type": "constant", "radiance": sky})
+    np.testing.assert_allclose(shown, expected, rtol=0, atol=2e-5)
+    assert transmittance[covered].max() < 0.9
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_smoke_hidden_by_a_plate_has_no_gradient(boundary: str) -> None:
+    extinction, weights = GAMMA * smoke(10), smooth_noise(np.random.default_rng(10), *SHAPE[1:], 1)
+    others = {"sky": {"type": "constant", "radiance": 0.5}}
+    row, column = np.indices(SHAPE[1:])
+    covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
+
+    def gradient(weights: np.ndarray, **others: dict) -> np.ndarray:
+        shape = BOUNDARIES[boundary]
+        scene = smoke_scene(extinction, orthographic(SHAPE, VIEW), {"gamma": GAMMA}, boundary=shape, **others)
+        return extinction_gradient(scene, weights)
+
+    hidden = gradient(weights, plate=plate(40, bsdf={"type": "diffuse"}), **others)
+    expected = gradient(weights * ~covered[..., None], **others)
+    np.testing.assert_allclose(hidden, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_rays_that_miss_the_smoke_see_the_sky() -> None:
@@ -254,9 +323,15 @@ def test_rays_that_miss_the_smoke_see_the_sky() -> None:
     assert np.abs(image[rows:-rows, columns:-columns] - 0.25).min() > 1e-3
 
 
-def test_a_surface_inside_the_medium_is_an_error() -> None:
-    ball = {"type": "sphere", "radius": 2.0}
-    scene = smoke_scene(GAMMA * smoke(12), orthographic(SHAPE, VIEW), {"gamma": GAMMA}, ball=ball)
+@pytest.mark.parametrize("camera", ["outside", "inside"])
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_a_surface_inside_the_medium_is_an_error(boundary: str, camera: str) -> None:
+    sensor = orthographic(SHAPE, VIEW)
+    if camera == "inside":
+        to_world = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
+        sensor = {"type": "perspective", "fov": 90, "near_clip": 1e-3, "to_world": to_world, **film(8, 8)}
+    ball = {"type": "sphere", "radius": 1.5}
+    scene = smoke_scene(GAMMA * smoke(12), sensor, {"gamma": GAMMA}, boundary=BOUNDARIES[boundary], ball=ball)
     with pytest.raises(RuntimeError) as error:
         mi.render(scene)
     assert "a surface lies inside the medium, expected none" in message(error.value)

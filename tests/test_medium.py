@@ -164,16 +164,26 @@ def test_a_ray_along_z_samples_the_cell_centres_front_to_back(depth: int) -> Non
     np.testing.assert_allclose(values, density[::-1].reshape(depth, -1), rtol=0, atol=2e-5)
 
 
-def test_entry_and_exit_bound_the_samples() -> None:
+def test_the_crossing_and_the_origin_bound_the_samples() -> None:
     """A ray along −z from 100 above a grid of 7 unit cells: its samples lie at distances 97, 98, …, 103."""
     _, grid = resolve(np.ones(SHAPE), np.diag(SHAPE[::-1]).astype(float), np.zeros(3))
-    ray = mi.Ray3f(mi.Point3f(0, 0, 100), mi.Vector3f(0, 0, -1))
     limits = {(0, np.inf): 7, (97.5, np.inf): 6, (0, 98.5): 2, (99.5, 101.5): 2, (99.2, 99.8): 0, (np.inf, -np.inf): 0}
-    for (entry, exit), count in limits.items():
-        assert tnst_mi.medium.Lattice(grid, ray, 1.0, (mi.Float(entry), mi.Float(exit))).count.numpy() == [count], (
-            entry,
-            exit,
-        )
+    for limit, count in limits.items():
+        ray = mi.Ray3f(mi.Point3f(0, 0, 100), mi.Vector3f(0, 0, -1))
+        lattice = tnst_mi.medium.Lattice(grid, ray, 1.0, tuple(mi.Float(distance) for distance in limit))
+        assert lattice.count.numpy() == [count], limit
+    for height, count in ((1.25, 5), (-2.9, 1), (-4.0, 0), (3.6, 7)):
+        ray = mi.Ray3f(mi.Point3f(0, 0, height), mi.Vector3f(0, 0, -1))
+        lattice = tnst_mi.medium.Lattice(grid, ray, 1.0)
+        assert lattice.count.numpy() == [count], height
+
+
+def test_entry_and_exit_are_distances_along_the_ray() -> None:
+    _, grid = resolve(np.ones(SHAPE), np.diag(SHAPE[::-1]).astype(float), np.zeros(3))
+    ray = mi.Ray3f(mi.Point3f([0, 0], [0, 0], [100, 1]), mi.Vector3f(0, 0, -1))
+    lattice = tnst_mi.medium.Lattice(grid, ray, 1.0)
+    np.testing.assert_allclose(lattice.entry.numpy(), [96.5, 0], atol=1e-4)
+    np.testing.assert_allclose(lattice.exit.numpy(), [103.5, 4.5], atol=1e-4)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -191,6 +201,27 @@ def test_rays_parallel_to_the_faces_outside_the_box_have_no_samples(axis: int) -
 # --------------------------------------------------------------------
 # The medium of a scene
 # --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("boundary", "fills"),
+    [
+        ({"type": "cube", "size": 1.0}, True),
+        ({"type": "cube", "size": 0.9}, False),
+        ({"type": "cube", "size": 1.001}, False),
+        ({"type": "sphere", "size": 1.0}, False),
+        ({"type": "cylinder", "size": 1.0}, False),
+    ],
+)
+def test_whether_the_shape_is_the_box_of_the_grid(boundary: dict, fills: bool) -> None:
+    rng = np.random.default_rng(12)
+    edges, centre = random_edges(rng, 6.0), rng.uniform(-2, 2, 3)
+    scaled = mi.ScalarTransform4f().scale(0.5 * boundary["size"])
+    # Only cubes and meshes may be sheared.
+    placed = affine(edges, centre) if boundary["type"] == "cube" else mi.ScalarTransform4f().translate(centre.tolist())
+    shape = {"type": boundary["type"], "to_world": placed @ scaled}
+    scene = smoke_scene(np.ones(SHAPE), orthographic(SHAPE), {}, edges, centre, boundary=shape)
+    assert tnst_mi.medium.GridMedium(scene).fills_box is fills
 
 
 def test_refresh_takes_over_new_data_and_scale() -> None:

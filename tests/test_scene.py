@@ -278,30 +278,30 @@ def test_gradient_has_the_same_bits_in_every_run(quadrature: str) -> None:
 # --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("changed", ["density", "views", "gamma"])
+@pytest.mark.parametrize("changed", ["density", "views", "gamma", "h"])
 @pytest.mark.parametrize("mode", ["forward", "backward"])
 def test_no_kernel_is_compiled_after_the_first_renders(mode: str, changed: str) -> None:
     densities = {seed: mi.TensorXf(dr.linspace(mi.Float, 0.1, seed, int(np.prod(SHAPE))), SHAPE) for seed in (1, 2)}
     dr.eval(densities)
 
-    def differentiate(seed: int, views: list, gamma: float) -> None:
+    def differentiate(seed: int, views: list, gamma: float, h: float) -> None:
         density = mi.TensorXf(densities[seed])
         dr.enable_grad(density)
         if mode == "forward":
             dr.set_grad(density, densities[seed])
-            dr.eval(dr.forward_to(tnst_mi.render(density, views, gamma)))
+            dr.eval(dr.forward_to(tnst_mi.render(density, views, gamma, h=h)))
         else:
-            dr.backward(dr.sum(tnst_mi.render(density, views, gamma), axis=None))
+            dr.backward(dr.sum(tnst_mi.render(density, views, gamma, h=h), axis=None))
             dr.eval(dr.grad(density))
 
-    # Dr.Jit shares opaque numbers of equal value, so neither γ may equal another number of the scene.
-    usual = {"seed": 1, "views": VIEWS[:2], "gamma": 0.37}
+    # Dr.Jit shares opaque numbers of equal value, so no γ or h may equal another number of the scene.
+    usual = {"seed": 1, "views": VIEWS[:2], "gamma": 0.37, "h": 1.3}
     for _ in range(2):
         differentiate(**usual)
-    other = {"density": {"seed": 2}, "views": {"views": VIEWS[3:]}, "gamma": {"gamma": 0.123}}[changed]
+    changes = {"density": {"seed": 2}, "views": {"views": VIEWS[3:]}, "gamma": {"gamma": 0.123}, "h": {"h": 1.8}}
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        differentiate(**(usual | other))
+        differentiate(**(usual | changes[changed]))
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert len(kernels) > 0
     # A kernel from the cache on disk is new to this process: without that cache it would have been compiled.

@@ -23,6 +23,8 @@ def register() -> None:
         return
     if mi.variant().startswith("llvm"):
         check_llvm()
+    # Mitsuba reloads the base classes after the callbacks have run, which is too late for ours.
+    importlib.reload(mi.ad.integrators.common)
     for name in _MODULES:
         if name in sys.modules:
             importlib.reload(sys.modules[name])
