@@ -59,7 +59,8 @@ def _system_llvm() -> Path | None:
         path
         for folder in _SYSTEM_LIBRARY_FOLDERS
         for path in Path("/").glob(f"{folder[1:]}/libLLVM*")
-        if _version_of(path) >= OLDEST_LLVM
+        # A development package may leave a link to a library that is not installed.
+        if _version_of(path) >= OLDEST_LLVM and path.exists()
     ]
     return max(found, key=lambda path: (_version_of(path), str(path)), default=None)
 
