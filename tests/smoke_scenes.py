@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from ray_march import camera_axes
@@ -90,3 +91,33 @@ def smoke_scene(
             **others,
         }
     )
+
+
+def plate(view: tuple[float, float], distance: float, **what: object) -> dict[str, object]:
+    """A 6×6 square facing the camera of a view, `distance` from the origin towards it."""
+    _, up, towards = camera_axes(view)
+    placed = mi.ScalarTransform4f().look_at(
+        (distance * towards).tolist(), ((distance + 1) * towards).tolist(), up.tolist()
+    )
+    return {"type": "rectangle", "to_world": placed @ mi.ScalarTransform4f().scale([3, 3, 1]), **what}
+
+
+def image_of(scene: mi.Scene) -> np.ndarray:
+    """The first channel (H, W) of the scene's image."""
+    return mi.render(scene).numpy()[..., 0]
+
+
+def extinction_gradient(scene: mi.Scene, weights: np.ndarray) -> np.ndarray:
+    """Gradient of the weighted sum of the image with respect to `sigma_t.data`."""
+    parameters = mi.traverse(scene)
+    dr.enable_grad(parameters[EXTINCTION])
+    parameters.update()
+    dr.backward(dr.sum(mi.render(scene, parameters) * mi.TensorXf(weights), axis=None))
+    return dr.grad(parameters[EXTINCTION]).numpy()
+
+
+def error_message(error: BaseException) -> str:
+    """The text at the origin of an error that passed through Mitsuba and Dr.Jit."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return str(error)

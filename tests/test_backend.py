@@ -205,6 +205,18 @@ def test_an_unusable_llvm_is_reported_with_the_remedy(
         assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(("loaded", "name"), [(15, "libLLVM-15.so.1"), (0, "missing.so")])
+def test_an_unusable_choice_of_the_user_is_not_recommended(
+    environment: dict, system: Path, monkeypatch: pytest.MonkeyPatch, loaded: int, name: str
+) -> None:
+    environment["DRJIT_LIBLLVM_PATH"] = str(system / name)
+    monkeypatch.setattr(backend, "_loaded_llvm", lambda: loaded)
+    with pytest.raises(tnst_mi.InputError, match="DRJIT_LIBLLVM_PATH") as error:
+        backend.check_llvm()
+    assert f"set DRJIT_LIBLLVM_PATH={system / name}" not in str(error.value)
+    assert str(system / name) in str(error.value)
+
+
 def test_llvm_16_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backend, "_loaded_llvm", lambda: 16)
     backend.check_llvm()

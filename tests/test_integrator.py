@@ -1,4 +1,4 @@
-"""The `emission_absorption` plugin in scenes that are not ours: sensors, transforms, emitters, surfaces and colour."""
+"""The `emission_absorption` plugin in scenes that are not ours: any sensor, transform, boundary, sampler and colour."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ import pytest
 import ray_march
 from fields import directional_error, smooth_noise
 from ray_march import camera_axes
-from smoke_scenes import EXTINCTION, affine, film, medium, orthographic, smoke_scene
+from smoke_scenes import (
+    EXTINCTION,
+    affine,
+    error_message,
+    extinction_gradient,
+    film,
+    image_of,
+    medium,
+    orthographic,
+    plate,
+    smoke_scene,
+)
 
 import tnst_mi
 
@@ -24,33 +35,12 @@ def smoke(seed: int, *shape: int) -> np.ndarray:
     return np.abs(smooth_noise(np.random.default_rng(seed), *(shape or SHAPE))) + 0.05
 
 
-def image_of(scene: mi.Scene) -> np.ndarray:
-    """The first channel (H, W) of the scene's image."""
-    return mi.render(scene).numpy()[..., 0]
-
-
-def extinction_gradient(scene: mi.Scene, weights: np.ndarray) -> np.ndarray:
-    """Gradient of the weighted sum of the image with respect to `sigma_t.data`."""
-    parameters = mi.traverse(scene)
-    dr.enable_grad(parameters[EXTINCTION])
-    parameters.update()
-    dr.backward(dr.sum(mi.render(scene, parameters) * mi.TensorXf(weights), axis=None))
-    return dr.grad(parameters[EXTINCTION]).numpy()
-
-
 def density_gradient(density: np.ndarray, weights: np.ndarray, quadrature: str) -> np.ndarray:
     """Gradient of the weighted sum of `tnst_mi.render`'s image with respect to the density."""
     leaf = mi.TensorXf(density)
     dr.enable_grad(leaf)
     dr.backward(dr.sum(tnst_mi.render(leaf, VIEW, GAMMA, quadrature) * mi.TensorXf(weights), axis=None))
     return dr.grad(leaf).numpy()
-
-
-def message(error: BaseException) -> str:
-    """The text at the origin of an error that passed through Mitsuba and Dr.Jit."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return str(error)
 
 
 # --------------------------------------------------------------------
@@ -133,7 +123,7 @@ def test_gradient_against_central_differences_with_everything_at_once(quadrature
         centre,
         scale,
         {"type": "sphere", "center": centre.tolist(), "radius": 4.5},
-        plate=plate(-20, emitter={"type": "area", "radiance": 2.0}),
+        plate=plate(VIEW, -20, emitter={"type": "area", "radiance": 2.0}),
         sky={"type": "constant", "radiance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}},
     )
     weights = smooth_noise(rng, 8, 9, 3)
@@ -220,130 +210,6 @@ def test_one_integrator_serves_two_scenes_in_turn() -> None:
 
 
 # --------------------------------------------------------------------
-# Emitters and surfaces
-# --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("quadrature", QUADRATURES)
-def test_an_environment_behind_is_multiplied_by_the_transmittance(quadrature: str) -> None:
-    rng = np.random.default_rng(9)
-    density, sky = smoke(9), 0.7
-    scene = smoke_scene(
-        GAMMA * density,
-        orthographic(SHAPE, VIEW),
-        {"gamma": GAMMA, "quadrature": quadrature},
-        sky={"type": "constant", "radiance": sky},
-    )
-    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")
-    expected = tnst_mi.render(density, VIEW, GAMMA, quadrature) + sky * transmittance
-    np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
-
-    weights = smooth_noise(rng, *SHAPE[1:], 1)
-    parameters = mi.traverse(scene)
-    start = parameters[EXTINCTION].numpy()
-
-    def objective(extinction: np.ndarray) -> float:
-        parameters[EXTINCTION] = mi.TensorXf(extinction)
-        parameters.update()
-        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
-
-    directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
-    gradient = extinction_gradient(scene, weights)
-    assert directional_error(objective, gradient, start, directions, 5e-3) <= 1e-3
-
-    leaf = mi.TensorXf(start)
-    dr.enable_grad(leaf)
-    parameters[EXTINCTION] = leaf
-    parameters.update()
-    dr.set_grad(leaf, mi.TensorXf(directions[0]))
-    tangent = dr.forward_to(mi.render(scene, parameters)).numpy()
-    assert (tangent * weights).sum() == pytest.approx((gradient * directions[0]).sum(), rel=1e-4)
-
-
-def plate(distance: float, **what: object) -> dict[str, object]:
-    """A 6×6 square facing the camera, `distance` from the centre towards it."""
-    _, up, towards = camera_axes(VIEW)
-    placed = mi.ScalarTransform4f().look_at(
-        (distance * towards).tolist(), ((distance + 1) * towards).tolist(), up.tolist()
-    )
-    return {"type": "rectangle", "to_world": placed @ mi.ScalarTransform4f().scale([3, 3, 1]), **what}
-
-
-BOUNDARIES = {"box": None, "sphere": {"type": "sphere", "radius": 3.7}}
-
-
-@pytest.mark.parametrize("where", ["behind", "in front"])
-@pytest.mark.parametrize("lit", [True, False])
-@pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_a_plate_is_attenuated_behind_the_smoke_and_hides_it_in_front(boundary: str, lit: bool, where: str) -> None:
-    extinction, radiance, sky = GAMMA * smoke(10), 2.0 if lit else 0.0, 0.5
-
-    def image(quadrature: str, **others: dict) -> np.ndarray:
-        integrator = {"gamma": GAMMA, "quadrature": quadrature}
-        shape = BOUNDARIES[boundary]
-        return image_of(smoke_scene(extinction, orthographic(SHAPE, VIEW), integrator, boundary=shape, **others))
-
-    # A plate without a light hides what is behind it; the sky goes around the plate.
-    what = {"emitter": {"type": "area", "radiance": radiance}} if lit else {"bsdf": {"type": "diffuse"}}
-    placed = plate(-40 if where == "behind" else 40, **what)
-    row, column = np.indices(SHAPE[1:])
-    covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
-    transmittance = 1 - image("transmittance")
-    expected = image("paper") + transmittance * np.where(covered & (where == "behind"), radiance, sky)
-    if where == "in front":
-        expected = np.where(covered, radiance, expected)
-    shown = image("paper", plate=placed, sky={"type": "constant", "radiance": sky})
-    np.testing.assert_allclose(shown, expected, rtol=0, atol=2e-5)
-    assert transmittance[covered].max() < 0.9
-
-
-@pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_smoke_hidden_by_a_plate_has_no_gradient(boundary: str) -> None:
-    extinction, weights = GAMMA * smoke(10), smooth_noise(np.random.default_rng(10), *SHAPE[1:], 1)
-    others = {"sky": {"type": "constant", "radiance": 0.5}}
-    row, column = np.indices(SHAPE[1:])
-    covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
-
-    def gradient(weights: np.ndarray, **others: dict) -> np.ndarray:
-        shape = BOUNDARIES[boundary]
-        scene = smoke_scene(extinction, orthographic(SHAPE, VIEW), {"gamma": GAMMA}, boundary=shape, **others)
-        return extinction_gradient(scene, weights)
-
-    hidden = gradient(weights, plate=plate(40, bsdf={"type": "diffuse"}), **others)
-    expected = gradient(weights * ~covered[..., None], **others)
-    np.testing.assert_allclose(hidden, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
-
-
-def test_rays_that_miss_the_smoke_see_the_sky() -> None:
-    sensor = orthographic((1, 30, 40))
-    scene = smoke_scene(GAMMA * smoke(11), sensor, {"gamma": GAMMA}, sky={"type": "constant", "radiance": 0.25})
-    image = image_of(scene)
-    np.testing.assert_allclose(image[:5], 0.25, rtol=1e-6)
-    rows, columns = (30 - SHAPE[1]) // 2, (40 - SHAPE[2]) // 2
-    assert np.abs(image[rows:-rows, columns:-columns] - 0.25).min() > 1e-3
-
-
-@pytest.mark.parametrize("camera", ["outside", "inside"])
-@pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_a_surface_inside_the_medium_is_an_error(boundary: str, camera: str) -> None:
-    sensor = orthographic(SHAPE, VIEW)
-    if camera == "inside":
-        to_world = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
-        sensor = {"type": "perspective", "fov": 90, "near_clip": 1e-3, "to_world": to_world, **film(8, 8)}
-    ball = {"type": "sphere", "radius": 1.5}
-    scene = smoke_scene(GAMMA * smoke(12), sensor, {"gamma": GAMMA}, boundary=BOUNDARIES[boundary], ball=ball)
-    with pytest.raises(RuntimeError) as error:
-        mi.render(scene)
-    assert "a surface lies inside the medium, expected none" in message(error.value)
-
-
-def test_a_surface_beside_the_medium_is_none() -> None:
-    density, ball = smoke(12), {"type": "sphere", "center": [30, 0, 0], "radius": 2.0}
-    scene = smoke_scene(GAMMA * density, orthographic(SHAPE, VIEW), {"gamma": GAMMA}, ball=ball)
-    np.testing.assert_allclose(image_of(scene), tnst_mi.render(density, VIEW, GAMMA), rtol=0, atol=1e-4)
-
-
-# --------------------------------------------------------------------
 # Colour
 # --------------------------------------------------------------------
 
@@ -364,31 +230,6 @@ def test_each_channel_of_a_coloured_medium_is_a_grey_medium(quadrature: str) -> 
     )
     gradient = extinction_gradient(scene, weights) * GAMMA / 1.5
     np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
-
-
-def test_grey_smoke_before_a_coloured_sky_on_a_colour_film() -> None:
-    density, sky = smoke(14), np.array([0.9, 0.5, 0.1])
-    scene = smoke_scene(
-        GAMMA * density,
-        orthographic(SHAPE, VIEW, "rgb"),
-        {"gamma": GAMMA},
-        sky={"type": "constant", "radiance": {"type": "rgb", "value": sky.tolist()}},
-    )
-    transmittance = 1 - tnst_mi.render(density, VIEW, GAMMA, "transmittance")[..., None]
-    expected = tnst_mi.render(density, VIEW, GAMMA)[..., None] + sky * transmittance
-    np.testing.assert_allclose(mi.render(scene).numpy(), expected, rtol=0, atol=1e-4)
-
-    rng = np.random.default_rng(14)
-    weights, direction = smooth_noise(rng, *SHAPE[1:], 3), smooth_noise(rng, *SHAPE)[..., None]
-    gradient, start = extinction_gradient(scene, weights), (GAMMA * density)[..., None]
-    parameters = mi.traverse(scene)
-
-    def objective(extinction: np.ndarray) -> float:
-        parameters[EXTINCTION] = mi.TensorXf(extinction)
-        parameters.update()
-        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
-
-    assert directional_error(objective, gradient, start, [direction], 5e-3) <= 1e-3
 
 
 # --------------------------------------------------------------------
@@ -433,4 +274,4 @@ def test_a_scene_without_exactly_one_medium_is_an_error(count: int) -> None:
     )
     with pytest.raises(RuntimeError) as error:
         mi.render(scene)
-    assert f"the scene has {count} shapes with an interior medium, expected one" in message(error.value)
+    assert f"the scene has {count} shapes with an interior medium, expected one" in error_message(error.value)
