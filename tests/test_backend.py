@@ -247,8 +247,9 @@ def test_an_unsupported_variant_is_named(variant: str, name: str) -> None:
 
 
 def test_a_gpu_variant_without_a_gpu_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dr, "has_backend", lambda backend: False)
-    monkeypatch.setattr(mi, "variant", lambda: None)
+    has_backend = dr.has_backend
+    monkeypatch.setattr(dr, "has_backend", lambda kind: kind != dr.JitBackend.CUDA and has_backend(kind))
+    monkeypatch.setattr(mi, "variant", lambda: "llvm_ad_rgb")
     with pytest.raises(tnst_mi.InputError, match=r"needs an NVIDIA GPU .*use llvm_ad_rgb"):
         tnst_mi.activate("cuda_ad_rgb")
 

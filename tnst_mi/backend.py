@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import importlib.metadata
 import os
+import platform
 import re
 import sys
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb")
 OLDEST_LLVM = 16
 
 _SYSTEM_LIBRARY_FOLDERS = (
-    "/usr/lib/*-linux-gnu",
+    f"/usr/lib/{platform.machine()}-linux-gnu",
     "/usr/lib64",
     "/usr/lib64/llvm*/lib*",
     "/usr/lib/llvm-*/lib",
@@ -35,6 +36,8 @@ _SYSTEM_LIBRARY_FOLDERS = (
     "/opt/homebrew/opt/llvm/lib",
     "/usr/local/opt/llvm/lib",
 )
+_USER_CHOICE = "named by DRJIT_LIBLLVM_PATH"
+
 _LLVM_NAME = re.compile(r"libLLVM(?:-(\d+)[\d.]*)?\.(?:so|dylib)(?:\.(\d+)[\d.]*)?$")
 
 
@@ -85,7 +88,7 @@ def llvm_library() -> LlvmLibrary | None:
     """
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and chosen != os.environ.get("_TNST_MI_LIBLLVM_PATH"):
-        return LlvmLibrary(Path(chosen), _version_of(Path(chosen).resolve()), "named by DRJIT_LIBLLVM_PATH")
+        return LlvmLibrary(Path(chosen), _version_of(Path(chosen).resolve()), _USER_CHOICE)
     if (path := _system_llvm()) is not None:
         return LlvmLibrary(path, _version_of(path), f"newest LLVM of the system that is {OLDEST_LLVM} or newer")
     if (path := _wheel_llvm()) is not None:
@@ -152,6 +155,11 @@ def check_llvm() -> None:
             "pip install karellen-llvm-core (Linux x86-64), or install libllvm19 and set DRJIT_LIBLLVM_PATH"
         )
     found = f"has loaded LLVM {loaded}" if loaded else "found no LLVM"
+    if usable.reason == _USER_CHOICE:
+        raise InputError(
+            f"Dr.Jit {found}, expected {OLDEST_LLVM} or newer (older ones abort the process): DRJIT_LIBLLVM_PATH names "
+            f"{usable.path}; unset it, or name a library that is {OLDEST_LLVM} or newer"
+        )
     raise InputError(
         f"Dr.Jit {found}, expected {OLDEST_LLVM} or newer (older ones abort the process): "
         f"import tnst_mi before a variant is set, or set DRJIT_LIBLLVM_PATH={usable.path}"

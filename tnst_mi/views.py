@@ -79,7 +79,9 @@ def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarr
     a, e = np.radians((azimuth, elevation))
     towards_camera = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
-    return right, np.cross(towards_camera, right), towards_camera
+    up = np.cross(towards_camera, right)
+    # The cosine of 90° is 6e-17 in floating point; a ray that should run along a face would cross it far away.
+    return tuple(np.round(axis, 15) for axis in (right, up, towards_camera))
 
 
 def _check_range(name: str, limits: tuple[float, float]) -> tuple[float, float]:
