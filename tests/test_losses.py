@@ -166,3 +166,18 @@ def test_terms_on_googlenet(bvlc_weights: Path, asset: object) -> None:
     logits = net(images[:, None].repeat(1, 3, 1, 1), layers=["logits"])["logits"]
     bound(images)
     assert bound.last_terms["tag volcano"].item() == pytest.approx(-logits[:, volcano].sum().item(), rel=1e-4)
+
+
+def test_a_layer_named_twice_counts_twice(net: SmallNetwork) -> None:
+    """By its name and by an alias."""
+    twice = value(Style(picture(), {"deep": 1.0, "alias_of_deep": 0.5}), net, views())
+    assert twice == pytest.approx(value(Style(picture(), {"deep": 1.5}), net, views()), rel=1e-12)
+
+
+def test_a_picture_that_is_transparent_where_it_is_used_is_refused(net: SmallNetwork) -> None:
+    """Opaque only at its left edge, which the crop to the smoke's aspect leaves out."""
+    alpha = np.zeros((20, 80), np.float32)
+    alpha[:, :8] = 1
+    image = GreyImage("edge.png", np.full((20, 80), 0.5, np.float32), alpha)
+    with pytest.raises(InputError, match=r"edge\.png: transparent where it is used"):
+        Style(image, {"deep": 1.0}).bind(net, HEIGHT, WIDTH)

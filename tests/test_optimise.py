@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import os
+import signal
+import time
 from pathlib import Path
 
 import drjit as dr
@@ -18,7 +21,8 @@ from tnst_mi.advection import revert_mask, step
 from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.images import read_image
-from tnst_mi.losses import Semantic, Style
+from tnst_mi.interrupt import deferred_interrupt
+from tnst_mi.losses import Match, Semantic, Style
 from tnst_mi.optimise import Progress, Stylized, optimise
 from tnst_mi.recipe import Recipe
 from tnst_mi.scene import GridScene
@@ -171,6 +175,52 @@ def test_interruption_keeps_what_was_reached(network: GoogLeNet, smoke: Frame) -
     result = optimise(smoke, recipe(), network, on_iteration=interrupt)
     assert result.interrupted and len(result.history) == 2
     assert result.density.shape == SHAPE and np.abs(result.density - smoke.density).max() > 1e-4
+
+
+@pytest.mark.parametrize("iteration", [0, 2])
+def test_ctrl_c_is_obeyed_after_the_iteration(iteration: int, network: GoogLeNet, smoke: Frame) -> None:
+    """A real signal: it must not surface inside a Dr.Jit operation, where it would come out as another error."""
+
+    def press(progress: Progress) -> None:
+        if progress.iteration == iteration:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    result = optimise(smoke, recipe(octaves=1, iterations=6), network, on_iteration=press)
+    assert result.interrupted and len(result.history) == iteration + 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_second_ctrl_c_interrupts_at_once() -> None:
+    with pytest.raises(KeyboardInterrupt), deferred_interrupt() as interrupt:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert interrupt.requested
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+
+def test_an_objective_may_replace_the_recipe_s_terms(network: GoogLeNet, smoke: Frame) -> None:
+    """A feature map M (Eq. 5), which no recipe can name: its distance falls."""
+    target = np.full((network.channels("inception_3a/3x3"), 1, 1), 5.0, np.float32)
+    match = Match("inception_3a/3x3", target)
+    result = optimise(smoke, recipe(octaves=1, iterations=8), network, objective=match)
+    values = [entry["terms"][match.name] for entry in result.history]
+    assert values[-1] < values[0]
+
+
+def test_loss_that_is_not_finite_ends_the_run(network: GoogLeNet, smoke: Frame) -> None:
+    broken = copy.deepcopy(network)
+    broken.convolutions["conv1/7x7_s2"].bias.data.fill_(float("nan"))
+    with pytest.raises(tnst_mi.InputError, match="cloud: the loss is nan in iteration 1 of octave 1"):
+        optimise(smoke, recipe(), broken)
+
+
+def test_frame_that_renders_black_comes_back_unchanged_with_a_note(network: GoogLeNet) -> None:
+    """Dense smoke under the paper's sum: no light gets out."""
+    density = np.full(SHAPE, 1e6, np.float32)
+    result = optimise(Frame(density, name="wall"), recipe(), network)
+    assert "wall renders black" in result.note
+    np.testing.assert_array_equal(result.density, density)
 
 
 def test_empty_frame_comes_back_unchanged_with_a_note(network: GoogLeNet) -> None:

@@ -17,7 +17,10 @@ import mitsuba as mi
 
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
-from tnst_mi.grid import Cells, RepeatableSum, Shape, Trilinear, largest_magnitude, opaque
+from tnst_mi.grid import Cells, RepeatableSum, Shape, Trilinear, gather, largest_magnitude, opaque
+
+#: A displacement of more cells than this is a mistake, not a motion to be followed in steps of one cell.
+_MOST_SUBSTEPS = 10_000
 
 METHODS = ("maccormack", "semi_lagrangian", "maccormack_unlimited")
 
@@ -81,20 +84,17 @@ class _Step(dr.CustomOp):
     def _cells_and_displacement(self) -> tuple[Cells, mi.Vector3f]:
         cells = Cells.of(self.shape)
         index = dr.arange(mi.UInt32, math.prod(self.shape))
-        v = mi.Vector3f(*(dr.gather(mi.Float, self.velocity, index * 3 + c) for c in range(3)))
+        v = mi.Vector3f(*gather(self.velocity, index, 3))
         return cells, v * dr.rcp(opaque(self.h))
 
     def _channels_of(self, values: mi.Float) -> list[mi.Float]:
-        index = dr.arange(mi.UInt32, math.prod(self.shape))
-        if self.channels == 1:
-            return [values]
-        return [dr.gather(mi.Float, values, index * self.channels + c) for c in range(self.channels)]
+        return gather(values, dr.arange(mi.UInt32, math.prod(self.shape)), self.channels)
 
     def forward(self) -> None:
         cells, displacement = self._cells_and_displacement()
         velocity_tangent = self.grad_in("velocity").array
         index = dr.arange(mi.UInt32, math.prod(self.shape))
-        moved = mi.Vector3f(*(dr.gather(mi.Float, velocity_tangent, index * 3 + c) for c in range(3)))
+        moved = mi.Vector3f(*gather(velocity_tangent, index, 3))
         moved *= dr.rcp(opaque(self.h))
         field_tangent = self.grad_in("field").array
 
@@ -238,6 +238,10 @@ def substeps(v: mi.TensorXf, h: float) -> int:
     """Number of sub-steps that "auto" stands for: ⌈max |v| / h⌉, so that none crosses more than one cell."""
     index = dr.arange(mi.UInt32, math.prod(v.shape[:3]))
     values = dr.detach(v.array)
-    components = [dr.gather(mi.Float, values, index * 3 + c) for c in range(3)]
-    fastest = dr.max(dr.norm(mi.Vector3f(*components)))[0] if dr.width(values) else 0.0
+    fastest = dr.max(dr.norm(mi.Vector3f(*gather(values, index, 3))))[0] if dr.width(values) else 0.0
+    if not fastest / h <= _MOST_SUBSTEPS:
+        raise InputError(
+            f"advect: the largest displacement is {fastest:g} cells of size {h:g}, expected at most {_MOST_SUBSTEPS} "
+            'for steps "auto"; give a number of steps'
+        )
     return max(1, math.ceil(fastest / h))

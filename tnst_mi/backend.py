@@ -171,7 +171,7 @@ def activate(variant: str | None = None) -> str:
 
     Args:
         variant: `cuda_ad_rgb` or `llvm_ad_rgb`. None keeps a variant that is already active and supported,
-            else picks `cuda_ad_rgb` if a GPU answers and `llvm_ad_rgb` if not.
+            else picks `cuda_ad_rgb` if a GPU answers to Dr.Jit and to torch, and `llvm_ad_rgb` if not.
 
     Returns:
         The name of the active variant.
@@ -189,7 +189,7 @@ def activate(variant: str | None = None) -> str:
         if mi.variant() in VARIANTS:
             variant = mi.variant()
         else:
-            variant = VARIANTS[0] if dr.has_backend(dr.JitBackend.CUDA) else VARIANTS[1]
+            variant = VARIANTS[0] if dr.has_backend(dr.JitBackend.CUDA) and _torch_has_cuda() else VARIANTS[1]
     if variant.startswith("llvm"):
         check_llvm()
     if variant != mi.variant():
@@ -201,6 +201,12 @@ def activate(variant: str | None = None) -> str:
         mi.set_variant(variant)
     _share_threads(dr)
     return variant
+
+
+def _torch_has_cuda() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
 
 
 def let_idle_threads_sleep() -> None:
@@ -226,11 +232,20 @@ def _share_threads(dr: object) -> None:
 
 
 def torch_device() -> torch.device:
-    """The torch device that shares memory with the active variant, set up for repeatable float32 results."""
+    """The torch device that shares memory with the active variant, set up for repeatable float32 results.
+
+    Raises:
+        InputError: the variant is a GPU one and torch cannot use a GPU.
+    """
     import mitsuba as mi
     import torch
 
     if mi.variant().startswith("cuda"):
+        if not torch.cuda.is_available():
+            raise InputError(
+                f"variant {mi.variant()}: torch {torch.__version__} finds no GPU; install a CUDA build of torch, "
+                "or use llvm_ad_rgb"
+            )
         torch.backends.cudnn.deterministic = True
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.allow_tf32 = False

@@ -150,20 +150,25 @@ class Style(Term):
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Evaluate the network on the picture."""
-        weights = [(net.resolve(layer), weight) for layer, weight in self.layers.items()]
+        weights: dict[str, float] = {}
+        for layer, weight in self.layers.items():
+            # A layer may be named twice, by its name and by an alias.
+            weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
         picture = self.picture.fitted(height, width)
         grams = {}
-        for layer, values in _picture_features(net, picture, [layer for layer, _ in weights]).items():
+        for layer, values in _picture_features(net, picture, list(weights)).items():
             if values.ndim != 4:
                 raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)
             grams[layer] = mean_gram(values)
-        scales = {
-            layer: weight / gram.square().sum().clamp_min(torch.finfo(gram.dtype).tiny)
-            for (layer, weight), gram in zip(weights, grams.values(), strict=True)
-        }
+            if not grams[layer].any():
+                raise InputError(
+                    f"{picture.name}: transparent where it is used (its centre, with the aspect {width}:{height}); "
+                    "use a picture that is opaque there"
+                )
+        scales = {layer: weights[layer] / gram.square().sum() for layer, gram in grams.items()}
 
         def loss(features: Features) -> Tensor:
             distances = [

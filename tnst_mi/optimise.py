@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import gc
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi import losses
+from tnst_mi.backend import torch_device
+from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import Octave, octaves, opaque
+from tnst_mi.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.mask import soft_mask
 from tnst_mi.objective import Objective
 from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport
@@ -37,7 +42,6 @@ class Progress:
     iterations: int
     loss: float
     terms: dict[str, float]
-    frame_index: int = 0
 
 
 @dataclass
@@ -65,6 +69,7 @@ class Stylized:
 
 def objective_of(recipe: Recipe) -> Objective:
     """The sum of the recipe's terms (paper Eq. 2): semantic, tag and content terms, and style terms."""
+    recipe = recipe.updated({"style": recipe.style, "content": recipe.content}, "recipe: ", Path.cwd())
     semantic = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
         *(losses.ClassTag(tag) for tag in recipe.tag),
@@ -82,54 +87,77 @@ def optimise(
     exposure: float | None = None,
     on_iteration: Callable[[Progress], None] | None = None,
     step_scale: float = 1.0,
+    objective: Objective | None = None,
 ) -> Stylized:
     """Stylize one frame.
 
+    Ctrl-C ends the optimisation after the current iteration; a second one at once.
+
     Args:
-        frame: the frame; an empty one comes back unchanged, with a note.
+        frame: the frame; one that is empty or renders black comes back unchanged, with a note.
         recipe: what to stylize towards, and how.
-        network: the GoogLeNet that judges the images; moved to the device of the active variant.
+        network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
         exposure: factor from rendered images to the network's [0, 1]; None takes 1 / max of this frame's main view.
         on_iteration: called after every iteration.
         step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
+        objective: what to minimise, in place of the recipe's terms; for terms that no recipe can name, such as
+            `losses.Match`.
+
+    Raises:
+        InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.
     """
     start = time.perf_counter()
-    if not frame.density.any():
-        empty = np.zeros((*frame.density.shape, 3), np.float32)
-        return Stylized(frame.density.copy(), empty, note=f"{frame.name} is empty: nothing to stylize, left unchanged")
+    brightest = float(render(frame.density, recipe.main_view, recipe.gamma, recipe.quadrature).max())
+    if not brightest > 0:
+        state = f"renders black at gamma {recipe.gamma:g}" if frame.density.any() else "is empty"
+        still = np.zeros((*frame.density.shape, 3), np.float32)
+        return Stylized(frame.density.copy(), still, note=f"{frame.name} {state}: nothing to stylize, left unchanged")
     if exposure is None:
-        exposure = 1 / float(render(frame.density, recipe.main_view, recipe.gamma, recipe.quadrature).max())
+        exposure = 1 / brightest
     if recipe.parameterisation == "density":
         parameters = DensityOffset()
     else:
         parameters = Transport(recipe.lam, recipe.steps)
-    run = _Run(frame, recipe, network, exposure, step_scale, parameters)
+    network = network.to(torch_device())
+    run = _Run(frame, recipe, network, objective or objective_of(recipe), exposure, step_scale, parameters)
     levels = octaves(frame.density.shape, recipe.octaves, recipe.scale_factor)
     result = Stylized(frame.density, frame.density)
-    try:
-        for index, octave in enumerate(levels):
-            begin = time.perf_counter()
-            run.enter(index, octave)
-            for iteration in range(recipe.iterations):
-                since = time.perf_counter()
-                loss, terms = run.iterate(index, iteration)
-                seconds = time.perf_counter() - since
-                entry = {
-                    "octave": index,
-                    "iteration": iteration,
-                    "loss": loss,
-                    "terms": terms,
-                    "seconds": seconds,
-                }
-                result.history.append(entry)
-                if on_iteration is not None:
-                    on_iteration(Progress(index, len(levels), iteration, recipe.iterations, loss, terms))
-            result.timings[f"octave {index}"] = time.perf_counter() - begin
-    except KeyboardInterrupt:
-        result.interrupted = True
+    with deferred_interrupt() as interrupt:
+        try:
+            for index, octave in enumerate(levels):
+                if not interrupt.requested:
+                    begin = time.perf_counter()
+                    run.enter(index, octave)
+                    _iterate(run, index, len(levels), interrupt, result, on_iteration)
+                    result.timings[f"octave {index}"] = time.perf_counter() - begin
+        except KeyboardInterrupt:
+            interrupt.requested = True
+        result.interrupted = interrupt.requested
     run.finish(levels[-1], result)
     result.timings["total"] = time.perf_counter() - start
     return result
+
+
+def _iterate(
+    run: _Run,
+    octave: int,
+    octave_count: int,
+    interrupt: Interrupt,
+    result: Stylized,
+    on_iteration: Callable[[Progress], None] | None,
+) -> None:
+    """The iterations of one octave, recorded in the history of the result."""
+    count = run.recipe.iterations
+    for iteration in range(count):
+        if interrupt.requested:
+            return
+        since = time.perf_counter()
+        loss, terms = run.iterate(octave, iteration)
+        seconds = time.perf_counter() - since
+        entry = {"octave": octave, "iteration": iteration, "loss": loss, "terms": terms, "seconds": seconds}
+        result.history.append(entry)
+        if on_iteration is not None:
+            on_iteration(Progress(octave, octave_count, iteration, count, loss, terms))
 
 
 class _Run:
@@ -140,14 +168,14 @@ class _Run:
         frame: Frame,
         recipe: Recipe,
         network: GoogLeNet,
+        objective: Objective,
         exposure: float,
         step_scale: float,
         parameters: Parameterisation,
     ) -> None:
         self.frame, self.recipe, self.network = frame, recipe, network
         self.exposure, self.eta = exposure, recipe.eta * step_scale
-        self.parameters = parameters
-        self.objective = objective_of(recipe)
+        self.parameters, self.objective = parameters, objective
         self.mask_full = soft_mask(frame.density, frame.obstacle)
 
     def enter(self, index: int, octave: Octave) -> None:
@@ -185,6 +213,11 @@ class _Run:
 
         terms = {name: float(value) for name, value in self.loss.last_terms.items()}
         value = float(loss.array[0])
+        if not math.isfinite(value):
+            raise InputError(
+                f"{self.frame.name}: the loss is {value} in iteration {iteration + 1} of octave {octave + 1}, "
+                f"expected a finite number; try a smaller eta ({recipe.eta:g}) or gamma ({recipe.gamma:g})"
+            )
         # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
         # run, so it is asked to look at the young objects, which costs little.
         del loss, images, seen, density

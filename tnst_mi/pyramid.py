@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from tnst_mi.grid import Divisor, opaque_int
 
-#: Below this root mean square a band counts as empty and is left alone.
+#: Bands are divided by no less than this: an empty one stays empty.
 FLOOR = 1e-10
 
 #: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.

@@ -58,7 +58,7 @@ class Goals:
     tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["volcano"]')] = ()
     """Class that the network shall see in the smoke. Repeatable."""
     content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
-    """Picture whose features the smoke shall match. Repeatable."""
+    """Picture whose features (of inception_4d/output) the smoke shall match. Repeatable."""
     style_weight: Annotated[float, Number(low=0.0)] = 1.0
     """Weight of the style terms, 0 or more."""
     semantic_weight: Annotated[float, Number(low=0.0)] = 1.0
@@ -74,7 +74,7 @@ class Method:
     lam: Annotated[float, Number(0.0, 1.0)] = 1.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 moves smoke apart and together, 0 is free of
     divergence."""
-    gamma: Annotated[float, Number(above=0.0)] = 0.1
+    gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
     """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
     looks."""
     quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
@@ -91,7 +91,7 @@ class Method:
     """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
     elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
     """Range of camera elevations in degrees, + upwards; the main view is its centre."""
-    eta: Annotated[float, Number(above=0.0)] = 0.002
+    eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
     """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
     cells of size h, where the normalised gradient is 1."""
     pyramid_levels: Annotated[int, Integer(0, 16)] = 3

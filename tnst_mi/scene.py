@@ -165,7 +165,7 @@ def render(
     centre of the grid.
 
     Args:
-        density: (D, H, W), ≥ 0; 0 outside the grid.
+        density: (D, H, W), finite and ≥ 0, which is not checked; 0 outside the grid.
         view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
         gamma: γ > 0, extinction per unit of density and full-resolution cell.
         quadrature: "paper" (inclusive sum), "exact" or "transmittance" (= γ · exact).
