@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 from mitsuba.ad.integrators.common import RBIntegrator
 
+from tnst_mi.boundary import crossing, first_surface
 from tnst_mi.grid import RepeatableSum, Trilinear, opaque
 from tnst_mi.medium import GridMedium, Lattice
 from tnst_mi.quadrature import QUADRATURES
@@ -106,7 +107,7 @@ class EmissionAbsorption(RBIntegrator):
         self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
     ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
         step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
-        lattice = Lattice(medium, ray, step, None if medium.fills_box else self._crossing(scene, medium, ray, active))
+        lattice = Lattice(medium, ray, step, None if medium.fills_box else crossing(scene, medium.shape, ray, active))
         through = active & (lattice.exit > lattice.entry) & (lattice.exit > 0)
 
         alone = len(scene.shapes()) == 1
@@ -115,7 +116,7 @@ class EmissionAbsorption(RBIntegrator):
         surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
         surface.wi, surface.t = -ray.d, dr.inf
         if not alone:
-            surface = self._first_surface(scene, medium, ray, active)
+            surface = first_surface(scene, medium.shape, ray, active)
             distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
             if dr.any(through & (distance > dr.maximum(lattice.entry, 0)) & (distance < lattice.exit)):
                 raise RuntimeError(
@@ -126,47 +127,6 @@ class EmissionAbsorption(RBIntegrator):
             lattice.leave_out(hidden)
         background = surface.emitter(scene, active).eval(surface, active) if len(scene.emitters()) > 0 else None
         return lattice, background, through
-
-    def _crossing(
-        self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
-    ) -> tuple[mi.Float, mi.Float]:
-        """Distances at which rays enter (0: they start inside) and leave the convex shape; empty where they miss it."""
-        boundary = mi.ShapePtr(medium.shape)
-
-        def body(here: mi.Ray3f, active: mi.Bool, entry: mi.Float, exit: mi.Float) -> tuple:
-            hit = scene.ray_intersect(here, active)
-            distance = dr.dot(hit.p - ray.o, ray.d)
-            on_boundary = active & hit.is_valid() & (hit.shape == boundary)
-            entering = dr.dot(hit.n, ray.d) < 0
-            entry = dr.select(on_boundary & entering, distance, entry)
-            exit = dr.select(on_boundary & ~entering, distance, exit)
-            # Other surfaces are passed; the caller decides whether they are in the way.
-            return hit.spawn_ray(ray.d), active & hit.is_valid() & ~(on_boundary & ~entering), entry, exit
-
-        n = dr.width(ray)
-        state = (
-            mi.Ray3f(ray),
-            mi.Bool(active) & dr.full(mi.Bool, True, n),
-            dr.zeros(mi.Float, n),
-            dr.full(mi.Float, -dr.inf, n),
-        )
-        _, _, entry, exit = dr.while_loop(state, lambda here, active, *_: active, body, label="medium boundary")
-        return entry, exit
-
-    def _first_surface(
-        self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
-    ) -> mi.SurfaceInteraction3f:
-        """The first surface on the rays that is not the boundary of the medium."""
-        boundary = mi.ShapePtr(medium.shape)
-
-        def body(here: mi.Ray3f, active: mi.Bool, seen: mi.SurfaceInteraction3f) -> tuple:
-            hit = scene.ray_intersect(here, active)
-            passed = active & hit.is_valid() & (hit.shape == boundary)
-            return hit.spawn_ray(ray.d), passed, dr.select(active & ~passed, hit, seen)
-
-        n = dr.width(ray)
-        state = (mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n), dr.zeros(mi.SurfaceInteraction3f, n))
-        return dr.while_loop(state, lambda here, active, *_: active, body, label="first surface")[2]
 
     # --------------------------------------------------------------------
     # The march
