@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -16,10 +16,15 @@ from tnst_mi.recipe import Recipe
 
 SHAPE = (4, 6, 5)
 
+#: Stands for the objective of any recipe.
+OBJECTIVE = SimpleNamespace(bind=lambda network, height, width: None)
+
 
 @dataclass
 class FakeOptimiser:
     """Takes the place of `tnst_mi.optimise.optimise`: d* = 2 d, v* = (3, 4, 0); keeps how it was called."""
+
+    POTENTIAL: ClassVar = (np.zeros(SHAPE, np.float32), None)
 
     calls: list[dict[str, Any]] = field(default_factory=list)
     interrupt_at: str = ""
@@ -33,7 +38,9 @@ class FakeOptimiser:
         exposure: float | None,
         on_iteration: Callable[[Progress], None] | None,
         step_scale: float = 1.0,
+        objective: object = None,
     ) -> Stylized:
+        assert objective is OBJECTIVE
         self.calls.append({"name": frame.name, "recipe": recipe, "exposure": exposure, "step_scale": step_scale})
         if self.failure is not None:
             raise self.failure
@@ -48,6 +55,7 @@ class FakeOptimiser:
         return Stylized(
             2.0 * frame.density,
             velocity,
+            self.POTENTIAL,
             history=history,
             interrupted=frame.name == self.interrupt_at,
             note=None if frame.density.any() else "empty: unchanged",
@@ -65,6 +73,7 @@ def optimiser(monkeypatch: pytest.MonkeyPatch) -> FakeOptimiser:
     """Runs take the fake optimiser and no network."""
     fake = FakeOptimiser()
     monkeypatch.setattr("tnst_mi.optimise.optimise", fake)
+    monkeypatch.setattr("tnst_mi.optimise.objective_of", lambda recipe: OBJECTIVE)
     network = SimpleNamespace(source="none", sha256="0" * 64, flavour="bvlc")
     monkeypatch.setattr("tnst_mi.googlenet.GoogLeNet.load", lambda source=None: network)
     return fake

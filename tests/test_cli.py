@@ -11,10 +11,12 @@ import numpy as np
 import OpenEXR
 import pytest
 from command_line import Run, refused, run, smoke
-from jobs import FakeOptimiser, optimiser
+from jobs import FakeOptimiser, frames, optimiser
 from networks import random_googlenet
 
 from tnst_mi.cli import COMMANDS
+from tnst_mi.errors import InputError
+from tnst_mi.io import save_frames
 from tnst_mi.recipe import KINDS
 
 __all__ = ["optimiser", "run", "smoke"]
@@ -62,7 +64,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("render a --out b --views nan,0", "--views nan,0: expected"),
         ("render a --out b --gamma 0", "--gamma 0: expected a number above 0"),
         ("stylize a --out b --gamma x", "--gamma x: expected a number above 0"),
-        ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers"),
+        ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers LOW,HIGH, in this order, from"),
         ("stylize a --out b --azimuth -10", "--azimuth -10: expected two numbers"),
         ("stylize a --out b --quadrature Paper", '--quadrature Paper: expected one of "paper"'),
         ("stylize a --out b --steps 0", "--steps 0: expected an integer"),
@@ -73,8 +75,8 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --tag x --integrator prbvolpath", "comes with a later version"),
         ("stylize a --out b --tag x --resume --overwrite", "expected only one of them"),
         ("stylize nowhere.npz --out b --tag x", "nowhere.npz: no such file"),
-        ("stylize nowhere --out b --tag x", "nowhere: unknown format ''"),
-        ("stylize a.vdb --out b --tag x", "a.vdb: unknown format '.vdb', expected one of .npz"),
+        ("stylize nowhere --out b --tag x", "nowhere: no such file or folder"),
+        ("stylize nowhere.vdb --out b --tag x", "nowhere.vdb: no such file or folder"),
         ("info nowhere.npz", "nowhere.npz: no such file"),
         ("render nowhere.npz --out b", "nowhere.npz: no such file"),
     ],
@@ -135,14 +137,62 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    assert (ran.code, ran.errors[1:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    assert ran.errors[0] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[0].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[1].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and len(ran.errors) == 1
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_wrapped_failures_tell_their_cause(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    def wrapped(cause: Exception) -> RuntimeError:
+        outer = RuntimeError("outer")
+        outer.__cause__ = RuntimeError("middle")
+        outer.__cause__.__cause__ = cause
+        return outer
+
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano")
+    optimiser.failure = wrapped(OSError("the disk"))
+    ran = run(*arguments)
+    told = "tnst-mi: RuntimeError: outer, caused by OSError: the disk (--debug shows where)"
+    assert (ran.code, ran.errors[-1]) == (1, told)
+    optimiser.failure = wrapped(InputError("the picture"))
+    ran = run(*arguments)
+    assert (ran.code, ran.errors[-1]) == (2, "tnst-mi: the picture")
+
+
+def test_a_reader_that_leaves_early_is_no_failure(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", density=np.ones((2, 2, 2)))
+    program = "import sys; from tnst_mi.cli import main; sys.stdin.read(); sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "info", str(tmp_path / "a.npz")]
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **streams) as process:
+        process.stdout.close()
+        process.stdin.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
+
+
+def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tnst_mi.io.sequence._read_frame", interrupt)
+    for arguments in (("info", smoke), ("render", smoke, "--out", tmp_path / "out")):
+        ran = run(*arguments)
+        assert (ran.code, ran.errors) == (3, ["tnst-mi: interrupted"])
+
+
+def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    save_frames(tmp_path / "smoke", frames(1e30, 0.3, 0.0))
+    ran = run("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--tag", "volcano", "--gamma", "0.5")
+    assert ran.code == 0, ran.errors
+    warnings = [line for line in ran.errors if line.startswith("warning")]
+    assert warnings == ["warning: f_07 renders black at gamma 0.5 in the main view"]
 
 
 def test_demo_replaces_an_earlier_demo_only(
@@ -156,7 +206,10 @@ def test_demo_replaces_an_earlier_demo_only(
     assert "picture   tnst_mi-demo/images/frame_0010_comparison.png" in ran.out
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "file").touch()
-    refused(run, tmp_path, ["demo", "--out", "mine"], "mine: is not empty")
+    refused(run, tmp_path, ["demo", "--out", "mine"], "mine: is not empty; give an empty or new folder")
+    save_frames(tmp_path / "smoke", frames(0.3))
+    assert run("stylize", "smoke", "--out", "other", "--tag", "volcano").code == 0
+    refused(run, tmp_path, ["demo", "--out", "other"], "other: holds a run that is no demo")
 
 
 # --- The other commands -----------------------------------------------------------------------------------
@@ -193,6 +246,13 @@ def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
     assert "array 'velocity': float64, shape (2, 2, 2, 3)" in ran.out
     assert "density: 0 to 1.5, mass 2, 75.0% of cells empty" in ran.out
     assert "velocity: at most 5 cells per frame" in ran.out
+    np.savez(tmp_path / "v.npz", velocity=np.full((2, 2, 2, 3), [0.0, 3.0, 4.0], np.float32))
+    ran = run("info", tmp_path / "v.npz")
+    assert (ran.code, ran.errors) == (0, [])
+    assert ran.out.splitlines()[1:] == [
+        "  array 'velocity': float32, shape (2, 2, 2, 3)",
+        "  velocity: at most 5 cells per frame",
+    ]
 
 
 def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,9 +52,44 @@ def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path: Path) -> None:
     loaded = load_frames(tmp_path / "sequence")
     assert [frame.number for frame in loaded] == [8, 9, 10]
     np.testing.assert_array_equal(loaded[2].density, frames[1].density)
-    assert [frame.number for frame in open_frames(tmp_path / "sequence").numbered(9, 10)] == [9, 10]
+    assert [frame.number for frame in open_frames(tmp_path / "sequence", (9, 10))] == [9, 10]
     with pytest.raises(InputError, match="8 to 10"):
-        open_frames(tmp_path / "sequence").numbered(9, 11)
+        open_frames(tmp_path / "sequence", (9, 11))
+
+
+def test_only_the_selected_frames_must_be_without_gaps(tmp_path: Path) -> None:
+    save_frames(tmp_path, [random_frame(i, f"f_{i}", i) for i in (1, 4, 5, 9)])
+    assert [frame.number for frame in open_frames(tmp_path, (4, 5))] == [4, 5]
+    with pytest.raises(InputError, match="missing between 1 and 5: 2, 3"):
+        open_frames(tmp_path, (1, 5))
+    with pytest.raises(InputError, match="missing between 1 and 9"):
+        open_frames(tmp_path)
+
+
+def test_a_file_without_a_number_cannot_be_selected(tmp_path: Path) -> None:
+    save_frames(tmp_path / "smoke.npz", random_frame())
+    for path in (tmp_path / "smoke.npz", tmp_path):
+        with pytest.raises(InputError, match=r"frames = '3:4': the name of .*smoke.npz does not end in a frame number"):
+            open_frames(path, (3, 4))
+    save_frames(tmp_path / "f_3.npz", random_frame())
+    assert len(open_frames(tmp_path / "f_3.npz", (3, 3))) == 1
+    with pytest.raises(InputError, match="frames = '3:4': the input has the frame 3"):
+        open_frames(tmp_path / "f_3.npz", (3, 4))
+
+
+def test_a_folder_may_have_a_dot_in_its_name(tmp_path: Path) -> None:
+    save_frames(tmp_path / "run.v2", [random_frame()])
+    assert (tmp_path / "run.v2" / "frame_0007.npz").is_file()
+    (tmp_path / "run.v3").mkdir()
+    save_frames(tmp_path / "run.v3", random_frame())
+    assert (tmp_path / "run.v3" / "frame_0007.npz").is_file()
+
+
+def test_only_frames_are_saved(tmp_path: Path) -> None:
+    for values in (np.ones(SHAPE), [np.ones(SHAPE)], 5):
+        with pytest.raises(InputError, match="expected one or more frames"):
+            save_frames(tmp_path / "a.npz", values)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_velocity_of_a_mac_grid_is_averaged_per_axis() -> None:
@@ -212,12 +247,16 @@ def test_frames_of_a_sequence_have_one_shape(tmp_path: Path) -> None:
 
 
 def test_unknown_formats_name_the_known_ones(tmp_path: Path) -> None:
-    for action in (load_frames, lambda p: save_frames(p, random_frame())):
-        with pytest.raises(InputError, match=r"unknown format '.vdb', expected one of .npz"):
-            action(tmp_path / "a.vdb")
+    with pytest.raises(InputError, match=r"a.vdb: no such file or folder"):
+        load_frames(tmp_path / "a.vdb")
+    with pytest.raises(InputError, match=r"unknown format '.vdb', expected one of .npz"):
+        save_frames(tmp_path / "a.vdb", random_frame())
     with pytest.raises(InputError, match="holds one frame and there are 2"):
         save_frames(tmp_path / "a.npz", [random_frame(), random_frame()])
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a.vdb").touch()
+    with pytest.raises(InputError, match=r"unknown format '.vdb', expected one of .npz"):
+        load_frames(tmp_path / "a.vdb")
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:

@@ -13,10 +13,11 @@ from PIL import Image
 
 import tnst_mi
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.npz import read_headers
 from tnst_mi.job import Job
-from tnst_mi.outputs import require_writable
+from tnst_mi.outputs import RunFolder, require_writable
 from tnst_mi.recipe import Recipe
 
 __all__ = ["optimiser"]
@@ -72,6 +73,12 @@ def test_everything_that_frames_can_be(optimiser: FakeOptimiser, tmp_path: Path)
         tnst_mi.stylize([frame.density], RECIPE, progress=False)
     with pytest.raises(InputError, match="'f_07' is there more than once"):
         tnst_mi.stylize([frame, frame], RECIPE, progress=False)
+    with pytest.raises(InputError, match="recipe: is a int, expected a recipe"):
+        tnst_mi.stylize(frame, 5, progress=False)
+    with pytest.raises(InputError, match="expected a path, a density grid, or frames"):
+        tnst_mi.stylize(5, RECIPE, progress=False)
+    with pytest.raises(InputError, match=r"'\.\./f' cannot name files"):
+        tnst_mi.stylize(Frame(frame.density, name="../f"), RECIPE, progress=False)
     with pytest.raises(InputError, match="nothing to stylize towards"):
         tnst_mi.stylize(frame, {}, progress=False)
 
@@ -167,6 +174,10 @@ def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) 
         resume(recipe=Recipe(style=("spirals",), gamma=0.5, octaves=2, iterations=3))
     with pytest.raises(InputError, match="stylized another f_08"):
         resume((0.2, 0.5))
+    run = json.loads(before["run.json"])
+    (out / "run.json").write_text(json.dumps(run | {"frames": run["frames"][:1]}))
+    with pytest.raises(InputError, match=r"its run had exposure .*: the frames have changed; resume with the same"):
+        resume((0.2, 0.5))
     with pytest.raises(InputError, match="only one of them"):
         Job(frames(0.2), RECIPE, out, resume=True, overwrite=True)
     (out / "run.json").write_text('{"frames": [{}]}')
@@ -182,14 +193,59 @@ def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) 
 def test_overwriting_removes_the_earlier_run_and_nothing_else(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
-    (out / "notes.txt").write_text("mine")
+    mine = [out / "notes.txt", out / "images" / "photo.jpg", out / "images" / "f_08_notes.png", out / "density/my.npz"]
+    for path in mine:
+        path.write_text("mine")
     for _ in Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run():
         pass
-    assert (out / "notes.txt").read_text() == "mine"
-    assert not any("f_08" in name for name in files_of(out))
+    assert all(path.read_text() == "mine" for path in mine)
+    assert [name for name in files_of(out) if "f_08" in name] == ["images/f_08_notes.png"]
     assert [frame["mass_before"] for frame in json.loads((out / "run.json").read_text())["frames"]] == [
         pytest.approx(0.3 * np.prod(SHAPE), rel=1e-6)
     ]
+
+
+def test_only_a_run_is_overwritten(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def overwrite() -> None:
+        list(Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run())
+
+    (out / "images").mkdir(parents=True)
+    (out / "images" / "photo.jpg").touch()
+    with pytest.raises(InputError, match="holds no run that could be overwritten"):
+        overwrite()
+    (out / "run.json").write_text('{"frames": []}')
+    with pytest.raises(InputError, match="holds no run that could be overwritten"):
+        overwrite()
+    (out / "recipe.toml").touch()
+    (tmp_path / "victim.npz").touch()
+    for name, message in ((r"../../victim", "expected a plain file name"), ("", "plain file name"), (7, "plain")):
+        (out / "run.json").write_text(json.dumps({"frames": [{"name": name}]}))
+        with pytest.raises(InputError, match=message):
+            overwrite()
+    for content in ("[]", "{", '{"frames": [1]}', '{"frames": 1}'):
+        (out / "run.json").write_text(content)
+        with pytest.raises(InputError, match="damaged, so it does not tell what to overwrite"):
+            overwrite()
+    assert files_of(tmp_path) == {"victim.npz", "out/run.json", "out/recipe.toml", "out/images/photo.jpg"}
+    (out / "run.json").write_text('{"frames": []}')
+    overwrite()
+    assert {"images/photo.jpg", "density/f_07.npz"} <= files_of(out)
+
+
+def test_folders_that_overwriting_leaves_empty_are_removed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2), RECIPE, out, progress=False)
+    RunFolder(out, RECIPE, overwrite=True)
+    assert [path.name for path in out.iterdir()] == ["recipe.toml"]
+
+
+def test_potentials_are_not_kept_once_the_results_are_written(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    job = Job(frames(0.2), RECIPE, tmp_path / "out", progress=False)
+    assert [frame.stylized.potential for frame in job.run()] == [(None, None)]
+    job = Job(frames(0.2), RECIPE, progress=False)
+    assert [frame.stylized.potential is optimiser.POTENTIAL for frame in job.run()] == [True]
 
 
 def test_a_failing_run_leaves_the_earlier_one(optimiser: FakeOptimiser, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import difflib
 import io
+import os
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
@@ -47,16 +48,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # for consoles without λ and →
     arguments = list(arguments)
     try:
-        return _parsed(arguments).run()
+        code = _parsed(arguments).run()
+        sys.stdout.flush()
+        return code
     except SystemExit as stop:  # after --help
         return int(stop.code or 0)
     except KeyboardInterrupt:
-        return _failed(arguments, "interrupted; frames finished before are kept, --resume continues", 3)
-    except InputError as error:
-        return _failed(arguments, str(error), 2)
+        kept = "; frames finished before are kept, --resume continues" if arguments[:1] == ["stylize"] else ""
+        return _failed(arguments, f"interrupted{kept}", 3)
+    except BrokenPipeError:  # such as `tnst-mi info ... | head`
+        # Python flushes stdout once more when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except Exception as error:
+        bad_input = next((link for link in _chain(error) if isinstance(link, InputError)), None)
+        if bad_input is not None:
+            return _failed(arguments, str(bad_input), 2)
+        cause = error
+        while cause.__cause__ is not None:
+            cause = cause.__cause__
+        because = "" if cause is error else f", caused by {type(cause).__name__}: {cause}"
         hint = "" if "--debug" in arguments else " (--debug shows where)"
-        return _failed(arguments, f"{type(error).__name__}: {error}{hint}", 1)
+        return _failed(arguments, f"{type(error).__name__}: {error}{because}{hint}", 1)
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """An exception and those that led to it: libraries wrap what their callbacks raise."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def _failed(arguments: list[str], message: str, code: int) -> int:

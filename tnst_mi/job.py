@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +15,9 @@ from tnst_mi import environment
 from tnst_mi.backend import activate
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.sequence import FrameFiles, checked_shapes, open_frames
-from tnst_mi.outputs import RunFolder, finished_frames, require_writable
+from tnst_mi.io.sequence import open_frames
+from tnst_mi.measure import exposure_of, main_view, measured, require_same_input
+from tnst_mi.outputs import RunFolder, frame_names, holds_run, require_writable, resumable_run
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
 
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 #: What can be stylized: a file or folder, one frame, several, or a density grid (D, H, W).
 Frames = str | Path | Frame | Sequence[Frame] | np.ndarray
+
+#: Height that the objective is tried at, with the aspect of the frames, by which pictures are cropped.
+_TRIAL_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def stylize(
 ) -> Result:
     """Stylize one frame or a sequence.
 
-    Interrupting it with Ctrl-C ends it after the best state so far has been taken (and written).
+    Interrupting it with Ctrl-C ends it after the last state has been taken (and written).
 
     Args:
         frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
@@ -73,6 +76,8 @@ def stylize(
         recipe = Recipe.from_toml(recipe)
     elif isinstance(recipe, Mapping):
         recipe = Recipe.from_dict(recipe)
+    elif not isinstance(recipe, Recipe):
+        raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
     job = Job(frames, recipe, out, progress=progress)
     done = list(job.run())
     return Result(
@@ -128,16 +133,24 @@ class Job:
         self.out = None if out is None else Path(out)
         if self.out is not None:
             source = Path(frames) if isinstance(frames, str | Path) else None
-            require_writable(self.out, source, occupied_ok=resume or overwrite)
+            require_writable(self.out, source, None if resume or overwrite else _remedy(self.out))
+            if overwrite:
+                frame_names(self.out)  # refuses what is no run
         self.frames = _sequence_of(frames, recipe)
+        # Reading the first frame finds most bad inputs before the network is loaded, or even downloaded.
+        _, rows, columns = self.frames[0].density.shape
         self._bar = ProgressBar(progress)
         self._overwrite = overwrite
 
         variant = activate(recipe.variant)
-        self._measure_frames()
         from tnst_mi.googlenet import GoogLeNet
+        from tnst_mi.optimise import objective_of
 
+        # Layers, tags and pictures are checked before the frames, all of which may be empty and need none of them.
         self._network = GoogLeNet.load(recipe.weights)
+        self._objective = objective_of(recipe)
+        self._objective.bind(self._network, _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows)))
+        self._measures = measured(self.frames, recipe)
         self.record = {
             "status": "running",
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -154,8 +167,10 @@ class Job:
             "frames": [],
         }
         if resume and self.out is not None:
-            self.record["frames"] = finished_frames(self.out, recipe, self.record["weights"])
-            self._require_same_input()
+            earlier = resumable_run(self.out, recipe, self.record["weights"])
+            if earlier is not None:
+                require_same_input(self._measures, earlier, self.out)
+                self.record["frames"] = earlier["frames"]
 
     def run(self) -> Iterator[StylizedFrame]:
         """Stylize the frames one after the other, write each and give it; stops early when interrupted."""
@@ -165,6 +180,8 @@ class Job:
         self.record["status"] = "running" if left else "done"
         self._bar.frames = len(left)
         folder = None
+        if left:
+            self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
         try:
             for index in left:
                 frame = self._stylize_frame(index)
@@ -186,8 +203,7 @@ class Job:
     @property
     def exposure(self) -> float:
         """1 / the largest pixel of the unstylized main views; 1 where all of them are black."""
-        brightest = max(measure.brightest for measure in self._measures)
-        return 1.0 / brightest if brightest > 0.0 else 1.0
+        return exposure_of(self._measures)
 
     def _stylize_frame(self, index: int) -> StylizedFrame:
         # Looked up late: importing it loads torch.
@@ -197,7 +213,17 @@ class Job:
         largest = max(measure.pixel_sum for measure in self._measures)
         step_scale = measure.pixel_sum / largest if largest > 0.0 else 1.0
         self._bar.frame = frame.name
-        stylized = optimise(frame, self.recipe, self._network, self.exposure, self._bar.advance, step_scale=step_scale)
+        if measure.brightest == 0.0 and frame.density.any():
+            self._bar.say(f"warning: {frame.name} renders black at gamma {self.recipe.gamma:g} in the main view")
+        stylized = optimise(
+            frame,
+            self.recipe,
+            self._network,
+            self.exposure,
+            self._bar.advance,
+            step_scale=step_scale,
+            objective=self._objective,
+        )
         blend = self.recipe.blend
         density = np.float32((1.0 - blend) * frame.density + blend * stylized.density)
         record = {
@@ -217,7 +243,8 @@ class Job:
 
     def _write(self, folder: RunFolder, frame: StylizedFrame) -> None:
         name = frame.source.name
-        before, after = (self.exposure * self._main_view(density) for density in (frame.source.density, frame.density))
+        pair = (frame.source.density, frame.density)
+        before, after = (self.exposure * main_view(density, self.recipe) for density in pair)
         attributes = {
             "view": self.recipe.main_view,
             "gamma": self.recipe.gamma,
@@ -228,42 +255,8 @@ class Job:
         folder.write_images(name, before, after, attributes)
         folder.write_history(name, frame.stylized.history)
         folder.write_run(self.record)
-
-    def _main_view(self, density: np.ndarray) -> np.ndarray:
-        from tnst_mi.scene import render
-
-        return np.asarray(render(density, self.recipe.main_view, self.recipe.gamma, self.recipe.quadrature))
-
-    def _measure_frames(self) -> None:
-        """Read every frame once, so that bad ones are found before any work, and measure its main view."""
-        self._measures = []
-        for frame in checked_shapes(self.frames):
-            image = self._main_view(frame.density)
-            digest = hashlib.sha256(frame.density.tobytes()).hexdigest()
-            self._measures.append(_Measure(frame.name, float(image.max()), float(image.sum()), digest))
-        names = [measure.name for measure in self._measures]
-        double = next((name for name in names if names.count(name) > 1), None)
-        if double is not None:
-            raise InputError(f"frames: the name {double!r} is there more than once, expected one name per frame")
-
-    def _require_same_input(self) -> None:
-        digests = {measure.name: measure.sha256 for measure in self._measures}
-        for record in self.record["frames"]:
-            if digests.get(record["name"]) != record.get("input_sha256"):
-                raise InputError(
-                    f"{self.out}: its run stylized another {record['name']} than the input has now; "
-                    "resume with the same input, or use --overwrite"
-                )
-
-
-@dataclass(frozen=True)
-class _Measure:
-    """What is known of a frame before it is stylized."""
-
-    name: str
-    brightest: float
-    pixel_sum: float
-    sha256: str
+        # Whole runs keep every frame; the largest arrays are not part of the result.
+        frame.stylized.potential = (None, None)
 
 
 def _require_supported(recipe: Recipe) -> None:
@@ -275,21 +268,26 @@ def _require_supported(recipe: Recipe) -> None:
         raise InputError("integrator = 'prbvolpath': comes with a later version, expected 'emission_absorption'")
 
 
+def _remedy(out: Path) -> str:
+    if holds_run(out):
+        return "continue its run with --resume, or replace it with --overwrite"
+    return "give an empty or new folder"
+
+
 def _path_keys(recipe: Recipe) -> dict[str, Any]:
     return {key: getattr(recipe, key) for key in ("style", "content", "weights")}
 
 
 def _sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
     if isinstance(frames, str | Path):
-        files: FrameFiles = open_frames(frames)
-        return files if recipe.frame_range is None else files.numbered(*recipe.frame_range)
+        return open_frames(frames, recipe.frame_range)
     if recipe.frames is not None:
         raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
     if isinstance(frames, np.ndarray):
         return [Frame(frames)]
     if isinstance(frames, Frame):
         return [frames]
-    if not frames or not all(isinstance(frame, Frame) for frame in frames):
+    if not isinstance(frames, Sequence) or not frames or not all(isinstance(frame, Frame) for frame in frames):
         raise InputError("frames: expected a path, a density grid, or frames (tnst_mi.Frame)")
     return frames
 

@@ -10,9 +10,10 @@ Every file appears whole or not at all; a frame counts as finished once run.json
 
 from __future__ import annotations
 
+import contextlib
 import json
-import shutil
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,18 @@ from tnst_mi.io.npz import write_arrays
 from tnst_mi.io.png import write_png
 from tnst_mi.recipe import KINDS, Recipe
 
-#: Everything that a run writes into its folder, and all that overwriting removes from it.
-RESULTS = ("density", "velocity", "images", "recipe.toml", "run.json", "metrics.jsonl")
+#: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
+_FRAME_FILES = (
+    "density/{}.npz",
+    "velocity/{}.npz",
+    *(f"images/{{}}_{state}.{format}" for state in ("before", "after") for format in ("png", "exr")),
+    "images/{}_comparison.png",
+    "images/{}_loss.png",
+)
+_RUN_FILES = ("metrics.jsonl", "recipe.toml", "run.json")
+
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+_ELSEWHERE = "give another folder"
 
 #: White columns between the two pictures of a comparison.
 _GAP = 2
@@ -36,13 +47,13 @@ _GAP = 2
 _COMPARISON_HEIGHT = 400
 
 
-def require_writable(out: Path, source: Path | None = None, occupied_ok: bool = False) -> None:
+def require_writable(out: Path, source: Path | None = None, remedy: str | None = "give an empty or new one") -> None:
     """Check, before any work is done, that results can go to a folder.
 
     Args:
         out: the folder; it need not exist.
         source: where the input is; it must not lie inside `out`.
-        occupied_ok: the folder may have files in it.
+        remedy: what to do about a folder with files in it; None where it may have some.
 
     Raises:
         InputError: `out` is a file, cannot be written to, is not empty, or contains the input.
@@ -58,26 +69,58 @@ def require_writable(out: Path, source: Path | None = None, occupied_ok: bool = 
         occupied = out.exists() and any(out.iterdir())
     except OSError as error:
         raise InputError(f"{out}: cannot be written to ({error.strerror}); give another folder") from None
-    if occupied and not occupied_ok:
-        raise InputError(f"{out}: is not empty; continue its run with --resume, or replace it with --overwrite")
+    if occupied and remedy is not None:
+        raise InputError(f"{out}: is not empty; {remedy}")
 
 
-def finished_frames(out: Path, recipe: Recipe, weights: dict[str, Any]) -> list[dict[str, Any]]:
-    """The records of the frames that a run to be resumed has finished; empty where it has not begun.
+def holds_run(out: Path) -> bool:
+    """Whether a folder has the two files that every run writes."""
+    return all((out / name).is_file() for name in ("run.json", "recipe.toml"))
+
+
+def frame_names(out: Path) -> list[str]:
+    """The names of the frames of the run in a folder; none where the folder is empty or new.
+
+    Raises:
+        InputError: the folder holds something else than a run, or its run.json is damaged.
+    """
+    if not _occupied(out):
+        return []
+    if not holds_run(out):
+        raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
+    try:
+        names = [frame["name"] for frame in json.loads((out / "run.json").read_text("utf-8"))["frames"]]
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {_ELSEWHERE}") from None
+    for name in names:
+        # Whoever wrote the file must not make us remove anything outside the folder.
+        if not isinstance(name, str) or not is_file_name(name):
+            raise InputError(f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}")
+    return names
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a frame's name stays inside the folders of the results."""
+    return bool(name) and not any(character in name for character in "/\\\0")
+
+
+def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[str, Any] | None:
+    """The record of the run to be resumed, with the frames that it has finished; None where it has not begun.
 
     Raises:
         InputError: the folder holds something else, or a run with another recipe or other weights.
     """
-    if not out.exists() or not any(out.iterdir()):
-        return []
-    if not (out / "run.json").is_file() or not (out / "recipe.toml").is_file():
+    if not _occupied(out):
+        return None
+    if not holds_run(out):
         raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
-        frames = [frame for frame in run["frames"] if frame["complete"]]
+        run["frames"] = [frame for frame in run["frames"] if frame["complete"] and frame["name"]]
+        run["exposure"] = float(run["exposure"])
         earlier_weights = run["weights"]["sha256"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; use --overwrite") from None
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
     earlier = Recipe.from_toml(out / "recipe.toml")
     for key in KINDS:
         before, now = getattr(earlier, key), getattr(recipe, key)
@@ -88,7 +131,7 @@ def finished_frames(out: Path, recipe: Recipe, weights: dict[str, Any]) -> list[
             )
     if earlier_weights != weights["sha256"]:
         raise InputError(f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones")
-    return frames
+    return run
 
 
 class RunFolder:
@@ -98,7 +141,7 @@ class RunFolder:
         """Make the folder ready, removing the results of an earlier run if they are to be overwritten."""
         self.out = out
         if overwrite:
-            _remove_results(out)
+            _remove_results(out, frame_names(out))
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
 
@@ -153,10 +196,21 @@ def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
         FigureCanvasAgg(figure).print_png(str(temporary))
 
 
-def _remove_results(out: Path) -> None:
-    for name in RESULTS:
-        path = out / name
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+def _occupied(out: Path) -> bool:
+    return out.exists() and any(out.iterdir())
+
+
+def _remove_results(out: Path, names: Iterable[str]) -> None:
+    """Remove the files of the named frames and of their run, then the folders that this leaves empty."""
+    for path in _result_files(out, names):
+        # A linked folder is not ours, whatever its files are called.
+        if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
+            path.unlink()
+    for folder in ("density", "velocity", "images"):
+        with contextlib.suppress(OSError):  # not empty, or not there
+            (out / folder).rmdir()
+
+
+def _result_files(out: Path, names: Iterable[str]) -> Iterator[Path]:
+    yield from (out / pattern.format(name) for name in names for pattern in _FRAME_FILES)
+    yield from (out / name for name in _RUN_FILES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
@@ -31,6 +32,11 @@ class ProgressBar:
             refresh=False,
         )
         self._bar.update()
+
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        if self._shown:
+            tqdm.write(line, file=sys.stderr)
 
     def close(self) -> None:
         """End the line."""

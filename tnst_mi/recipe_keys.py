@@ -189,7 +189,7 @@ class Range:
     @property
     def expected(self) -> str:
         """The allowed values in words."""
-        return f"two numbers, low and high, from {self.low:g} to {self.high:g}"
+        return f"two numbers {self.placeholder}, in this order, from {self.low:g} to {self.high:g}"
 
     def check(self, value: Any) -> tuple[float, float]:
         """Accept two ordered numbers inside the bounds."""
@@ -242,10 +242,14 @@ class LayerWeights:
 
 def _range_in_words(low: float | None, high: float | None, above: float | None) -> str:
     if above is not None:
-        return f" above {above:g}" + ("" if high is None else f", at most {high:g}")
+        return f" above {_exactly(above)}" + ("" if high is None else f", at most {_exactly(high)}")
     if low is not None and high is not None:
-        return f" from {low:g} to {high:g}"
-    return "" if low is None else f" of {low:g} or more"
+        return f" from {_exactly(low)} to {_exactly(high)}"
+    return "" if low is None else f" of {_exactly(low)} or more"
+
+
+def _exactly(bound: float) -> str:
+    return str(bound) if isinstance(bound, int) else f"{bound:g}"
 
 
 def _require_inside(value: float, low: float | None, high: float | None, above: float | None) -> None:

@@ -1,4 +1,5 @@
 """The commands of `tnst-mi`: one dataclass each, its fields the arguments and flags, its `run` the work.
 
-These modules are imported to print --help, so they import Mitsuba and torch only inside `run`.
+These modules are imported to print --help, so they import torch, and what needs an active variant, only inside
+`run`.
 """

@@ -20,11 +20,16 @@ class Demo(Command):
     def run(self) -> int:
         """Stylize the scene suzanne and say where the pictures are."""
         from tnst_mi.commands.stylize import run_job
+        from tnst_mi.io import open_frames
         from tnst_mi.job import Job
+        from tnst_mi.outputs import frame_names, holds_run
 
         scene = scene_folder("suzanne")
         recipe = Recipe.from_toml(scene / "recipe.toml")
-        code = run_job(Job(scene, recipe, self.out, overwrite=(self.out / "run.json").is_file()))
+        earlier = holds_run(self.out)
+        if earlier and set(frame_names(self.out)) != {file.stem for file in open_frames(scene).files}:
+            raise InputError(f"{self.out}: holds a run that is no demo; give another folder")
+        code = run_job(Job(scene, recipe, self.out, overwrite=earlier))
         for picture in sorted((self.out / "images").glob("*.png")):
             print(f"picture   {picture}")
         return code

@@ -4,48 +4,65 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from tnst_mi.commands.base import Command
 from tnst_mi.errors import InputError
 
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tnst_mi.frame import Frame
+
 
 @dataclass(kw_only=True)
 class Info(Command):
-    """Describe files or folders of frames: arrays, shapes, ranges, mass, empty cells, largest velocity."""
+    """Describe files or folders of frames: arrays, shapes, ranges, mass, empty cells, largest velocity.
+
+    Of a file without a density, such as the velocities of a run, what is there is described.
+    """
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…")]
     """Files or folders."""
 
     def run(self) -> int:
-        """Print a paragraph for every frame."""
+        """Print a paragraph for every file."""
         from tnst_mi.io import open_frames
+        from tnst_mi.io.npz import read_arrays, read_headers
 
         if not self.files:
             raise InputError("info: expected one or more files or folders")
         for path in self.files:
             frames = open_frames(path)
-            for file, frame in zip(frames.files, frames, strict=True):
-                print(describe(file, frame))
+            for index, file in enumerate(frames.files):
+                headers = read_headers(file)
+                lines = [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers.items()]
+                if "density" in headers or "x" in headers:
+                    lines += describe_frame(frames[index])
+                elif "velocity" in headers:
+                    lines += describe_velocity(read_arrays(file, ("velocity",))["velocity"])
+                print("\n".join([str(file), *lines]))
         return 0
 
 
-def describe(file: Path, frame: object) -> str:
-    """A paragraph on one frame."""
+def describe_frame(frame: Frame) -> list[str]:
+    """What the arrays of a frame hold, a line each."""
+    density = frame.density
+    empty = 100.0 * float((density == 0.0).mean())
+    lines = [f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty"]
+    if frame.velocity is not None:
+        lines += describe_velocity(frame.velocity)
+    if frame.obstacle is not None:
+        lines.append(f"  obstacle: {int(frame.obstacle.sum())} cells")
+    return lines
+
+
+def describe_velocity(velocity: np.ndarray) -> list[str]:
+    """The largest velocity of a grid (D, H, W, 3); nothing for arrays of another shape."""
     import numpy as np
 
-    from tnst_mi.io.npz import read_headers
-
-    density, velocity, obstacle = frame.density, frame.velocity, frame.obstacle
-    lines = [str(file)]
-    for name, header in read_headers(file).items():
-        lines.append(f"  array {name!r}: {header.dtype}, shape {header.shape}")
-    empty = 100.0 * float((density == 0.0).mean())
-    lines.append(f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty")
-    if velocity is not None:
-        lines.append(f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame")
-    if obstacle is not None:
-        lines.append(f"  obstacle: {int(obstacle.sum())} cells")
-    return "\n".join(lines)
+    if velocity.ndim != 4 or velocity.shape[-1] != 3 or velocity.size == 0:
+        return []
+    return [f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"]

@@ -46,7 +46,8 @@ class Render(Command):
 
         recipe = Recipe().updated_by_flags(given(self.renderer))
         views = [_view(text) for text in self.views]
-        require_writable(self.out, occupied_ok=self.overwrite)
+        remedy = None if self.overwrite else "give another folder, or write into this one with --overwrite"
+        require_writable(self.out, remedy=remedy)
         frames = open_frames(self.input)
         activate(recipe.variant)
         from tnst_mi.scene import render

@@ -48,20 +48,16 @@ class FrameFiles(Sequence[Frame]):
             return FrameFiles(self.files[index], self._velocities)
         return _read_frame(self.files[index], self._velocities)
 
-    def numbered(self, first: int, last: int) -> FrameFiles:
-        """Select the frames with numbers from `first` to `last`, both included."""
-        chosen = [file for file in self.files if first <= (_number(file) or 0) <= last]
-        if not chosen or _number(chosen[0]) != first or _number(chosen[-1]) != last:
-            have = [_number(file) for file in self.files]
-            raise InputError(f"frames = '{first}:{last}': the input has the frames {have[0]} to {have[-1]}")
-        return FrameFiles(chosen, self._velocities)
 
-
-def open_frames(path: str | Path) -> FrameFiles:
+def open_frames(path: str | Path, numbers: tuple[int, int] | None = None) -> FrameFiles:
     """List the frames of a file, a folder or the authors' layout (a folder with `d`) without reading them.
 
     The frames of a folder are the files whose names end in a number, in the order of the numbers; other files
     are left alone. A folder with one file needs no number.
+
+    Args:
+        path: the file or folder.
+        numbers: the first and the last frame to take, both included; None takes all.
 
     Raises:
         InputError: nothing is there, the format is unknown, or numbers are missing or double.
@@ -69,11 +65,12 @@ def open_frames(path: str | Path) -> FrameFiles:
     path = Path(path)
     if path.is_dir():
         authors = (path / "d").is_dir()
-        return FrameFiles(_numbered_files(path / "d" if authors else path), path / "v" if authors else None)
-    _require_format(path)
+        files = _numbered_files(path / "d" if authors else path, numbers)
+        return FrameFiles(files, path / "v" if authors else None)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    return FrameFiles([path])
+    _require_format(path)
+    return FrameFiles(_selected([path], numbers))
 
 
 def load_frames(path: str | Path) -> list[Frame]:
@@ -98,14 +95,20 @@ def checked_shapes(frames: Iterable[Frame]) -> Iterable[Frame]:
 
 
 def save_frames(path: str | Path, frames: Frame | Sequence[Frame]) -> None:
-    """Write one frame to a file, or any number to a folder (a path without extension) by their names.
+    """Write one frame to a file, or any number to a folder by their names.
+
+    The path is that of a file if it ends like one (.npz) and is no folder. One frame by itself also takes any
+    other extension for that of a file, and refuses it as unknown.
 
     Raises:
-        InputError: the format is unknown, or several frames are to go into one file.
+        InputError: the format is unknown, several frames are to go into one file, or they are no frames.
     """
     path = Path(path)
-    frames = [frames] if isinstance(frames, Frame) else frames
-    if not path.suffix:
+    several = not isinstance(frames, Frame)
+    frames = frames if several else [frames]
+    if not isinstance(frames, Sequence) or not all(isinstance(frame, Frame) for frame in frames):
+        raise InputError(f"{path}: got a {type(frames).__name__} to write, expected one or more frames (tnst_mi.Frame)")
+    if path.is_dir() or not path.suffix or (several and path.suffix.lower() not in FORMATS):
         for frame in frames:
             _write_frame(path / f"{frame.name}{FORMATS[0]}", frame)
         return
@@ -137,16 +140,32 @@ def _require_format(path: Path) -> None:
         raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(FORMATS)}")
 
 
-def _numbered_files(folder: Path) -> list[Path]:
+def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
+    """Those of the files, in the order of their numbers, that are numbered from the first to the last."""
+    if numbers is None:
+        return files
+    wanted = "frames = '{}:{}'".format(*numbers)
+    have = [_number(file) for file in files]
+    if None in have:
+        raise InputError(f"{wanted}: the name of {files[0]} does not end in a frame number; leave out the frames")
+    chosen = [file for file, number in zip(files, have, strict=True) if numbers[0] <= number <= numbers[1]]
+    if not chosen or (_number(chosen[0]), _number(chosen[-1])) != numbers:
+        span = f"frame {have[0]}" if len(have) == 1 else f"frames {have[0]} to {have[-1]}"
+        raise InputError(f"{wanted}: the input has the {span}, and both ends must be there")
+    return chosen
+
+
+def _numbered_files(folder: Path, selection: tuple[int, int] | None) -> list[Path]:
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
     if not files:
         raise InputError(f"{folder}: no frames in this folder, expected files {', '.join(FORMATS)}")
     if len(files) == 1:
-        return files
+        return _selected(files, selection)
     files = sorted((file for file in files if _number(file) is not None), key=_number)
-    numbers = [_number(file) for file in files]
     if not files:
         raise InputError(f"{folder}: no file name ends in a frame number (such as frame_0012.npz)")
+    files = _selected(files, selection)
+    numbers = [_number(file) for file in files]
     if len(set(numbers)) < len(numbers):
         double = next(number for number in numbers if numbers.count(number) > 1)
         names = ", ".join(file.name for file in files if _number(file) == double)
