@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -114,6 +116,18 @@ def extinction_gradient(scene: mi.Scene, weights: np.ndarray) -> np.ndarray:
     parameters.update()
     dr.backward(dr.sum(mi.render(scene, parameters) * mi.TensorXf(weights), axis=None))
     return dr.grad(parameters[EXTINCTION]).numpy()
+
+
+def extinction_objective(scene: mi.Scene, weights: np.ndarray) -> Callable[[np.ndarray], float]:
+    """That weighted sum as a function of `sigma_t.data`, for finite differences."""
+    parameters = mi.traverse(scene)
+
+    def objective(extinction: np.ndarray) -> float:
+        parameters[EXTINCTION] = mi.TensorXf(extinction)
+        parameters.update()
+        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
+
+    return objective
 
 
 def error_message(error: BaseException) -> str:

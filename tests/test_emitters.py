@@ -11,6 +11,7 @@ from smoke_scenes import (
     EXTINCTION,
     error_message,
     extinction_gradient,
+    extinction_objective,
     film,
     image_of,
     orthographic,
@@ -46,19 +47,12 @@ def test_an_environment_behind_is_multiplied_by_the_transmittance(quadrature: st
     np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
 
     weights = smooth_noise(rng, *SHAPE[1:], 1)
-    parameters = mi.traverse(scene)
-    start = parameters[EXTINCTION].numpy()
-
-    def objective(extinction: np.ndarray) -> float:
-        parameters[EXTINCTION] = mi.TensorXf(extinction)
-        parameters.update()
-        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
-
+    start, objective = mi.traverse(scene)[EXTINCTION].numpy(), extinction_objective(scene, weights)
     directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
     gradient = extinction_gradient(scene, weights)
     assert directional_error(objective, gradient, start, directions, 5e-3) <= 1e-3
 
-    leaf = mi.TensorXf(start)
+    parameters, leaf = mi.traverse(scene), mi.TensorXf(start)
     dr.enable_grad(leaf)
     parameters[EXTINCTION] = leaf
     parameters.update()
@@ -153,11 +147,5 @@ def test_grey_smoke_before_a_coloured_sky_on_a_colour_film() -> None:
     rng = np.random.default_rng(14)
     weights, direction = smooth_noise(rng, *SHAPE[1:], 3), smooth_noise(rng, *SHAPE)[..., None]
     gradient, start = extinction_gradient(scene, weights), (GAMMA * density)[..., None]
-    parameters = mi.traverse(scene)
-
-    def objective(extinction: np.ndarray) -> float:
-        parameters[EXTINCTION] = mi.TensorXf(extinction)
-        parameters.update()
-        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
-
+    objective = extinction_objective(scene, weights)
     assert directional_error(objective, gradient, start, [direction], 5e-3) <= 1e-3

@@ -88,6 +88,15 @@ def test_repeatable_sum_is_accurate_and_repeatable(magnitude: float) -> None:
     np.testing.assert_allclose(result, expected, rtol=1e-6, atol=2e-6 * magnitude)
 
 
+@pytest.mark.parametrize("exponent", [0, 20, 31])
+def test_repeatable_sum_keeps_small_values_beside_a_large_bound(exponent: int) -> None:
+    """The unit is 2^-30 of the bound or finer for 2^31 additions, and finer still for fewer."""
+    small = 2.0 ** -(60 - exponent)
+    total = RepeatableSum(1, mi.Float(1.0), 2**exponent)
+    total.add(mi.UInt32(0, 0, 0), mi.Float(small, small, small))
+    assert total.result()[0] == 3 * small
+
+
 def test_repeatable_sum_of_values_that_cancel_is_zero() -> None:
     total = RepeatableSum(1, mi.Float(3.7), 4)
     total.add(mi.UInt32(0, 0, 0, 0), mi.Float(3.7, 1e-7, -3.7, -1e-7))

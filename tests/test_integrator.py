@@ -14,6 +14,7 @@ from smoke_scenes import (
     affine,
     error_message,
     extinction_gradient,
+    extinction_objective,
     film,
     image_of,
     medium,
@@ -127,14 +128,7 @@ def test_gradient_against_central_differences_with_everything_at_once(quadrature
         sky={"type": "constant", "radiance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}},
     )
     weights = smooth_noise(rng, 8, 9, 3)
-    parameters = mi.traverse(scene)
-    start = parameters[EXTINCTION].numpy()
-
-    def objective(extinction: np.ndarray) -> float:
-        parameters[EXTINCTION] = mi.TensorXf(extinction)
-        parameters.update()
-        return float((mi.render(scene).numpy().astype(np.float64) * weights).sum())
-
+    start, objective = mi.traverse(scene)[EXTINCTION].numpy(), extinction_objective(scene, weights)
     directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
     gradient = extinction_gradient(scene, weights)
     assert directional_error(objective, gradient, start, directions, 1e-2) <= 1e-3

@@ -194,8 +194,8 @@ class RepeatableSum:
 
     Floating-point atomics add in whatever order the threads arrive and give other bits in every run. Here each
     value is rounded to a multiple of a power of two and added as a 64-bit integer, which is exact. The unit is the
-    smallest one for which `count` additions of `bound` cannot overflow, at least 2^-30 of the bound for any
-    array that fits in memory: finer than float32 for all but the smallest addends.
+    smallest one for which `count` additions of `bound` cannot overflow: no coarser than 2^-30 of the bound for up to
+    2^31 additions to a slot, so finer than float32 for all but the smallest addends.
 
     Args:
         size: number of slots.

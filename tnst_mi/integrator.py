@@ -108,7 +108,7 @@ class EmissionAbsorption(RBIntegrator):
     ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
         step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
         lattice = Lattice(medium, ray, step, None if medium.fills_box else crossing(scene, medium.shape, ray, active))
-        through = active & (lattice.exit > lattice.entry) & (lattice.exit > 0)
+        through = active & (lattice.exit > lattice.entry)
 
         alone = len(scene.shapes()) == 1
         if alone and scene.environment() is None:
@@ -118,7 +118,7 @@ class EmissionAbsorption(RBIntegrator):
         if not alone:
             surface = first_surface(scene, medium.shape, ray, active)
             distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
-            if dr.any(through & (distance > dr.maximum(lattice.entry, 0)) & (distance < lattice.exit)):
+            if dr.any(through & (distance > lattice.entry) & (distance < lattice.exit)):
                 raise RuntimeError(
                     "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
                 )

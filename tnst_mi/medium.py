@@ -168,7 +168,7 @@ class Lattice:
         crossing: distances at which the rays enter and leave that shape; None if it is the grid's box.
 
     Attributes:
-        entry, exit: distances along the rays between which there are samples; empty where entry > exit.
+        entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
         count: number of samples of each ray.
         longest: no ray has more samples than this.
     """
