@@ -194,13 +194,14 @@ def train(pictures: int, minutes: float) -> None:
     loader = DataLoader(Sheets(first, sheets - first), batch_size=None, num_workers=1, prefetch_factor=4)
     bar = tqdm(enumerate(loader, first), total=sheets, initial=first, unit="sheet", mininterval=5.0)
     for sheet, (images, classes) in bar:
+        crops = torch.Generator().manual_seed(sheet)
         for part, (x, y) in enumerate(zip(images.split(BATCH), classes.split(BATCH), strict=True)):
             step = sheet * steps_per_sheet + part
             rate = learning_rate(step, steps)
             for group in optimiser.param_groups:
                 group["lr"] = rate * LEARNING_RATE
             if step < (1.0 - DECAY) * steps:
-                top, left = torch.randint(SIZE - CROP + 1, (2,)).tolist()
+                top, left = torch.randint(SIZE - CROP + 1, (2,), generator=crops).tolist()
                 x = x[:, :, top : top + CROP, left : left + CROP]
             loss = F.cross_entropy(logits(network, x, 1 + step % 2), y, label_smoothing=LABEL_SMOOTHING)
             optimiser.zero_grad()

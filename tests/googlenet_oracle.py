@@ -112,7 +112,7 @@ def prepare(image: np.ndarray, flavour: str) -> np.ndarray:
     """What each network was trained on."""
     if flavour == "bvlc":
         return 255 * image[::-1] - np.array([104.0, 117.0, 123.0])[:, None, None]
-    if flavour == "inception5h":
+    if flavour in ("inception5h", "patterns"):
         return 255 * image - 117
     mean, deviation = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])[:, :, None, None]
     normalised = (image - mean) / deviation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -13,6 +14,7 @@ import pytest
 from tnst_mi.frame import Frame
 from tnst_mi.optimise import Progress, Stylized
 from tnst_mi.recipe import Recipe
+from tnst_mi.weights import ChosenWeights
 
 SHAPE = (4, 6, 5)
 
@@ -75,7 +77,8 @@ def optimiser(monkeypatch: pytest.MonkeyPatch) -> FakeOptimiser:
     monkeypatch.setattr("tnst_mi.optimise.optimise", fake)
     monkeypatch.setattr("tnst_mi.optimise.objective_of", lambda recipe: OBJECTIVE)
     network = SimpleNamespace(source="none", sha256="0" * 64, flavour="bvlc")
-    monkeypatch.setattr("tnst_mi.googlenet.GoogLeNet.load", lambda source=None: network)
+    monkeypatch.setattr("tnst_mi.weights.find_weights", lambda source: ChosenWeights(Path(network.source), "bvlc"))
+    monkeypatch.setattr("tnst_mi.googlenet.GoogLeNet.from_file", lambda path: network)
     return fake
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterable
 from pathlib import Path
@@ -26,6 +27,12 @@ BLOCKS = {
 """Block: widths of 1x1, 3x3_reduce, 3x3, 5x5_reduce, 5x5, pool_proj (Szegedy et al. 2015, table 1)."""
 
 INCEPTION5H_BLOCKS = BLOCKS | {"4a": (192, 96, 204, 16, 48, 64), "5a": (256, 160, 320, 48, 128, 128)}
+
+PATTERN_CLASSES = (
+    *("net, mesh", "spiral, swirl, vortex", "flower", "fire, flames", "cloud"),
+    *("square", "ring", "honeycomb", "Julia set", "wood"),
+)
+"""Class names of the random network `patterns`; honeycomb is one of ImageNet's too."""
 
 Tensors = dict[str, np.ndarray]
 
@@ -58,7 +65,8 @@ def random_tensors(flavour: str = "bvlc", seed: int = 0, narrow: int = 1) -> Ten
         add(f"{prefix}/3x3", three, reduce3, 3, 3)
         add(f"{prefix}/5x5", five, reduce5, large, large)
         channels = one + three + five + pool
-    add("loss3/classifier", 1008 if flavour == "inception5h" else 1000, channels)
+    classes = {"inception5h": 1008, "patterns": len(PATTERN_CLASSES)}
+    add("loss3/classifier", classes.get(flavour, 1000), channels)
     return tensors
 
 
@@ -69,8 +77,40 @@ def random_googlenet(path: Path, flavour: str = "bvlc", seed: int = 0, narrow: i
         tensors = lucent_names(tensors)
     elif flavour == "torchvision":
         tensors = torchvision_state_dict(tensors, seed)
-    safetensors.numpy.save_file(tensors, path)
+    elif flavour == "patterns":
+        tensors = quantised(tensors)
+    safetensors.numpy.save_file(tensors, path, pattern_metadata() if flavour == "patterns" else None)
     return path
+
+
+def quantised(tensors: Tensors) -> Tensors:
+    """The 8-bit form: each output channel's weights are integers from -127 to 127 times its scale."""
+    renamed: Tensors = {}
+    for name, tensor in tensors.items():
+        layer, kind = name.rsplit(".", 1)
+        if kind == "bias":
+            renamed[name] = tensor
+            continue
+        rows = tensor.reshape(len(tensor), -1)
+        scale = np.abs(rows).max(1) / np.float32(127)
+        renamed[name] = np.rint(rows / scale[:, None]).astype(np.int8).reshape(tensor.shape)
+        renamed[f"{layer}.scale"] = scale
+    return renamed
+
+
+def expanded(tensors: Tensors) -> Tensors:
+    """The float32 tensors that the 8-bit form stands for."""
+    whole = {name: tensor for name, tensor in tensors.items() if not name.endswith(".scale")}
+    for name in whole:
+        if name.endswith(".weight"):
+            scale = tensors[f"{name.removesuffix('.weight')}.scale"]
+            whole[name] = (whole[name].T * scale).T.astype(np.float32)
+    return whole
+
+
+def pattern_metadata(**changes: str) -> dict[str, str]:
+    """The metadata of a file in the 8-bit form."""
+    return {"flavour": "patterns", "classes": json.dumps(PATTERN_CLASSES)} | changes
 
 
 def tensorflow_layer(layer: str) -> str:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from tnst_mi import backend, doctor, environment
+from tnst_mi import backend, doctor, environment, shipped
 from tnst_mi.cli import main
 from tnst_mi.errors import InputError
-from tnst_mi.weights import FoundWeights
+from tnst_mi.weights import ChosenWeights
 
 GPU = {
     "name": "Some GPU",
@@ -23,8 +23,7 @@ GPU = {
 @pytest.fixture(autouse=True)
 def sound_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights are at hand, memory is plenty, and there is no GPU, whatever the real machine is like."""
-    found = [FoundWeights("bvlc", Path("w.safetensors"), True)]
-    monkeypatch.setattr("tnst_mi.weights.list_weights", lambda: found)
+    monkeypatch.setattr("tnst_mi.weights.find_weights", lambda: ChosenWeights(Path("w.safetensors"), "bvlc"))
     monkeypatch.setattr(environment, "free_memory", lambda: 8 << 30)
     monkeypatch.setattr(environment, "gpus", lambda: [])
 
@@ -45,12 +44,26 @@ def test_a_sound_machine(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.endswith("The main job can run: tnst-mi demo\n")
 
 
-def test_missing_weights_stop_the_main_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("tnst_mi.weights.list_weights", lambda: [FoundWeights("bvlc", Path("w.pb"), False)])
+def test_unusable_weights_stop_the_main_job(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> ChosenWeights:
+        raise InputError("w.pb: wrong hash: delete it")
+
+    monkeypatch.setattr("tnst_mi.weights.find_weights", fail)
     assert main(["doctor"]) == 1
     out = capsys.readouterr().out
-    assert "missing weights   w.pb has the wrong hash\n" in out
-    assert "→ the first run downloads them to" in out
+    assert "missing weights   unusable\n" in out
+    assert "→ w.pb: wrong hash: delete it\n" in out
+
+
+@pytest.mark.parametrize(
+    ("fallback", "told"),
+    [(False, ""), (True, "; the paper's network: tnst-mi weights --download inception5h")],
+)
+def test_the_shipped_network_will_do(monkeypatch: pytest.MonkeyPatch, fallback: bool, told: str) -> None:
+    monkeypatch.setattr("tnst_mi.weights.find_weights", lambda: ChosenWeights(shipped.FILE, "patterns", fallback))
+    assert str(checks()["weights"]) == f"ok      weights   patterns (shipped){told}"
 
 
 def test_a_variant_that_cannot_start_stops_the_main_job(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,25 +69,28 @@ def publish(monkeypatch: pytest.MonkeyPatch, url: str, digest: str) -> None:
 
 
 def test_download(server: type[Server], tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    path, flavour = weights.find_weights()
-    assert (path, flavour) == (tmp_path / "cache" / "net.caffemodel", "bvlc")
+    path = weights.download_weights("bvlc")
+    assert path == tmp_path / "cache" / "net.caffemodel"
     assert path.read_bytes() == CONTENT
     assert [file.name for file in path.parent.iterdir()] == ["net.caffemodel"]
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "net.caffemodel: 100%" in captured.err
-    assert weights.find_weights() == (path, flavour)
-    assert len(server.requests) == 1  # the second call found the file
+    assert weights.find_weights() == weights.find_weights(flavour="bvlc") == (path, "bvlc", False)
+    assert weights.download_weights("bvlc") == path
+    assert len(server.requests) == 1  # the later calls found the file
+    path.write_bytes(b"damaged")
+    assert weights.download_weights("bvlc").read_bytes() == CONTENT
 
 
 def test_a_broken_download_goes_on_where_it_stopped(server: type[Server], tmp_path: Path) -> None:
     server.stop_at = 100_000
     with pytest.raises(InputError, match="broke off at 100000 of 300000 bytes; run again"):
-        weights.find_weights()
+        weights.download_weights("bvlc")
     part = tmp_path / "cache" / "net.caffemodel.part"
     assert part.read_bytes() == CONTENT[:100_000]
     server.stop_at = None
-    path, _ = weights.find_weights()
+    path, *_ = weights.find_weights(flavour="bvlc")
     assert server.requests == [None, "bytes=100000-"]
     assert path.read_bytes() == CONTENT
     assert not part.exists()
@@ -96,12 +99,12 @@ def test_a_broken_download_goes_on_where_it_stopped(server: type[Server], tmp_pa
 def test_a_server_that_cannot_resume_starts_over(server: type[Server], tmp_path: Path) -> None:
     begin(tmp_path, CONTENT[:1000])
     server.ranges = False
-    assert weights.find_weights()[0].read_bytes() == CONTENT
+    assert weights.download_weights("bvlc").read_bytes() == CONTENT
 
 
 def test_a_complete_part_is_only_checked(server: type[Server], tmp_path: Path) -> None:
     begin(tmp_path, CONTENT)
-    assert weights.find_weights()[0].read_bytes() == CONTENT
+    assert weights.download_weights("bvlc").read_bytes() == CONTENT
 
 
 @pytest.mark.parametrize("begun", [b"", b"stale", CONTENT + b"more"])
@@ -113,7 +116,7 @@ def test_a_download_with_a_wrong_hash_leaves_nothing(
     else:
         publish(monkeypatch, server.url, "0" * 40)
     with pytest.raises(InputError, match=r"wrong hash: sha1 [0-9a-f]{40}, expected [0-9a-f]{40}"):
-        weights.find_weights()
+        weights.download_weights("bvlc")
     assert list((tmp_path / "cache").iterdir()) == []
 
 
@@ -121,21 +124,21 @@ def test_a_server_without_the_file_and_no_server(
     server: type[Server], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     publish(monkeypatch, server.url + "s", "ab" * 20)
-    with pytest.raises(InputError, match=r"no GoogLeNet weights found and no download \(.*404"):
-        weights.find_weights()
+    with pytest.raises(InputError, match=r"bvlc weights: no download \(.*404"):
+        weights.download_weights("bvlc")
     publish(monkeypatch, "http://127.0.0.1:9/file", "ab" * 20)
     with pytest.raises(InputError, match=r"no download \(http://127\.0\.0\.1:9/file: .*abab"):
-        weights.find_weights()
+        weights.download_weights("bvlc")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_cache_that_cannot_be_written(server: type[Server], tmp_path: Path) -> None:
     (tmp_path / "cache").mkdir(mode=0o500)
     with pytest.raises(InputError, match="cannot be written"):
-        weights.find_weights()
+        weights.download_weights("bvlc")
 
 
 def test_a_cache_whose_place_is_taken_by_a_file(server: type[Server], tmp_path: Path) -> None:
     (tmp_path / "cache").touch()
     with pytest.raises(InputError, match="cannot be written"):
-        weights.find_weights()
+        weights.download_weights("bvlc")

@@ -14,6 +14,7 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.googlenet import ALIASES, LAYERS, GoogLeNet
+from tnst_mi.weight_readers.network_weights import FLAVOURS
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +75,12 @@ def test_bvlc_features_match_the_oracle(bvlc_weights: Path, asset) -> None:
 @pytest.mark.parametrize(
     ("stride", "size"), [(2, (64, 50)), (2, (75, 93)), (1, (37, 40)), (1, (20, 12)), (2, (20, 12))]
 )
-@pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
+@pytest.mark.parametrize("flavour", FLAVOURS)
 def test_every_flavour_matches_the_oracle(tmp_path: Path, flavour: str, stride: int, size: tuple[int, int]) -> None:
     path = networks.random_googlenet(tmp_path / "random.safetensors", flavour, seed=1, narrow=8)
     tensors = networks.random_tensors(flavour, seed=1, narrow=8)
+    if flavour == "patterns":
+        tensors = networks.expanded(networks.quantised(tensors))
     batch_norm = networks.torchvision_state_dict(tensors, seed=1) if flavour == "torchvision" else None
     expected = oracle.features(tensors, image(*size), flavour, stride, batch_norm=batch_norm)
     network = GoogLeNet.load(path, stride1=stride == 1)
@@ -100,7 +103,7 @@ def test_channels_are_those_of_the_values(net: GoogLeNet) -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (20, 12), (7, 33)])
-@pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
+@pytest.mark.parametrize("flavour", FLAVOURS)
 def test_small_images_reach_the_classifier(tmp_path: Path, flavour: str, size: tuple[int, int]) -> None:
     network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=16), stride1=False)
     logits = network(torch.rand(2, 3, *size), ["logits"])["logits"]
@@ -234,6 +237,19 @@ def test_synonyms_separated_by_commas(net: GoogLeNet, narrow: Path) -> None:
     assert network.class_index("heron") == 2
 
 
+def test_class_names_of_patterns(tmp_path: Path) -> None:
+    network = GoogLeNet.load(networks.random_googlenet(tmp_path / "p.safetensors", "patterns", narrow=16))
+    assert network.class_names == list(networks.PATTERN_CLASSES)
+    assert network.class_index("Vortex") == network.class_index("spiral") == 1
+    assert network.class_index("julia set") == 8
+    assert network.class_index("honeycomb") == 7  # ImageNet knows it too, but so does this network
+    with pytest.raises(InputError, match=r"'spirral': unknown; the nearest are 'spiral', '.*', '.*'$"):
+        network.class_index("spirral")
+    hint = "it is an ImageNet class: `tnst-mi weights --download inception5h` gets a network that knows those"
+    with pytest.raises(InputError, match=f"'Volcano': unknown; the nearest are .* of the network patterns; {hint}"):
+        network.class_index("Volcano")
+
+
 def test_loading_leaves_torch_alone(narrow: Path) -> None:
     torch.manual_seed(3)
     expected = torch.rand(4)
@@ -247,7 +263,7 @@ def test_loading_leaves_torch_alone(narrow: Path) -> None:
     assert len(network.sha256) == 64
 
 
-@pytest.mark.parametrize("flavour", ["bvlc", "inception5h", "torchvision"])
+@pytest.mark.parametrize("flavour", FLAVOURS)
 def test_gradient_is_the_finite_difference(tmp_path: Path, flavour: str) -> None:
     network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=8)).double()
     images = torch.rand(1, 3, 21, 18, dtype=torch.float64, requires_grad=True)

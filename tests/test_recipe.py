@@ -122,6 +122,13 @@ def test_pictures_are_looked_for_beside_the_recipe_and_among_the_shipped(tmp_pat
     assert Recipe.from_toml(tmp_path / "r.toml").style[1] == str((tmp_path / "spirals").resolve())
 
 
+def test_the_word_patterns_is_no_file(tmp_path: Path) -> None:
+    (tmp_path / "patterns").touch()
+    assert Recipe.from_toml(write(tmp_path, 'weights = "patterns"')).weights == "patterns"
+    file = str((tmp_path / "patterns").resolve())
+    assert Recipe.from_toml(write(tmp_path, 'weights = "./patterns"')).weights == file
+
+
 def test_the_shipped_styles() -> None:
     assert shipped_styles() == ["cells", "flames", "net", "spirals"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.resources
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from tnst_mi.errors import InputError
 from tnst_mi.weight_readers.network_weights import CLASSIFIER, NetworkWeights
@@ -16,9 +16,21 @@ def class_names(weights: NetworkWeights) -> list[str]:
         return list(weights.class_names)
     if weights.flavour == "inception5h":
         return []  # its order of classes is its own
-    data = importlib.resources.files("tnst_mi").joinpath("data/imagenet_classes.txt")
-    names = data.read_text("utf-8").splitlines()
+    names = imagenet_names()
     return names if len(names) == weights.tensors[f"{CLASSIFIER}.bias"].numel() else []
+
+
+def imagenet_names() -> list[str]:
+    """The 1000 ILSVRC classes in their standard order."""
+    return importlib.resources.files("tnst_mi").joinpath("data/imagenet_classes.txt").read_text("utf-8").splitlines()
+
+
+def matching_classes(names: Sequence[str], tag: str) -> set[int]:
+    """The indices of the classes that go by this name or comma-separated synonym; case is ignored where it can be."""
+    wanted = tag.strip()
+    # Two classes may differ in case alone: Cardigan is a dog, cardigan a jacket.
+    exact = {index for synonym, index in _synonyms(names) if synonym == wanted}
+    return exact or {index for synonym, index in _synonyms(names) if synonym.lower() == wanted.lower()}
 
 
 def class_index(names: Sequence[str], tag: str) -> int:
@@ -26,16 +38,17 @@ def class_index(names: Sequence[str], tag: str) -> int:
 
     Raises `InputError` for a name that is unknown (naming the nearest three) or that several classes share.
     """
-    synonyms = [(synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")}]
-    wanted = tag.strip()
-    # Two classes may differ in case alone: Cardigan is a dog, cardigan a jacket.
-    matches = {index for synonym, index in synonyms if synonym == wanted}
-    matches = matches or {index for synonym, index in synonyms if synonym.lower() == wanted.lower()}
+    matches = matching_classes(names, tag)
     if len(matches) == 1:
         return matches.pop()
     if matches:
         listed = ", ".join(f"{names[index]!r} (logits:{index})" for index in sorted(matches))
         raise InputError(f"class tag {tag!r}: names several classes: {listed}")
-    lower = {synonym.lower(): synonym for synonym, _ in synonyms}
-    nearest = difflib.get_close_matches(wanted.lower(), lower, n=3, cutoff=0.0)
+    lower = {synonym.lower(): synonym for synonym, _ in _synonyms(names)}
+    nearest = difflib.get_close_matches(tag.strip().lower(), lower, n=3, cutoff=0.0)
     raise InputError(f"class tag {tag!r}: unknown; the nearest are {', '.join(repr(lower[name]) for name in nearest)}")
+
+
+def _synonyms(names: Sequence[str]) -> Iterator[tuple[str, int]]:
+    """Every name a class goes by, the whole entry included, with the index of the class."""
+    return ((synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")})

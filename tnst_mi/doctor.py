@@ -7,8 +7,9 @@ import platform
 import sys
 from dataclasses import dataclass
 
-from tnst_mi import backend, environment
+from tnst_mi import backend, environment, shipped
 from tnst_mi.errors import InputError
+from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
 
 #: Free memory below which even the bundled scene may not fit, in bytes.
 _LEAST_MEMORY = 2 << 30
@@ -117,21 +118,16 @@ def _variant() -> Check:
 
 
 def _weights() -> Check:
-    from tnst_mi.weights import cache_folder, list_weights
+    from tnst_mi.weights import find_weights
 
     try:
-        found = list_weights()
+        weights = find_weights()
     except InputError as error:
         return Check("weights", "unusable", str(error), required=True)
-    usable = [weights for weights in found if weights.hash_ok is not False]
-    if usable:
-        return Check("weights", "; ".join(f"{w.flavour} at {w.path}" for w in usable), required=True)
-    return Check(
-        "weights",
-        "; ".join(f"{w.path} has the wrong hash" for w in found) or "none on this machine",
-        f"the first run downloads them to {cache_folder()}; offline see `tnst-mi weights`",
-        required=True,
-    )
+    if weights.fallback:
+        return Check("weights", f"{PATTERNS} (shipped); the paper's network: {DOWNLOAD_COMMAND}", required=True)
+    place = "(shipped)" if weights.path == shipped.FILE else f"at {weights.path}"
+    return Check("weights", f"{weights.flavour} {place}", required=True)
 
 
 def _memory() -> Check:

@@ -15,9 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tnst_mi.class_names import class_index, class_names
+from tnst_mi.class_names import class_index, class_names, imagenet_names, matching_classes
 from tnst_mi.download import file_hash
 from tnst_mi.errors import InputError
+from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.weight_readers import CLASS_LIST, read_weights
 from tnst_mi.weight_readers.network_weights import (
     BLOCKS,
@@ -30,7 +31,7 @@ from tnst_mi.weight_readers.network_weights import (
     ResponseNorm,
     tensorflow_name,
 )
-from tnst_mi.weights import find_weights
+from tnst_mi.weights import announce_fallback, find_weights
 
 LAYERS = (
     *STEM,
@@ -54,7 +55,7 @@ _POOLED = ("inception_3a", "inception_4a", "inception_5a")
 
 @dataclass(frozen=True)
 class _Flavour:
-    """How a published network sees its image and what it does between the convolutions."""
+    """How a network sees its image and what it does between the convolutions."""
 
     mean: tuple[float, float, float]
     """Subtracted from the image in 0 to 255, in the order R, G, B."""
@@ -75,6 +76,7 @@ _FLAVOURS = {
     "inception5h": _Flavour((117.0, 117.0, 117.0), 1.0, False, True, ResponseNorm(5, 2.0, 1e-4, 0.5), 3),
     # Its ImageNet statistics and transform_input=True together map 0..1 to −1..1.
     "torchvision": _Flavour((127.5, 127.5, 127.5), 127.5, False, False, None, 2),
+    PATTERNS: _Flavour((117.0, 117.0, 117.0), 1.0, False, False, None, 3),
 }
 
 
@@ -117,11 +119,19 @@ class GoogLeNet(nn.Module):
     def load(cls, source: str | Path | None = None, flavour: str | None = None, stride1: bool = True) -> GoogLeNet:
         """The network of a weights file, in evaluation mode, float32, without gradients of its weights.
 
-        `source` (a file or folder) and `flavour` ("bvlc", "inception5h", "torchvision") are as in
-        `weights.find_weights`, which searches, and downloads as a last resort, where `source` is None.
+        `source` (a file, a folder, or "patterns") and `flavour` ("bvlc", "inception5h", "torchvision",
+        "patterns") are as in `weights.find_weights`, which searches where `source` is None. Where that finds
+        only the network that ships with the package, stderr says so once.
         Raises `InputError` where there are no such weights, or the file is damaged or another network's.
         """
-        path, _ = find_weights(source, flavour)
+        path, _, fallback = find_weights(source, flavour)
+        if fallback:
+            announce_fallback()
+        return cls.from_file(path, stride1)
+
+    @classmethod
+    def from_file(cls, path: Path, stride1: bool = True) -> GoogLeNet:
+        """The network of this very file, as in `load`."""
         network = cls(read_weights(path), stride1)
         network.source = str(path)
         network.sha256 = file_hash(path, "sha256")
@@ -174,7 +184,16 @@ class GoogLeNet(nn.Module):
                 f"class tag {tag!r}: {self.source or self.flavour} comes without class names; "
                 f"put its {CLASS_LIST} beside it or choose a channel of 'logits'"
             )
-        return class_index(self.class_names, tag)
+        try:
+            return class_index(self.class_names, tag)
+        except InputError as error:
+            unknown = not matching_classes(self.class_names, tag)
+            if not (unknown and self.flavour == PATTERNS and matching_classes(imagenet_names(), tag)):
+                raise
+            raise InputError(
+                f"{error} of the network {PATTERNS}; it is an ImageNet class: "
+                f"`{DOWNLOAD_COMMAND}` gets a network that knows those"
+            ) from None
 
     def _value(self, name: str, known: dict[str, Tensor]) -> Tensor:
         """The value of a layer, computed at most once: `known` holds what is there already."""

@@ -20,8 +20,10 @@ from tnst_mi.measure import exposure_of, main_view, measured, require_same_input
 from tnst_mi.outputs import RunFolder, frame_names, holds_run, require_writable, resumable_run
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
+from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
 
 if TYPE_CHECKING:
+    from tnst_mi.googlenet import GoogLeNet
     from tnst_mi.optimise import Stylized
 
 #: What can be stylized: a file or folder, one frame, several, or a density grid (D, H, W).
@@ -137,7 +139,7 @@ class Job:
             if overwrite:
                 frame_names(self.out)  # refuses what is no run
         self.frames = _sequence_of(frames, recipe)
-        # Reading the first frame finds most bad inputs before the network is loaded, or even downloaded.
+        # Reading the first frame finds most bad inputs before the network is loaded.
         _, rows, columns = self.frames[0].density.shape
         self._bar = ProgressBar(progress)
         self._overwrite = overwrite
@@ -145,9 +147,13 @@ class Job:
         variant = activate(recipe.variant)
         from tnst_mi.googlenet import GoogLeNet
         from tnst_mi.optimise import objective_of
+        from tnst_mi.weights import find_weights
 
         # Layers, tags and pictures are checked before the frames, all of which may be empty and need none of them.
-        self._network = GoogLeNet.load(recipe.weights)
+        weights = find_weights(recipe.weights)
+        self._fallback = weights.fallback
+        self._network = GoogLeNet.from_file(weights.path)
+        _require_meant(recipe, self._network, weights.fallback)
         self._objective = objective_of(recipe)
         self._objective.bind(self._network, _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows)))
         self._measures = measured(self.frames, recipe)
@@ -174,6 +180,8 @@ class Job:
 
     def run(self) -> Iterator[StylizedFrame]:
         """Stylize the frames one after the other, write each and give it; stops early when interrupted."""
+        from tnst_mi.weights import announce_fallback
+
         started = time.perf_counter()
         finished = {record["name"] for record in self.record["frames"]}
         left = [index for index, measure in enumerate(self._measures) if measure.name not in finished]
@@ -182,6 +190,8 @@ class Job:
         folder = None
         if left:
             self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
+            if self._fallback:
+                announce_fallback()
         try:
             for index in left:
                 frame = self._stylize_frame(index)
@@ -266,6 +276,28 @@ def _require_supported(recipe: Recipe) -> None:
         raise InputError(f"window = {recipe.window}: temporal windows come with a later version, expected 1")
     if recipe.integrator == "prbvolpath":
         raise InputError("integrator = 'prbvolpath': comes with a later version, expected 'emission_absorption'")
+
+
+def _require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
+    """Refuse channel numbers of another network on `patterns`, which a recipe means only if it says so.
+
+    Nothing in a number shows which network it was chosen for; recipes name channels of those trained on ImageNet.
+    Names of classes, and pictures, mean the same to any network.
+    """
+    if network.flavour != PATTERNS or recipe.weights is not None or not recipe.semantic:
+        return
+    from tnst_mi.weights import ENVIRONMENT_VARIABLE
+
+    if fallback:
+        reason, remedy = "no other was found", f"get the paper's network with `{DOWNLOAD_COMMAND}`"
+    else:
+        reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
+    tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
+    raise InputError(
+        f"semantic {recipe.semantic[0]!r}: channel numbers are those of one network, and this run would be on the "
+        f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
+        f"meant, or choose a tag, such as {tags}"
+    )
 
 
 def _remedy(out: Path) -> str:

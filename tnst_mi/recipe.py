@@ -26,6 +26,7 @@ import tomlkit
 from tnst_mi.errors import InputError
 from tnst_mi.quadrature import QUADRATURES
 from tnst_mi.recipe_keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
+from tnst_mi.shipped import PATTERNS
 
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
 STYLES = Path(__file__).parent / "data" / "styles"
@@ -53,10 +54,11 @@ class Goals:
             r"[^:]+:\d{1,6}(,\d{1,6})*",
         ),
     ] = ()
-    """Channels of a layer to make fire: the smoke takes on the motif that they recognise.
-    Repeatable."""
-    tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["volcano"]')] = ()
-    """Class that the network shall see in the smoke. Repeatable."""
+    """Channels of a layer to make fire: the smoke takes on the motif that they recognise. Their numbers
+    hold for one network alone. Repeatable."""
+    tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["spiral"]')] = ()
+    """Class that the network shall see in the smoke, by its name (tnst-mi weights --tags lists those of the
+    network patterns, which ships with the package). Repeatable."""
     content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
     """Picture whose features (of inception_4d/output) the smoke shall match. Repeatable."""
     style_weight: Annotated[float, Number(low=0.0)] = 1.0
@@ -120,8 +122,11 @@ class Resources:
         str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
     ] = None
     """Numbers of the first and the last frame of a sequence to stylize; all where not set."""
-    weights: Annotated[str | None, Text("FILE|FOLDER|patterns", "a file or folder with GoogLeNet weights")] = None
-    """GoogLeNet weights; searched for where not set (tnst-mi weights lists the places)."""
+    weights: Annotated[
+        str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
+    ] = None
+    """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. Searched for
+    where not set (tnst-mi weights lists the places)."""
     variant: Annotated[
         str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
     ] = None
@@ -271,7 +276,7 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
     """Make the paths in a checked value absolute."""
     if name in ("style", "content"):
         return tuple(_picture(name, entry, source, folder) for entry in value)
-    if name == "weights" and value is not None and (folder / value).exists():
+    if name == "weights" and value not in (None, PATTERNS) and (folder / value).exists():
         return str((folder / value).resolve())
     return value
 

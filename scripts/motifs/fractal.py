@@ -13,7 +13,10 @@ _POINTS = 3000
 
 
 def _attractor(maps: tuple[tuple[float, ...], ...], steps: int = 40) -> tuple[Tensor, Tensor]:
-    """Points of the attractor of the maps (x, y) → (a x + b y + e, c x + d y + f), each (a, b, c, d, e, f, probability)."""
+    """Points of the attractor of affine maps (x, y) → (a x + b y + e, c x + d y + f), chosen by their probability.
+
+    Each map is (a, b, c, d, e, f, probability).
+    """
     generator = torch.Generator().manual_seed(0)
     table = torch.tensor(maps)
     x, y = torch.zeros(_POINTS), torch.zeros(_POINTS)

@@ -12,7 +12,7 @@ from tnst_mi.recipe import Recipe
 
 @dataclass(kw_only=True)
 class Demo(Command):
-    """Stylize the bundled frame with the bundled recipe; needs nothing but the network's weights."""
+    """Stylize the bundled frame with the bundled recipe; needs nothing else."""
 
     out: Folder = Path("tnst_mi-demo")
     """Folder for the results; those of an earlier demo in it are replaced."""

@@ -3,6 +3,7 @@
 network_weights   what all of them hand over, and the check that it is a GoogLeNet
 protobuf          the wire format below the next two
 graphdef, caffemodel, state_dict   one file format each
+quantised         the 8-bit form of the network that ships with the package
 """
 
 from __future__ import annotations
@@ -14,15 +15,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from tnst_mi.errors import InputError
+from tnst_mi.shipped import PATTERNS
 from tnst_mi.weight_readers.caffemodel import read_caffemodel
 from tnst_mi.weight_readers.graphdef import read_graphdef
 from tnst_mi.weight_readers.network_weights import MalformedFile, NetworkWeights
+from tnst_mi.weight_readers.quantised import from_quantised, is_quantised
 from tnst_mi.weight_readers.state_dict import (
     flavour_of_names,
     from_state_dict,
     read_pth,
     read_safetensors,
-    safetensors_names,
+    safetensors_header,
 )
 
 CLASS_LIST = "imagenet_comp_graph_label_strings.txt"
@@ -47,7 +50,7 @@ def read_weights(path: Path) -> NetworkWeights:
 
 
 def flavour_of(path: Path) -> str:
-    """The flavour of a weights file, by its format and the names of its tensors; raises `InputError`."""
+    """The flavour of a weights file, by its format, its metadata and its tensors' names; raises `InputError`."""
     with _input_errors(path):
         match _suffix(path):
             case ".caffemodel":
@@ -55,7 +58,8 @@ def flavour_of(path: Path) -> str:
             case ".pb" | ".zip":
                 return "inception5h"
             case ".safetensors":
-                return flavour_of_names(safetensors_names(path))
+                names, metadata = safetensors_header(path)
+                return PATTERNS if is_quantised(names, metadata) else flavour_of_names(names)
             case _:
                 return flavour_of_names(read_pth(path))
 
@@ -89,8 +93,14 @@ def _read(path: Path) -> NetworkWeights:
         return _read_zip(path)
     if suffix == ".pb":
         weights = read_graphdef(path.read_bytes())
+    elif suffix == ".safetensors":
+        names, metadata = safetensors_header(path)
+        tensors = read_safetensors(path)
+        if is_quantised(names, metadata):
+            return from_quantised(tensors, metadata)
+        weights = from_state_dict(tensors)
     else:
-        weights = from_state_dict(read_safetensors(path) if suffix == ".safetensors" else read_pth(path))
+        weights = from_state_dict(read_pth(path))
     class_list = path.with_name(CLASS_LIST)
     if weights.flavour == "inception5h" and class_list.is_file():
         weights = replace(weights, class_names=_class_names(class_list.read_bytes()))

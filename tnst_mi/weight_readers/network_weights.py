@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-FLAVOURS = ("bvlc", "inception5h", "torchvision")
-"""The published networks, the preferred one first."""
+from tnst_mi.shipped import PATTERNS
+
+FLAVOURS = ("bvlc", "inception5h", "torchvision", PATTERNS)
+"""The published networks, the preferred one first, and the one that ships with the package."""
 
 BLOCKS = tuple(f"inception_{name}" for name in ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b"))
 """The inception blocks from the image to the classifier."""
@@ -73,17 +75,7 @@ class NetworkWeights:
     def __post_init__(self) -> None:
         """Raise `MalformedFile` unless the tensors are exactly a GoogLeNet's, fit together and are finite."""
         expected = {f"{layer}.{kind}" for layer in (*CONVOLUTIONS, CLASSIFIER) for kind in ("weight", "bias")}
-        missing = sorted(expected - self.tensors.keys())
-        unexpected = sorted(self.tensors.keys() - expected)
-        if missing or unexpected:
-            raise MalformedFile(
-                "weights of another network: "
-                + "; ".join(
-                    f"{len(names)} {what} tensor(s), such as {names[0]!r}"
-                    for what, names in (("missing", missing), ("unexpected", unexpected))
-                    if names
-                )
-            )
+        require_names(self.tensors.keys(), expected)
         for layer, inputs, kernel in self._convolution_inputs():
             self._require_shape(layer, (self._width(layer), inputs, kernel, kernel))
         self._require_shape(CLASSIFIER, (self._width(CLASSIFIER), self.block_width(BLOCKS[-1])))
@@ -121,3 +113,17 @@ class NetworkWeights:
                 f"weights of another network: {layer!r} has weight {tuple(weight.shape)} and bias "
                 f"{tuple(bias.shape)}, expected {expected} and {expected[:1]}"
             )
+
+
+def require_names(found: Collection[str], expected: Collection[str]) -> None:
+    """Raise `MalformedFile` unless the tensors' names are exactly the expected ones."""
+    missing, unexpected = sorted(set(expected) - set(found)), sorted(set(found) - set(expected))
+    if missing or unexpected:
+        raise MalformedFile(
+            "weights of another network: "
+            + "; ".join(
+                f"{len(names)} {what} tensor(s), such as {names[0]!r}"
+                for what, names in (("missing", missing), ("unexpected", unexpected))
+                if names
+            )
+        )

@@ -59,11 +59,11 @@ def flavour_of_names(names: Iterable[str]) -> str:
     raise MalformedFile(f"weights of another network: {found}, but none of {', '.join(_FIRST_TENSORS)}")
 
 
-def safetensors_names(path: Path) -> list[str]:
-    """The names of the tensors in a .safetensors file, from its header alone; raises `MalformedFile`."""
+def safetensors_header(path: Path) -> tuple[list[str], dict[str, str]]:
+    """The names of the tensors in a .safetensors file, and its metadata; raises `MalformedFile`."""
     try:
         with safe_open(path, framework="pt") as file:
-            return list(file.keys())
+            return list(file.keys()), file.metadata() or {}
     except SafetensorError as error:
         raise MalformedFile(f"truncated or not a safetensors file ({_first_line(error)})") from None
 
