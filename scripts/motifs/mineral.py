@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -29,12 +27,11 @@ def cracks(canvas: Canvas) -> Tensor:
     crooked_x, crooked_y = (0.16 * canvas.fractal_noise(2.5 * canvas.x, 2.5 * canvas.y, 2, k) for k in (0, 1))
     x, y = canvas.x + crooked_x, canvas.y + crooked_y
     nearest, second, _, _, number = canvas.nearest_points(x, y, 0.9)
-    width = canvas.uniform(0.07, 0.13) * (1.0 + 0.5 * canvas.noise(1.5 * x, 1.5 * y, 2))
-    fine_nearest, fine_second, _, _, _ = canvas.nearest_points(2.3 * x, 2.3 * y, 0.9, 1)
-    wide = smoothstep(0.5 * width, width + 0.05, second - nearest)
-    fine = smoothstep(0.02, 0.12, fine_second - fine_nearest)
-    plate = 0.7 + 0.2 * number + 0.1 * canvas.noise(5.0 * x, 5.0 * y, 3)
-    return (wide * (0.45 + 0.55 * fine) * plate).clamp(0.0, 1.0)
+    width = canvas.uniform(0.06, 0.11) * (1.0 + 0.5 * canvas.noise(1.5 * x, 1.5 * y, 2))
+    wide = smoothstep(0.5 * width, width + 0.04, second - nearest)
+    # Hair-thin ones run across the plates, where a noise that each plate shifts anew changes its sign.
+    fine = smoothstep(0.0, 0.07, canvas.noise(1.3 * x + 31.0 * number, 1.3 * y, 3).abs())
+    return (wide * (0.5 + 0.5 * fine) * (0.75 + 0.25 * number)).clamp(0.0, 1.0)
 
 
 @family("polygons", "low poly", "stained glass", "shattered", span=(2.5, 6.0))
@@ -90,15 +87,22 @@ def craters(canvas: Canvas) -> Tensor:
 
 @family("mountain", "peaks", "ridges", "alps", "hills", span=(1.8, 4.0), tilt=0.25)
 def mountains(canvas: Canvas) -> Tensor:
-    """Ranges of jagged peaks one behind another, bright on the sunny face and lost in mist at the foot."""
-    steep = canvas.uniform(0.9, 1.4)
-    x = canvas.x + 0.09 * canvas.fractal_noise(3.0 * canvas.x, 3.0 * canvas.y, 2)
-    y = canvas.y + 0.09 * canvas.fractal_noise(3.0 * canvas.x, 3.0 * canvas.y, 2, 1)
+    """Ranges of jagged peaks one behind another, snow on the tops, mist at the foot."""
+    rows, picture = 1.4 * canvas.y, torch.zeros_like(canvas.x)
 
-    def outline(u: Tensor, v: Tensor, number: Tensor) -> Tensor:
-        return 0.35 + 0.25 * number - steep * u.abs() - v
+    def crest(x: Tensor, level: Tensor) -> Tensor:
+        peaks = 1.0 - 1.5 * canvas.noise(0.9 * x + 0.3 * level, 2.3 * level, 0).abs()
+        jags = canvas.noise(4.0 * x, 2.3 * level, 1) + 0.5 * canvas.noise(9.0 * x, 2.3 * level, 2)
+        return level + 1.3 * peaks + 0.13 * jags
 
-    edge, u, v, _ = place(canvas, x, 1.5 * y, outline, 0.0, 0.0, 0.7)
-    crest = 0.08 * (14.0 * v).sin()
-    face = torch.where(u + crest < 0.0, 1.0, 0.3)
-    return smoothstep(0.0, 0.05, edge) * face * smoothstep(1.3, 0.2, edge)
+    for near in range(1, -3, -1):
+        level = rows.floor() + near
+        top = crest(canvas.x, level)
+        depth = top - rows
+        # A flank is bright where the crest above it rises to the right.
+        sunny = smoothstep(-0.05, 0.05, crest(canvas.x + 0.15 + 0.2 * depth.clamp(-1.0, 1.0), level) - top)
+        snow = smoothstep(0.4, 0.25, depth + 0.15 * canvas.noise(4.0 * canvas.x, 4.0 * canvas.y, 3))
+        flank = (0.12 + 0.33 * sunny) * (1.0 - snow) + (0.55 + 0.45 * sunny) * snow
+        mist = smoothstep(0.8, 1.8, depth)
+        picture = torch.lerp(picture, flank + (0.45 - flank) * mist, smoothstep(0.0, 0.05, depth))
+    return picture

@@ -44,20 +44,21 @@ def place(
 
 @family("flowers", "blossom", "petals", "floral", "daisy", span=(1.8, 4.5))
 def flower(canvas: Canvas) -> Tensor:
-    """Blossoms of five to eight rounded petals around a bright centre, filling the plane."""
+    """Blossoms of five to eight rounded petals around a bright centre, scattered on the ground."""
     petals, roundness = canvas.integer(5, 8), canvas.uniform(0.4, 0.9)
 
     def outline(u: Tensor, v: Tensor, number: Tensor) -> Tensor:
         radius, angle = polar(u, v)
         lobe = (0.5 * petals * angle).cos().abs().clamp(min=1e-3) ** roundness
-        return (0.5 + 0.15 * number) * (0.45 + 0.55 * lobe) - radius
+        return (0.44 + 0.14 * number) * (0.4 + 0.6 * lobe) - radius
 
     edge, u, v, _ = place(canvas, canvas.x, canvas.y, outline)
     radius, angle = polar(u, v)
     seam = radius * (0.5 * petals * angle).cos().abs() * 2.0 / petals
     petal = smoothstep(0.0, 0.05, edge) * smoothstep(0.005, 0.035, seam) * (0.45 + 1.1 * radius).clamp(max=1.0)
     heart = canvas.uniform(0.1, 0.14)
-    return petal * smoothstep(heart + 0.02, heart + 0.07, radius) + smoothstep(heart, heart - 0.05, radius)
+    centre = smoothstep(heart, heart - 0.05, radius) * (edge > 0.0)
+    return petal * smoothstep(heart + 0.02, heart + 0.07, radius) + centre
 
 
 @family("leaf", "foliage", "leafy", "ivy", span=(1.8, 4.5))
@@ -156,7 +157,7 @@ def branches(canvas: Canvas) -> Tensor:
     angle, length, width = spread(1.4, 1.75, trunks), spread(0.45, 0.6, trunks), spread(0.1, 0.15, trunks)
     fork = canvas.uniform(0.35, 0.6)[:, :, 0]
     parts = []
-    for level in range(6):
+    for _ in range(6):
         cos, sin = angle.cos(), angle.sin()
         s, t = length[:, :, None, None] * along[:, None], width[:, :, None, None] * (across - 0.5)
         c, d = cos[:, :, None, None], sin[:, :, None, None]
