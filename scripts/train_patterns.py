@@ -60,6 +60,10 @@ WARM_UP = 500
 """Steps until the learning rate has risen to its full value."""
 DECAY = 0.35
 """Fraction of the training, at its end, over which the learning rate falls to zero."""
+NORM_MOMENTUM = 0.01
+"""Share of a batch in the running statistics of the batch normalisations, which are those of both strides."""
+FREEZE = 0.2
+"""Fraction of the training, at its end, with fixed statistics of the batch normalisations."""
 LABEL_SMOOTHING = 0.05
 AVERAGE = 0.998
 """Decay of the exponential average of the weights, which is what is measured and shipped."""
@@ -136,7 +140,8 @@ def trainable_network() -> GoogLeNet:
     for layer in CONVOLUTIONS:
         convolution = network.convolutions[layer]
         convolution.bias = None
-        network.convolutions[layer] = nn.Sequential(convolution, nn.BatchNorm2d(convolution.out_channels))
+        norm = nn.BatchNorm2d(convolution.out_channels, momentum=NORM_MOMENTUM)
+        network.convolutions[layer] = nn.Sequential(convolution, norm)
     return network.requires_grad_(True).train()
 
 
@@ -190,6 +195,8 @@ def train(pictures: int, minutes: float) -> None:
     per_sheet = COPIES * len(FAMILIES)
     sheets, steps_per_sheet = math.ceil(pictures / per_sheet), per_sheet // BATCH
     steps, started, saved = sheets * steps_per_sheet, time.monotonic(), time.monotonic()
+    frozen = round((1.0 - FREEZE) * steps)
+    network.train(first * steps_per_sheet <= frozen)
     losses: list[float] = []
     loader = DataLoader(Sheets(first, sheets - first), batch_size=None, num_workers=1, prefetch_factor=4)
     bar = tqdm(enumerate(loader, first), total=sheets, initial=first, unit="sheet", mininterval=5.0)
@@ -203,6 +210,11 @@ def train(pictures: int, minutes: float) -> None:
             if step < (1.0 - DECAY) * steps:
                 top, left = torch.randint(SIZE - CROP + 1, (2,), generator=crops).tolist()
                 x = x[:, :, top : top + CROP, left : left + CROP]
+            if step == frozen:
+                measure_statistics(network)
+                network.eval()
+                for fixed, statistic in zip(average.module.buffers(), network.buffers(), strict=True):
+                    fixed.copy_(statistic)
             loss = F.cross_entropy(logits(network, x, 1 + step % 2), y, label_smoothing=LABEL_SMOOTHING)
             optimiser.zero_grad()
             loss.backward()
@@ -218,6 +230,25 @@ def train(pictures: int, minutes: float) -> None:
             losses, saved = [], now
             if now - started > 60.0 * minutes:
                 break
+
+
+@torch.no_grad()
+def measure_statistics(network: GoogLeNet, sheets: int = 4) -> None:
+    """Set the statistics of all batch normalisations to the mean over whole pictures at both strides.
+
+    Trained on with these fixed, the network is at its best with what will be folded into it: the statistics that it has
+    seen so far were those of the batch, at one stride, and the running ones lag behind the weights.
+    """
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # the mean of all batches
+    network.train()
+    for images, _ in DataLoader(Sheets(0, sheets), batch_size=None):
+        for number, x in enumerate(images.split(BATCH)):
+            logits(network, x, 1 + number % 2)
+    for norm in norms:
+        norm.momentum = NORM_MOMENTUM
 
 
 def save(parts: dict[str, nn.Module | torch.optim.Optimizer], sheets: int, report: dict[str, float]) -> None:

@@ -288,14 +288,15 @@ def leopard(canvas: Canvas) -> Tensor:
 def cobweb(canvas: Canvas) -> Tensor:
     """Threads out of one hub, joined by rows of threads that sag towards it."""
     radius, angle = polar(canvas.x, canvas.y)
-    turn = angle + 0.35 * (angle + canvas.uniform(0.0, 6.3)).sin() + 0.2 * (2.0 * angle + canvas.uniform(0, 6.3)).sin()
+    first, second = angle + canvas.uniform(0.0, 6.3), 2.0 * angle + canvas.uniform(0.0, 6.3)
+    turn, stretch = angle + 0.35 * first.sin() + 0.2 * second.sin(), 1.0 + 0.35 * first.cos() + 0.4 * second.cos()
     spokes, gap = canvas.integer(9, 14), canvas.uniform(0.13, 0.2)
     sector = spokes * (turn / (2.0 * math.pi) + 0.5)
     t = sector - sector.floor() - 0.5
     level = radius * (1.0 + canvas.uniform(0.15, 0.3) * (1.0 - 4.0 * t * t)) / gap
     level = level + 0.5 * canvas.random(sector.floor() % spokes, torch.zeros_like(t))
     to_ring = gap * (level - level.floor() - 0.5).abs()
-    to_spoke = (0.5 - t.abs()) * 2.0 * math.pi / spokes * radius
+    to_spoke = (0.5 - t.abs()) * 2.0 * math.pi / spokes * radius / stretch
     thread = canvas.pixel * canvas.uniform(0.7, 1.2)
     return smoothstep(thread + canvas.pixel, 0.5 * thread, to_ring.minimum(to_spoke))
 

@@ -53,11 +53,11 @@ def _billows(canvas: Canvas, cells: int) -> Tensor:
 
 
 def _silhouette(canvas: Canvas) -> Tensor:
-    """The opacity of a body of smoke with a ragged edge that covers most of the picture."""
+    """The opacity of a body of smoke with a ragged edge that covers a third of the picture or all but its corners."""
     centres = (torch.arange(canvas.size) + 0.5) / canvas.size - 0.5
     stretch = canvas.uniform(-0.25, 0.25).exp()
     x = (centres[None, None, :] + canvas.uniform(-0.1, 0.1)) * stretch
     y = (centres[None, :, None] + canvas.uniform(-0.1, 0.1)) / stretch
     radius, _ = polar(x, y)
-    edge = canvas.uniform(0.42, 0.65) + 0.04 * (_billows(canvas, 5) + 0.5 * _billows(canvas, 11))
+    edge = canvas.uniform(0.3, 0.65) + 0.04 * (_billows(canvas, 5) + 0.5 * _billows(canvas, 11))
     return smoothstep(edge, edge - canvas.uniform(0.05, 0.25), radius)
