@@ -16,7 +16,7 @@ from tnst_mi.backend import activate
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.measure import exposure_of, main_view, measured, require_same_input
+from tnst_mi.measure import exposure_of, measured, require_same_input
 from tnst_mi.outputs import RunFolder, frame_names, holds_run, require_writable, resumable_run
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
@@ -252,6 +252,8 @@ class Job:
         return StylizedFrame(frame, stylized, density, record)
 
     def _write(self, folder: RunFolder, frame: StylizedFrame) -> None:
+        from tnst_mi.driving import main_view
+
         name = frame.source.name
         pair = (frame.source.density, frame.density)
         before, after = (self.exposure * main_view(density, self.recipe) for density in pair)
@@ -274,8 +276,6 @@ def _require_supported(recipe: Recipe) -> None:
         raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
     if recipe.window > 1:
         raise InputError(f"window = {recipe.window}: temporal windows come with a later version, expected 1")
-    if recipe.integrator == "prbvolpath":
-        raise InputError("integrator = 'prbvolpath': comes with a later version, expected 'emission_absorption'")
 
 
 def _require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
@@ -307,7 +307,7 @@ def _remedy(out: Path) -> str:
 
 
 def _path_keys(recipe: Recipe) -> dict[str, Any]:
-    return {key: getattr(recipe, key) for key in ("style", "content", "weights")}
+    return {key: getattr(recipe, key) for key in ("style", "content", "weights", "light")}
 
 
 def _sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import checked_shapes
@@ -28,20 +26,15 @@ class Measure:
     sha256: str
 
 
-def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Render the view (H, W) at the centre of the camera ranges, unexposed."""
-    # Looked up late: it can be imported only once a variant is active.
-    from tnst_mi.scene import render
-
-    return np.asarray(render(density, recipe.main_view, recipe.gamma, recipe.quadrature))
-
-
 def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
     """Read every frame once, so that bad ones are found before any work, and measure its main view.
 
     Raises:
         InputError: a frame cannot be read or differs in shape, or its name is double or cannot name files.
     """
+    # Looked up late: it can be imported only once a variant is active.
+    from tnst_mi.driving import main_view
+
     measures = []
     for frame in checked_shapes(frames):
         image = main_view(frame.density, recipe)

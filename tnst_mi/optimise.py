@@ -15,6 +15,7 @@ import numpy as np
 
 from tnst_mi import losses
 from tnst_mi.backend import torch_device
+from tnst_mi.driving import driving_scene, main_view
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
@@ -25,7 +26,6 @@ from tnst_mi.objective import Objective
 from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.recipe import Recipe
 from tnst_mi.resample import resample_density
-from tnst_mi.scene import grid_scene, render
 from tnst_mi.views import sample_views
 
 #: Layer whose features a content picture is matched in: deep enough for shapes rather than strokes.
@@ -107,7 +107,7 @@ def optimise(
         InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.
     """
     start = time.perf_counter()
-    brightest = float(render(frame.density, recipe.main_view, recipe.gamma, recipe.quadrature).max())
+    brightest = float(main_view(frame.density, recipe).max())
     if not brightest > 0:
         state = f"renders black at gamma {recipe.gamma:g}" if frame.density.any() else "is empty"
         still = np.zeros((*frame.density.shape, 3), np.float32)
@@ -185,7 +185,7 @@ class _Run:
         self.parameters.enter(octave)
         self.density = mi.TensorXf(resample_density(self.frame.density, 1.0, shape, h))
         self.mask = mi.TensorXf(resample_density(self.mask_full, 1.0, shape, h))
-        self.scene = grid_scene(shape, recipe.gamma, recipe.quadrature, h, recipe.views)
+        self.scene = driving_scene(recipe, shape, h, recipe.views)
         self.loss = self.objective.bind(self.network, shape[1], shape[2])
         self.calibrated = False
 
@@ -194,6 +194,7 @@ class _Run:
         recipe = self.recipe
         seed = (recipe.seed, self.frame.number or 0, octave, iteration)
         views = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
+        self.scene.reseed(seed)
 
         self.parameters.attach()
         density = self.parameters.density(self.density)

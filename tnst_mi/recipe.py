@@ -31,6 +31,9 @@ from tnst_mi.shipped import PATTERNS
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
 STYLES = Path(__file__).parent / "data" / "styles"
 
+#: Mitsuba scenes whose emitters light the smoke, likewise.
+LIGHTS = Path(__file__).parent / "data" / "lights"
+
 _LARGEST_FILE = 1 << 20
 
 
@@ -106,8 +109,18 @@ class Method:
     parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
     """Optimise velocities that transport the smoke, or change density values in place."""
     integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"
-    """Renderer inside the optimisation: light emitted by the smoke, or Mitsuba's scattering path
-    tracer."""
+    """Renderer inside the optimisation: light emitted by the smoke, or Mitsuba's scattering path tracer, for
+    which the next four are."""
+    albedo: Annotated[float, Number(0.0, 1.0)] = 0.9
+    """prbvolpath: scattered share of the extinguished light, from 0 to 1."""
+    anisotropy: Annotated[float, Number(-0.99, 0.99)] = 0.0
+    """prbvolpath: mean cosine g of the phase function (Henyey and Greenstein's), from -0.99 (back) to 0.99
+    (on); 0 scatters evenly."""
+    light: Annotated[str, Text("FILE|key|environment", "a Mitsuba scene file, key or environment")] = "key"
+    """prbvolpath: where light comes from: the emitters of a Mitsuba scene file, or key (upper left, and some
+    from everywhere) or environment (from everywhere alike)."""
+    spp: Annotated[int, Integer(1, 4096)] = 16
+    """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
     blend: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
     seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
@@ -264,6 +277,11 @@ def shipped_styles() -> list[str]:
     return sorted(path.stem for path in STYLES.glob("*.png"))
 
 
+def shipped_lights() -> list[str]:
+    """Names of the lights that ship with the package."""
+    return sorted(path.stem for path in LIGHTS.glob("*.xml"))
+
+
 def _checked(name: str, value: Any, source: str) -> Any:
     try:
         return KINDS[name].check(value)
@@ -276,6 +294,10 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
     """Make the paths in a checked value absolute."""
     if name in ("style", "content"):
         return tuple(_picture(name, entry, source, folder) for entry in value)
+    if name == "light" and value not in shipped_lights():
+        if not (folder / value).is_file():
+            raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
+        return str((folder / value).resolve())
     if name == "weights" and value not in (None, PATTERNS) and (folder / value).exists():
         return str((folder / value).resolve())
     return value

@@ -29,14 +29,19 @@ _EXTINCTION = "smoke.interior_medium.sigma_t.data"
 _MAJORANT = 1e6
 
 
-def scene_description(shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> dict[str, object]:
-    """The scene as a dictionary for `mi.load_dict`: box, medium, sensor and integrator (density still 0)."""
+def scene_description(
+    shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
+) -> dict[str, object]:
+    """The scene as a dictionary for `mi.load_dict`: box, medium, sensor and integrator (density still 0).
+
+    Arguments as in `GridScene`.
+    """
     d, rows, columns = shape
     half = (columns * h / 2, rows * h / 2, d * h / 2)
     to_world = mi.ScalarTransform4f()
     return {
         "type": "scene",
-        "integrator": {"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": h},
+        "integrator": {"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": step or h},
         "sensor": {
             "type": "orthographic_views",
             "view_count": view_count,
@@ -82,13 +87,26 @@ class GridScene:
         quadrature: "paper", "exact" or "transmittance".
         h: size of a cell in full-resolution cells.
         view_count: number of views rendered in one launch.
+        step: distance between the samples of a ray in full-resolution cells; h where None.
     """
 
-    def __init__(self, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> None:
+    def __init__(
+        self, shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
+    ) -> None:
         self.shape, self.gamma, self.view_count = shape, gamma, view_count
-        self.scene = mi.load_dict(scene_description(shape, gamma, quadrature, h, view_count))
+        self.scene = mi.load_dict(scene_description(shape, gamma, quadrature, h, view_count, step))
         self.parameters = mi.traverse(self.scene)
         self.sensor = self.scene.sensors()[0]
+
+    #: Samples per pixel: one at its centre.
+    spp = 1
+
+    def reseed(self, seed: Sequence[int]) -> None:
+        """Start the random numbers that belong to some whole numbers ≥ 0; there is nothing random here."""
+
+    def next_seed(self) -> int:
+        """Seed of the next pass."""
+        return 0
 
     def render(self, density: mi.TensorXf, views: Sequence[View]) -> mi.TensorXf:
         """Images (V, H, W) of a density (D, H, W), differentiable in the density; row 0 is at the top."""
@@ -108,7 +126,9 @@ class _RenderViews(dr.CustomOp):
         self.density, self.scene, self.views = density, scene, views
         with dr.suspend_grad():
             scene.show(density * opaque(scene.gamma), views)
-            image = scene.scene.integrator().render(scene.scene, scene.sensor, spp=1, evaluate=False)
+            image = scene.scene.integrator().render(
+                scene.scene, scene.sensor, seed=scene.next_seed(), spp=scene.spp, evaluate=False
+            )
         return mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:]))
 
     def _attached_extinction(self) -> mi.TensorXf:
@@ -132,7 +152,9 @@ class _RenderViews(dr.CustomOp):
         image_gradient = mi.TensorXf(self.grad_out().array, (scene.view_count * rows, columns, 1))
         with dr.resume_grad():
             extinction = self._attached_extinction()
-            scene.scene.integrator().render_backward(scene.scene, scene.parameters, image_gradient, scene.sensor, spp=1)
+            scene.scene.integrator().render_backward(
+                scene.scene, scene.parameters, image_gradient, scene.sensor, seed=scene.next_seed(), spp=scene.spp
+            )
             gradient = dr.grad(extinction).array * opaque(scene.gamma)
         self.set_grad_in("density", mi.TensorXf(gradient, scene.shape))
 
@@ -140,9 +162,11 @@ class _RenderViews(dr.CustomOp):
         return "render views"
 
 
-def grid_scene(shape: Shape, gamma: float, quadrature: str, h: float, view_count: int) -> GridScene:
+def grid_scene(
+    shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
+) -> GridScene:
     """A `GridScene`, taken from a small cache: loading one is slow, and Mitsuba does not give back all its memory."""
-    return _cached_scene(mi.variant(), shape, gamma, quadrature, h, view_count)
+    return _cached_scene(mi.variant(), shape, gamma, quadrature, h, view_count, step)
 
 
 @functools.lru_cache(maxsize=6)
