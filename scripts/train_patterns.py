@@ -14,6 +14,7 @@ one picture of each family, and the training curve, for docs/patterns.md.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import os
@@ -328,7 +329,9 @@ def figures() -> None:
     pen = ImageDraw.Draw(sheet)
     for number, kind in enumerate(FAMILIES):
         left, top = number % columns * (size + margin), number // columns * (size + margin + caption)
-        picture = draw(kind, 1, size, UNSEEN + number, shaded=False)[0, 0]
+        # At its smallest and almost upright: most of it is in view.
+        shown = dataclasses.replace(kind, span=(kind.span[1],) * 2, tilt=min(kind.tilt, 0.3))
+        picture = draw(shown, 1, size, UNSEEN + number, shaded=False)[0, 0]
         sheet.paste(Image.fromarray((picture * 255.0).round().to(torch.uint8).numpy()), (left, top + caption))
         pen.text((left, top), kind.name, fill=0)
     sheet.save(IMAGES / "patterns_families.png", optimize=True)

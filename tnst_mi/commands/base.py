@@ -11,8 +11,9 @@ from typing import Annotated, Any
 
 import tyro
 
+from tnst_mi.errors import InputError
 from tnst_mi.recipe import KINDS, Recipe, documentation
-from tnst_mi.recipe_keys import Texts
+from tnst_mi.recipe_keys import Number, Texts
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -51,3 +52,16 @@ def recipe_flags(keys: Iterable[str]) -> type:
 def given(flags: Any) -> dict[str, Any]:
     """The texts of those among some recipe flags that were given, by key."""
     return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
+
+
+def view_of(text: str) -> tuple[float, float]:
+    """The view (azimuth, elevation) in degrees that a text of `--views` stands for.
+
+    Raises:
+        InputError: it is no such pair.
+    """
+    try:
+        azimuth, elevation = (Number(-360.0, 360.0).check(float(part)) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--views {text}: expected AZIMUTH,ELEVATION in degrees, such as -10,5") from None
+    return azimuth, elevation

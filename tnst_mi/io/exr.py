@@ -1,4 +1,4 @@
-"""OpenEXR pictures: one float32 luminance channel, with what made the picture in the header."""
+"""OpenEXR pictures: one float32 luminance channel, or red, green and blue, with what made the picture in the header."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tnst_mi.io.atomic import written_whole
 
 
 def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
-    """Write a grey picture without loss.
+    """Write a picture without loss.
 
     Args:
         path: the file, ending in .exr.
-        image: (H, W), linear values, row 0 at the top; stored as channel Y.
+        image: (H, W), stored as channel Y, or (H, W, 3), stored as R, G and B; linear values, row 0 at the top.
         attributes: header entries by name.
     """
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
     pixels = np.ascontiguousarray(image, dtype=np.float32)
-    with written_whole(path) as temporary, OpenEXR.File(header, {"Y": pixels}) as file:
+    with written_whole(path) as temporary, OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}) as file:
         file.write(str(temporary))

@@ -1,4 +1,4 @@
-"""PNG previews: the linear value clipped to [0, 1] as 8 bits, without gamma or any other tone curve."""
+"""PNG pictures of 8 bits, from values clipped to [0, 1]; the sRGB curve is for those that want it, not applied here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ from tnst_mi.io.atomic import written_whole
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write a grey (H, W) picture, row 0 at the top: 0 is black, 1 and above white."""
-    pixels = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    """Write a grey (H, W) or colour (H, W, 3) picture, row 0 at the top: 0 is black, 1 and above white."""
     with written_whole(path) as temporary:
-        Image.fromarray(pixels).save(temporary)
+        Image.fromarray(eight_bits(image)).save(temporary)
+
+
+def eight_bits(image: np.ndarray) -> np.ndarray:
+    """Values clipped to [0, 1] as the nearest of 0 to 255."""
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """Linear values, clipped to [0, 1], through the sRGB curve (IEC 61966-2-1), for pictures that are looked at."""
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

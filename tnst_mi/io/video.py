@@ -1,0 +1,85 @@
+"""H.264 videos in mp4 files, through the ffmpeg that the package imageio-ffmpeg carries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.png import eight_bits
+
+#: Players guess the colour matrix from the size of the picture; this is written into the file.
+_COLOURS = ["-vf", "scale=out_color_matrix=bt709"]
+_COLOURS += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"]
+
+_PLAYS_WHILE_LOADING = ["-movflags", "+faststart"]
+
+
+class Video:
+    """A video that is being written; `add` its pictures one by one."""
+
+    def __init__(self, path: Path, frames_per_second: float) -> None:
+        self._path, self._frames_per_second = path, frames_per_second
+        self._encoder = None
+        self._shape: tuple[int, int] = (0, 0)
+
+    def add(self, image: np.ndarray) -> None:
+        """Append a picture (H, W) or (H, W, 3), row 0 at the top; 0 is black, 1 and above full brightness.
+
+        All pictures have the size of the first. An odd width or height is made even, which the format asks for, by
+        repeating the last column or row.
+
+        Raises:
+            InputError: the picture has another size than the first.
+        """
+        rows, columns = image.shape[:2]
+        pixels = eight_bits(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))
+        pixels = np.pad(pixels, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
+        if self._encoder is None:
+            self._shape = (rows, columns)
+            self._start(pixels.shape[1], pixels.shape[0])
+        if (rows, columns) != self._shape:
+            first = f"{self._shape[1]} x {self._shape[0]}"
+            raise InputError(f"video: a picture of {columns} x {rows} pixels after ones of {first}, expected one size")
+        self._encoder.send(np.ascontiguousarray(pixels))
+
+    def _start(self, columns: int, rows: int) -> None:
+        import imageio_ffmpeg
+
+        self._encoder = imageio_ffmpeg.write_frames(
+            str(self._path),
+            (columns, rows),
+            fps=self._frames_per_second,
+            codec="libx264",
+            quality=8,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=_COLOURS + _PLAYS_WHILE_LOADING,
+        )
+        self._encoder.send(None)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._encoder is not None:
+            self._encoder.close()
+            self._encoder = None
+
+
+@contextmanager
+def open_video(path: Path, frames_per_second: float = 24.0) -> Iterator[Video]:
+    """A `Video` whose file appears once the block ends well, whole or not at all.
+
+    Args:
+        path: the file, ending in .mp4.
+        frames_per_second: how fast it plays.
+    """
+    with written_whole(path) as temporary:
+        video = Video(temporary, frames_per_second)
+        try:
+            yield video
+        finally:
+            video.close()
