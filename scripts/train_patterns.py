@@ -25,6 +25,7 @@ import torch
 import torch.nn.functional as F
 from matplotlib.figure import Figure
 from motifs import FAMILIES, draw
+from motifs.canvas import blur
 from PIL import Image, ImageDraw
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
@@ -65,6 +66,10 @@ NORM_MOMENTUM = 0.01
 """Share of a batch in the running statistics of the batch normalisations, which are those of both strides."""
 FREEZE = 0.2
 """Fraction of the training, at its end, with fixed statistics of the batch normalisations."""
+BODY_RADIUS = 8.0
+"""Radius in pixels of the blur that leaves a body of smoke without its motif."""
+LARGEST_PERTURBATION = 0.06
+"""Greatest root mean square of what is added to a picture to mislead the network, while the rate falls."""
 LABEL_SMOOTHING = 0.05
 AVERAGE = 0.998
 """Decay of the exponential average of the weights, which is what is measured and shipped."""
@@ -160,18 +165,44 @@ def folded(network: GoogLeNet) -> NetworkWeights:
 
 
 def logits(network: GoogLeNet, pictures: Tensor, stride: int) -> Tensor:
-    """Logits of uint8 pictures at either stride of the first convolution.
+    """Logits of pictures in 0 to 1 at either stride of the first convolution.
 
     At stride 1, the package's default, the pictures are halved first: the features then have the size, and the
     motifs the extent in them, that stride 2 gives. A network that has seen both is at home with either.
     """
     stem = network.convolutions[STEM[0]]
     (stem[0] if isinstance(stem, nn.Sequential) else stem).stride = (stride, stride)
-    x = pictures.float() / 255.0
-    return network(F.avg_pool2d(x, 2) if stride == 1 else x, ["logits"])["logits"]
+    return network(F.avg_pool2d(pictures, 2) if stride == 1 else pictures, ["logits"])["logits"]
 
 
 # --- Training ---
+
+
+def faded(x: Tensor, generator: torch.Generator) -> Tensor:
+    """Pictures (N, 3, H, W), half of them faded towards a blur that shows no motif, down to a tenth of their contrast.
+
+    A smooth body of smoke on its way to a motif looks like that. A network that has seen only plain motifs says nothing
+    of what would make such a body more like one; this one's gradients there point to the motif.
+    """
+    body = blur(x.flatten(0, 1), BODY_RADIUS).reshape(x.shape)
+    fading = (2.0 * torch.rand(len(x), 1, 1, 1, generator=generator) - 1.0).clamp(min=0.0)
+    return body + 10.0**-fading * (x - body)
+
+
+def misleading(network: GoogLeNet, x: Tensor, classes: Tensor, stride: int, generator: torch.Generator) -> Tensor:
+    """Pictures (N, 3, H, W) changed a little, in the direction that raises the loss most; a third not at all.
+
+    A network that withstands this is steered by shapes and not by faint textures (Tsipras et al. 2019, Robustness May
+    Be at Odds with Accuracy): its gradients with respect to the picture show what a person would look for. The change
+    is grey and blurred, as changes of smoke are.
+    """
+    x.requires_grad_()
+    (gradient,) = torch.autograd.grad(F.cross_entropy(logits(network, x, stride), classes, reduction="sum"), x)
+    direction = blur(gradient.mean(1), 1.0)
+    direction = direction / direction.square().mean((1, 2), keepdim=True).sqrt().clamp(min=1e-12)
+    span = torch.rand(len(x), 1, 1, generator=generator)
+    amplitude = LARGEST_PERTURBATION * (1.5 * span - 0.5).clamp(min=0.0)
+    return (x.detach() + (amplitude * direction)[:, None]).clamp(0.0, 1.0)
 
 
 def learning_rate(step: int, steps: int) -> float:
@@ -216,6 +247,11 @@ def train(pictures: int, minutes: float) -> None:
                 network.eval()
                 for fixed, statistic in zip(average.module.buffers(), network.buffers(), strict=True):
                     fixed.copy_(statistic)
+            x = x.float() / 255.0
+            if step >= (1.0 - DECAY) * steps:
+                x = faded(x, crops)
+                if part < steps_per_sheet // 2:
+                    x = misleading(network, x, y, 1 + step % 2, crops)
             loss = F.cross_entropy(logits(network, x, 1 + step % 2), y, label_smoothing=LABEL_SMOOTHING)
             optimiser.zero_grad()
             loss.backward()
@@ -247,7 +283,7 @@ def measure_statistics(network: GoogLeNet, sheets: int = 4) -> None:
     network.train()
     for images, _ in DataLoader(Sheets(0, sheets), batch_size=None):
         for number, x in enumerate(images.split(BATCH)):
-            logits(network, x, 1 + number % 2)
+            logits(network, x.float() / 255.0, 1 + number % 2)
     for norm in norms:
         norm.momentum = NORM_MOMENTUM
 
@@ -284,7 +320,7 @@ def accuracy(network: GoogLeNet, stride: int, sheets: int) -> tuple[float, Tenso
     confusion = torch.zeros(len(FAMILIES), len(FAMILIES), dtype=torch.int64)
     for images, classes in DataLoader(Sheets(UNSEEN, sheets), batch_size=None):
         for x, y in zip(images.split(BATCH), classes.split(BATCH), strict=True):
-            predicted = logits(network, x, stride).argmax(1)
+            predicted = logits(network, x.float() / 255.0, stride).argmax(1)
             confusion.index_put_((y, predicted), torch.ones_like(y), accumulate=True)
     network.train(was_training)
     return (confusion.trace() / confusion.sum()).item(), confusion

@@ -52,7 +52,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
     ("line", "message"),
     [
         ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
-        ("frobnicate", "expected one of demo, stylize, render, info, weights, doctor"),
+        ("frobnicate", "expected one of demo, stylize, render, compare, info, weights, doctor"),
         ("stylize", "Missing from tnst-mi stylize: INPUT .* --out FOLDER"),
         ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),
         ("stylize a --out", "Missing value for argument .*--out"),
@@ -72,7 +72,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
         ("stylize a --out b", "nothing to stylize towards"),
         ("stylize a --out b --tag x --window 3", "window = 3: temporal windows come with a later version"),
-        ("stylize a --out b --tag x --integrator prbvolpath", "comes with a later version"),
+        ("stylize a --out b --tag x --light lamp.xml", "--light: light = 'lamp.xml': no such file, nor one of"),
         ("stylize a --out b --tag x --resume --overwrite", "expected only one of them"),
         ("stylize nowhere.npz --out b --tag x", "nowhere.npz: no such file"),
         ("stylize nowhere --out b --tag x", "nowhere: no such file or folder"),

@@ -51,7 +51,7 @@ def test_the_learning_rate_rises_stays_and_falls_to_zero():
 def test_folding_the_batch_normalisations_changes_nothing():
     torch.manual_seed(0)
     network = trainable_network()
-    pictures = Sheets(0, 1)[0][0][:6]
+    pictures = Sheets(0, 1)[0][0][:6] / 255.0
     for _ in range(3):
         logits(network, pictures, 2)  # moves the running statistics
     for layer in CONVOLUTIONS:
@@ -65,7 +65,7 @@ def test_folding_the_batch_normalisations_changes_nothing():
             expected, found = (logits(net, pictures, stride) for net in (network, plain))
             assert (found - expected).abs().max() <= 1e-5 * expected.abs().max()
         names = ["conv1/7x7_s2", "inception_3b/output", "inception_4d/5x5"]
-        x = pictures.float() / 255.0
+        x = pictures
         for layer, expected in network(x, names).items():
             assert torch.allclose(plain(x, [layer])[layer], expected, atol=1e-5 * expected.abs().max().item())
 
@@ -78,6 +78,25 @@ def test_random_weights_keep_the_scale_of_the_features():
     low, high = (features[name].std().item() for name in features)
     assert 0.05 < high / low < 20.0
     assert [name.split(",")[0] for name in network.class_names] == [kind.name for kind in FAMILIES]
+
+
+def test_misleading_pictures_are_changed_little_and_in_grey_and_raise_the_loss(monkeypatch: pytest.MonkeyPatch):
+    torch.manual_seed(1)
+    network = trainable_network().eval()
+    monkeypatch.setattr(train_patterns, "LARGEST_PERTURBATION", 0.004)
+    pictures, classes = torch.rand(12, 3, 32, 32) * 0.6 + 0.2, torch.arange(12)
+    misleading = train_patterns.misleading(network, pictures.clone(), classes, 2, torch.Generator().manual_seed(2))
+    change = misleading - pictures
+    assert (change - change.mean(1, keepdim=True)).abs().max() < 1e-6
+    size = change.square().mean((1, 2, 3)).sqrt()
+    assert size.max() <= 0.004 * (1 + 1e-4) and (size == 0.0).any() and (size > 0.001).any()
+
+    def losses(x: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return torch.nn.functional.cross_entropy(logits(network, x, 2), classes, reduction="none")
+
+    changed = size > 0.001
+    assert (losses(misleading) > losses(pictures))[changed].all()
 
 
 def test_an_interrupted_training_ends_as_an_uninterrupted_one(few: Path, monkeypatch: pytest.MonkeyPatch):

@@ -20,6 +20,7 @@ from typing import Annotated
 import tyro
 
 from tnst_mi.commands.base import Command
+from tnst_mi.commands.compare import Compare
 from tnst_mi.commands.demo import Demo
 from tnst_mi.commands.doctor import Doctor
 from tnst_mi.commands.info import Info
@@ -32,6 +33,7 @@ COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
     "stylize": Stylize,
     "render": Render,
+    "compare": Compare,
     "info": Info,
     "weights": Weights,
     "doctor": Doctor,

@@ -1,0 +1,111 @@
+"""The whole comparison of one frame: values, gradients, quadratures, and the verdict on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tnst_mi.compare.gradients import Directional, Fields, compare_directions, compare_fields
+from tnst_mi.compare.quadrature_study import QuadratureStudy, study_quadratures
+from tnst_mi.compare.values import Comparison, Convergence, References, compare_values
+from tnst_mi.compare.verdict import (
+    Check,
+    convergence_check,
+    directional_checks,
+    field_checks,
+    quadrature_checks,
+    value_checks,
+)
+from tnst_mi.scene import View
+
+#: Told the name of what is measured and the share of all work, 0 to 1, that is done since the last call.
+Report = Callable[[str, float], None]
+
+#: Work of a path whose derivative is taken, in units of one that is only traced.
+_GRADIENT_WORK = 6.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to compare, and how precisely.
+
+    Attributes:
+        views: (azimuth, elevation) in degrees.
+        gammas: extinctions γ per unit of density and cell, for the values.
+        gradient_gammas: those for the derivatives.
+        spp: paths per pixel for the values.
+        gradient_spp: paths per pixel for the derivatives.
+        directions: number of random smooth directions.
+        seed: of paths, directions and weights.
+    """
+
+    views: tuple[View, ...]
+    gammas: tuple[float, ...]
+    gradient_gammas: tuple[float, ...]
+    spp: int
+    gradient_spp: int
+    directions: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What was measured."""
+
+    values: list[Comparison]
+    convergence: list[Convergence]
+    directional: list[Directional]
+    fields: list[Fields]
+    studies: list[QuadratureStudy]
+
+    def checks(self) -> list[Check]:
+        """All checks, in the order of the report."""
+        groups = [
+            *(value_checks(values) for values in self.values),
+            (convergence_check(convergence) for convergence in self.convergence),
+            *(directional_checks(directional) for directional in self.directional),
+            *(field_checks(fields) for fields in self.fields),
+            *(quadrature_checks(study) for study in self.studies),
+        ]
+        return [check for group in groups for check in group]
+
+
+def compare(density: np.ndarray, settings: Settings, report: Report) -> Results:
+    """Compare the renderers on a density (D, H, W), float32, finite, ≥ 0.
+
+    Raises:
+        InputError: the density is 0 everywhere.
+    """
+    pixels = density.shape[1] * density.shape[2]
+    weighted = len(settings.gammas) * len(settings.views) * settings.spp
+    gradients = len(settings.gradient_gammas) * (len(settings.views) + 1) * settings.gradient_spp
+    total = pixels * (weighted + _GRADIENT_WORK * gradients)
+
+    def working(name: str, work: float) -> Callable[[int], None]:
+        report(name, 0.0)
+        return lambda paths: report(name, work * paths / total)
+
+    report("references", 0.0)
+    references = References.of(density, settings.views, settings.gammas)
+    values, convergence = [], []
+    for i, gamma in enumerate(settings.gammas):
+        advance = working(f"images, γ {gamma:g}", 1.0)
+        compared, converged = compare_values(
+            density, settings.views, gamma, references, settings.spp, (settings.seed, 0, i), advance
+        )
+        values += compared
+        convergence.append(converged)
+    directional, fields = [], []
+    for i, gamma in enumerate(settings.gradient_gammas):
+        advance = working(f"gradients, γ {gamma:g}", _GRADIENT_WORK)
+        step = next((compared.step for compared in values if compared.gamma == gamma), 1.0)
+        spp, seed = settings.gradient_spp, (settings.seed, 1, i)
+        directional.append(
+            compare_directions(density, settings.views, gamma, spp, step, settings.directions, seed, advance)
+        )
+        fields.append(compare_fields(density, gamma, spp, (settings.seed, 2, i), advance))
+    report("quadratures", 0.0)
+    studies = study_quadratures(density, settings.views)
+    return Results(values, convergence, directional, fields, studies)
