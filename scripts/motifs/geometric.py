@@ -46,13 +46,13 @@ def square(canvas: Canvas) -> Tensor:
     return frame.maximum(smoothstep(0.19, 0.25, edge) * (canvas.random(i, j, 3) > 0.5))
 
 
-@family("spirals", "whorl", span=(1.2, 4.0))
+@family("spirals", "whorl", span=(1.0, 4.0))
 def spiral(canvas: Canvas) -> Tensor:
     """Whorls of either handedness, each filling its own patch of the plane."""
     nearest, second, dx, dy, number = canvas.nearest_points(canvas.x, canvas.y, 0.6)
     radius, angle = polar(dx, dy)
     hand = (number > 0.5) * 2.0 - 1.0
-    turns = canvas.uniform(3.0, 5.0)
+    turns = canvas.uniform(1.6, 4.5)
     phase = 2.0 * math.pi * radius * turns + hand * angle + 6.28 * number
     ribbon = smoothstep(-0.6, 0.6, phase.sin())
     return ribbon * smoothstep(0.0, 0.06, second - nearest)

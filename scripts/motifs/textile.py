@@ -20,8 +20,8 @@ def net(canvas: Canvas) -> Tensor:
     a, b = x + y, x - y
     sag = canvas.uniform(0.06, 0.12) * ((math.pi * a).sin() ** 2 + (math.pi * b).sin() ** 2)
     a, b = (_distance_to_whole(c, canvas) for c in (a + sag, b - sag))
-    rope = inside(canvas.uniform(0.035, 0.06) - a.minimum(b), canvas)
-    return rope.maximum(inside(canvas.uniform(0.12, 0.15) - torch.hypot(a, b), canvas))
+    rope = inside(canvas.uniform(0.035, 0.11) - a.minimum(b), canvas)
+    return rope.maximum(inside(canvas.uniform(0.12, 0.19) - torch.hypot(a, b), canvas))
 
 
 def _distance_to_whole(field: Tensor, canvas: Canvas) -> Tensor:
