@@ -27,7 +27,7 @@ from tnst_mi.objective import as_rgb
 from tnst_mi.optimise import optimise
 
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]
-TAGS = "spiral,net,flower,fire,honeycomb,scales,stripes,stars,chain,brush strokes"
+TAGS = "spiral,net,flower,fire,stripes,dots,stars,scales,rings,hearts"
 METHOD = {"octaves": 2, "iterations": 20, "views": 3}
 
 
@@ -52,8 +52,11 @@ def judge_styles(frame: Frame, images: list[Path], judge: GoogLeNet, keys: dict)
         recipe = Recipe.from_dict(METHOD | keys | {"style": [str(image)]}, "judge: ", Path.cwd())
         before, after, mass = stylized(frame, recipe, patterns)
         row = {"image": image.name, "mass": mass}
-        for name, network in (("patterns", patterns), ("judge", judge)):
-            distance = Style(str(image), recipe.style_layers).bind(network, *before.shape[1:])
+        for name, network, layers in (
+            ("patterns", patterns, recipe.style_layers),
+            ("judge", judge, Recipe().style_layers),
+        ):
+            distance = Style(str(image), layers).bind(network, *before.shape[1:])
             with torch.no_grad():
                 row[name] = (distance(after) / distance(before)).item()
         rows.append(row)

@@ -1,6 +1,6 @@
 """Train the network that ships with the package, a GoogLeNet that tells families of drawn motifs apart.
 
-    python scripts/train_patterns.py train [--pictures 400000] [--minutes 110]
+    python scripts/train_patterns.py train [--pictures 356000] [--minutes 110]
     python scripts/train_patterns.py export
     python scripts/train_patterns.py evaluate
     python scripts/train_patterns.py figures
@@ -386,7 +386,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("train")
-    training.add_argument("--pictures", type=int, default=400_000, help="length of the whole training (default 400000)")
+    training.add_argument("--pictures", type=int, default=356_000, help="length of the whole training (default 356000)")
     training.add_argument("--minutes", type=float, default=110.0, help="stop after this long (default 110)")
     commands.add_parser("export")
     evaluation = commands.add_parser("evaluate")
