@@ -202,3 +202,8 @@ def test_the_shipped_file(real: Path) -> None:
         network.class_index(tag)
     features = network(torch.rand(1, 3, 48, 40), network.layer_names)
     assert all(bool(values.isfinite().all()) and bool(values.any()) for values in features.values())
+
+
+def test_the_recipe_of_tags_runs_on_the_shipped_network() -> None:
+    recipe = Recipe.from_toml(SCENES / "by_name.toml")
+    assert recipe.weights == "patterns" and recipe.tag and not recipe.semantic

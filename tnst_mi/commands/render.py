@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from tnst_mi.commands.base import Command, Folder, given, recipe_flags
+from tnst_mi.commands.base import Command, Folder, given, recipe_flags, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.recipe import Recipe
-from tnst_mi.recipe_keys import Number
 
 if TYPE_CHECKING:
     from tnst_mi.io.sequence import FrameFiles
@@ -88,7 +87,7 @@ class Render(Command):
         path_traced = (self.integrator or ("volpath" if self.look else "emission_absorption")) != "emission_absorption"
         self._check_flags(path_traced)
         recipe = Recipe().updated_by_flags(given(self.renderer))
-        views = [_view(text) for text in self.views]
+        views = [view_of(text) for text in self.views]
         size = _size(self.studio.resolution or "288x384")
         remedy = None if self.overwrite else "give another folder, or write into this one with --overwrite"
         require_writable(self.out, remedy=remedy)
@@ -180,14 +179,6 @@ class Render(Command):
         for flag, value in others.items():
             if value is not None:
                 raise InputError(f"--{flag}: {remedy}")
-
-
-def _view(text: str) -> tuple[float, float]:
-    try:
-        azimuth, elevation = (Number(-360.0, 360.0).check(float(part)) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--views {text}: expected AZIMUTH,ELEVATION in degrees, such as -10,5") from None
-    return azimuth, elevation
 
 
 def _size(text: str) -> tuple[int, int]:
