@@ -71,7 +71,8 @@ def field_tasks(density: np.ndarray, views: int) -> dict[str, Callable[[], objec
         transport.attach()
         dr.set_grad(transport.fields["phi"], smoke)
         before = transport.fields["phi"]
-        transport.descend(mask, 1e-9, shape[1], 3)
+        transport.find_steps(mask, 1e-9, shape[1], 3)
+        transport.descend()
         after, transport.fields["phi"] = transport.fields["phi"], before
         return after
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from tnst_mi.frame import Frame
-from tnst_mi.optimise import Progress, Stylized
 from tnst_mi.recipe import Recipe
+from tnst_mi.sequence import Progress, Stylized
+from tnst_mi.store import Store
 from tnst_mi.weights import ChosenWeights
 
 SHAPE = (4, 6, 5)
@@ -24,58 +25,78 @@ OBJECTIVE = SimpleNamespace(bind=lambda network, height, width: None)
 
 @dataclass
 class FakeOptimiser:
-    """Takes the place of `tnst_mi.optimise.optimise`: d* = 2 d, v* = (3, 4, 0); keeps how it was called."""
+    """Takes the place of `tnst_mi.sequence.SequenceOptimisation`: d* = 2 d, v* = (3, 4, 0); keeps how it was called."""
 
     POTENTIAL: ClassVar = (np.zeros(SHAPE, np.float32), None)
 
     calls: list[dict[str, Any]] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
     interrupt_at: str = ""
     failure: BaseException | None = None
+    interrupted: bool = False
 
     def __call__(
         self,
-        frame: Frame,
+        frames: Sequence[Frame],
+        names: Sequence[str],
+        numbers: Sequence[int | None],
         recipe: Recipe,
         network: object,
-        exposure: float | None,
-        on_iteration: Callable[[Progress], None] | None,
-        step_scale: float = 1.0,
-        objective: object = None,
-    ) -> Stylized:
-        assert objective is OBJECTIVE
-        self.calls.append({"name": frame.name, "recipe": recipe, "exposure": exposure, "step_scale": step_scale})
-        if self.failure is not None:
-            raise self.failure
-        history = []
-        for octave in range(recipe.octaves):
-            for iteration in range(recipe.iterations):
-                loss = 10.0 * octave - iteration
-                terms = {"style": loss}
-                history.append({"octave": octave, "iteration": iteration, "loss": loss, "terms": terms, "seconds": 0.0})
-                on_iteration(Progress(octave, recipe.octaves, iteration, recipe.iterations, loss, terms))
-        velocity = np.broadcast_to(np.float32([3, 4, 0]), (*frame.density.shape, 3))
-        return Stylized(
-            2.0 * frame.density,
-            velocity,
-            self.POTENTIAL,
-            history=history,
-            interrupted=frame.name == self.interrupt_at,
-            note=None if frame.density.any() else "empty: unchanged",
-            timings={"total": 0.5},
-        )
+        store: Store,
+        exposure: float,
+        step_scales: Sequence[float],
+    ) -> FakeOptimiser:
+        assert [frame.name for frame in frames] == names and [frame.number for frame in frames] == numbers
+        self.frames, self.recipe, self.store, self.interrupted = frames, recipe, store, False
+        self.calls.append({"recipe": recipe, "exposure": exposure, "step_scales": step_scales})
+        return self
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the frames, in the order of the calls."""
-        return [call["name"] for call in self.calls]
+    def run(
+        self, on_iteration: Callable[[Progress], None], finished: Collection[int]
+    ) -> Iterator[tuple[int, Stylized]]:
+        recipe = self.recipe
+        self.store.write("fields.0", 0, 0, {"phi": np.zeros(SHAPE, np.float32)})
+        for index, frame in enumerate(self.frames):
+            if index in finished:
+                continue
+            if self.failure is not None:
+                raise self.failure
+            if frame.name == self.interrupt_at:
+                self.interrupted = True
+                return
+            self.names.append(frame.name)
+            history = []
+            for octave in range(recipe.octaves):
+                for iteration in range(recipe.iterations):
+                    loss = 10.0 * octave - iteration
+                    terms = {"style": loss}
+                    history.append(
+                        {"octave": octave, "iteration": iteration, "loss": loss, "terms": terms, "seconds": 0.0}
+                    )
+                    on_iteration(
+                        Progress(frame.name, octave, recipe.octaves, iteration, recipe.iterations, loss, terms, 1, 1)
+                    )
+            yield (
+                index,
+                Stylized(
+                    2.0 * frame.density,
+                    np.broadcast_to(np.float32([3, 4, 0]), (*frame.density.shape, 3)),
+                    self.POTENTIAL,
+                    history=history,
+                    note=None if frame.density.any() else "empty: unchanged",
+                    timings={"total": 0.5},
+                    loss_before=4.0,
+                    loss_after=3.0,
+                ),
+            )
 
 
 @pytest.fixture
 def optimiser(monkeypatch: pytest.MonkeyPatch) -> FakeOptimiser:
     """Runs take the fake optimiser and no network."""
     fake = FakeOptimiser()
-    monkeypatch.setattr("tnst_mi.optimise.optimise", fake)
-    monkeypatch.setattr("tnst_mi.optimise.objective_of", lambda recipe: OBJECTIVE)
+    monkeypatch.setattr("tnst_mi.sequence.SequenceOptimisation", fake)
+    monkeypatch.setattr("tnst_mi.goals.objective_of", lambda recipe: OBJECTIVE)
     network = SimpleNamespace(source="none", sha256="0" * 64, flavour="bvlc")
     monkeypatch.setattr("tnst_mi.weights.find_weights", lambda source: ChosenWeights(Path(network.source), "bvlc"))
     monkeypatch.setattr("tnst_mi.googlenet.GoogLeNet.from_file", lambda path: network)

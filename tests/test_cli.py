@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -71,7 +72,6 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --semantic conv2", "--semantic conv2: expected a list of layers"),
         ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
         ("stylize a --out b", "nothing to stylize towards"),
-        ("stylize a --out b --tag x --window 3", "window = 3: temporal windows come with a later version"),
         ("stylize a --out b --tag x --light lamp.xml", "--light: light = 'lamp.xml': no such file, nor one of"),
         ("stylize a --out b --tag x --resume --overwrite", "expected only one of them"),
         ("stylize nowhere.npz --out b --tag x", "nowhere.npz: no such file"),
@@ -125,16 +125,16 @@ def test_an_interrupted_run_says_where_its_results_are(
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--iterations", "1")
     ran = run(*arguments)
     assert ran.code == 3
-    assert f"interrupted; {tmp_path / 'out'} has what was reached" in ran.errors[-1]
+    assert f"interrupted; --resume continues the run in {tmp_path / 'out'} where it stopped" in ran.errors[-1]
     assert json.loads((tmp_path / "out" / "run.json").read_text())["status"] == "interrupted"
     refused(run, tmp_path, list(arguments), "is not empty; continue its run with --resume")
     optimiser.interrupt_at = ""
     assert run(*arguments, "--resume").code == 0
-    assert optimiser.names == ["f_07", "f_08", "f_08", "f_09"]
+    assert optimiser.names == ["f_07", "f_08", "f_09"]
 
 
 def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
-    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano")
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
     assert (ran.code, ran.errors[1:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
@@ -145,7 +145,9 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
     assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 2
-    assert not (tmp_path / "out").exists()
+    optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
+    ran = run(*arguments)
+    assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
 
 
 def test_wrapped_failures_tell_their_cause(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
@@ -155,7 +157,7 @@ def test_wrapped_failures_tell_their_cause(run: Run, smoke: Path, tmp_path: Path
         outer.__cause__.__cause__ = cause
         return outer
 
-    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano")
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = wrapped(OSError("the disk"))
     ran = run(*arguments)
     told = "tnst-mi: RuntimeError: outer, caused by OSError: the disk (--debug shows where)"

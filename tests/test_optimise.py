@@ -211,7 +211,7 @@ def test_an_objective_may_replace_the_recipe_s_terms(network: GoogLeNet, smoke: 
 def test_loss_that_is_not_finite_ends_the_run(network: GoogLeNet, smoke: Frame) -> None:
     broken = copy.deepcopy(network)
     broken.convolutions["conv1/7x7_s2"].bias.data.fill_(float("nan"))
-    with pytest.raises(tnst_mi.InputError, match="cloud: the loss is nan in iteration 1 of octave 1"):
+    with pytest.raises(tnst_mi.InputError, match="cloud, iteration 1 of octave 1: the loss is nan"):
         optimise(smoke, recipe(), broken)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -12,7 +14,7 @@ from jobs import SHAPE, FakeOptimiser, frames, optimiser
 from PIL import Image
 
 import tnst_mi
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.npz import read_headers
@@ -39,26 +41,16 @@ def files_of(folder: Path) -> set[str]:
 def test_exposure_and_step_scale_are_those_of_the_whole_run(optimiser: FakeOptimiser) -> None:
     tnst_mi.stylize(frames(0.2, 0.4, 0.0), RECIPE, progress=False)
     brightest = pixel(0.4)
-    for call in optimiser.calls:
-        assert call["exposure"] == pytest.approx(1.0 / brightest, rel=1e-4)
-    scales = [call["step_scale"] for call in optimiser.calls]
-    assert scales == pytest.approx([pixel(0.2) / brightest, 1.0, 0.0], rel=1e-4)
+    (call,) = optimiser.calls
+    assert call["exposure"] == pytest.approx(1.0 / brightest, rel=1e-4)
+    assert call["step_scales"] == pytest.approx([pixel(0.2) / brightest, 1.0, 0.0], rel=1e-4)
 
 
 def test_an_empty_run_has_finite_numbers(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     result = tnst_mi.stylize(frames(0.0), RECIPE, tmp_path / "out", progress=False)
-    assert (optimiser.calls[0]["exposure"], optimiser.calls[0]["step_scale"]) == (1.0, 1.0)
+    assert (optimiser.calls[0]["exposure"], optimiser.calls[0]["step_scales"]) == (1.0, [0.0])
     assert not result.densities[0].any()
     assert json.loads((tmp_path / "out" / "run.json").read_text())["frames"][0]["note"] == "empty: unchanged"
-
-
-@pytest.mark.parametrize("blend", [0.0, 0.25, 1.0])
-def test_blend(optimiser: FakeOptimiser, blend: float) -> None:
-    (frame,) = frames(0.3)
-    result = tnst_mi.stylize(frame, {"style": ["spirals"], "blend": blend}, progress=False)
-    np.testing.assert_allclose(result.densities[0], (1 + blend) * frame.density, rtol=1e-6)
-    if blend in (0.0, 1.0):
-        np.testing.assert_array_equal(result.densities[0], (1 + np.float32(blend)) * frame.density)
 
 
 def test_everything_that_frames_can_be(optimiser: FakeOptimiser, tmp_path: Path) -> None:
@@ -90,6 +82,7 @@ def test_the_results_of_a_run(optimiser: FakeOptimiser, tmp_path: Path) -> None:
 
     pictures = {"before.png", "before.exr", "after.png", "after.exr", "comparison.png", "loss.png"}
     expected = {"recipe.toml", "run.json", "metrics.jsonl"}
+    expected |= {f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png")}
     for name in ("f_07", "f_08"):
         expected |= {f"density/{name}.npz", f"velocity/{name}.npz"}
         expected |= {f"images/{name}_{picture}" for picture in pictures}
@@ -126,6 +119,10 @@ def test_the_results_of_a_run(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     assert first["mass_after"] == pytest.approx(0.4 * np.prod(SHAPE), rel=1e-6)
     assert first["largest_displacement"] == pytest.approx(5.0)
     assert first["losses"] == [[0, -1, -2], [10, 9, 8]]
+    sequence = run["sequence"]
+    assert (sequence["window"], sequence["loss_reduction"]) == (1, 0.25)
+    assert sequence["relative_changes"] == pytest.approx([1.0, 1.0], rel=1e-6)
+    assert (sequence["flicker"], sequence["flicker_pairs"]) == (None, [])  # the frames have no velocities
     lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert [(line["frame"], line["octave"], line["iteration"]) for line in lines] == [
         (name, octave, iteration) for name in ("f_07", "f_08") for octave in (0, 1) for iteration in (0, 1, 2)
@@ -137,14 +134,15 @@ def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path)
     optimiser.interrupt_at = "f_08"
     result = tnst_mi.stylize(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False)
     assert result.run["status"] == "interrupted"
-    assert optimiser.names == ["f_07", "f_08"]
-    assert (out / "density" / "f_08.npz").exists()  # what was reached is kept
+    assert optimiser.names == ["f_07"]
+    assert [len(entries) for entries in (result.densities, result.frames, result.history)] == [1, 1, 1]
+    assert (out / ".work").exists()
 
-    optimiser.calls.clear()
     optimiser.interrupt_at = ""
     for _ in Job(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False, resume=True).run():
         pass
-    assert optimiser.names == ["f_08", "f_09"]
+    assert optimiser.names == ["f_07", "f_08", "f_09"]
+    assert not (out / ".work").exists()
     run = json.loads((out / "run.json").read_text())
     assert run["status"] == "done"
     assert [(frame["name"], frame["complete"]) for frame in run["frames"]] == [
@@ -155,9 +153,8 @@ def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path)
     lines = [json.loads(line)["frame"] for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert lines == ["f_07"] * 6 + ["f_08"] * 6 + ["f_09"] * 6
 
-    optimiser.calls.clear()
     job = Job(frames(0.2, 0.4, 0.3), RECIPE, out, progress=False, resume=True)
-    assert list(job.run()) == []
+    assert list(job.run()) == [] and len(optimiser.calls) == 2
     assert job.record["status"] == "done"
 
 
@@ -241,6 +238,16 @@ def test_folders_that_overwriting_leaves_empty_are_removed(optimiser: FakeOptimi
     assert [path.name for path in out.iterdir()] == ["recipe.toml"]
 
 
+def test_a_run_that_was_killed_at_once_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    """Between the first two files of the run."""
+    out = tmp_path / "out"
+    RunFolder(out, RECIPE)
+    (out / ".run.123.json").write_text('{"sta')
+    for _ in Job(frames(0.2), RECIPE, out, progress=False, resume=True).run():
+        pass
+    assert optimiser.names == ["f_07"]
+
+
 def test_potentials_are_not_kept_once_the_results_are_written(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     job = Job(frames(0.2), RECIPE, tmp_path / "out", progress=False)
     assert [frame.stylized.potential for frame in job.run()] == [(None, None)]
@@ -248,14 +255,34 @@ def test_potentials_are_not_kept_once_the_results_are_written(optimiser: FakeOpt
     assert [frame.stylized.potential is optimiser.POTENTIAL for frame in job.run()] == [True]
 
 
-def test_a_failing_run_leaves_the_earlier_one(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+def test_a_refused_run_leaves_the_earlier_one(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2), RECIPE, out, progress=False)
     before = {name: (out / name).read_bytes() for name in files_of(out)}
-    optimiser.failure = RuntimeError("no")
-    with pytest.raises(RuntimeError):
-        list(Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run())
+    for bad in (Recipe(), Recipe(style=("spirals",), window=3)):
+        with pytest.raises(InputError):
+            list(Job(frames(0.3), bad, out, progress=False, overwrite=True).run())
     assert {name: (out / name).read_bytes() for name in files_of(out)} == before
+
+
+def test_a_full_disk_stops_a_run_that_can_be_resumed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
+    out = tmp_path / "out"
+    with pytest.raises(StoppedError, match="the disk is full; free some space and go on with --resume"):
+        tnst_mi.stylize(frames(0.2), RECIPE, out, progress=False)
+    optimiser.failure = None
+    for _ in Job(frames(0.2), RECIPE, out, progress=False, resume=True).run():
+        pass
+    assert files_of(out) >= {"density/f_07.npz"}
+
+
+def test_room_on_the_disk_is_checked_first(
+    optimiser: FakeOptimiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=5000))
+    with pytest.raises(InputError, match=r"5e-06 GB are free on its disk and the run needs up to 7\.8e-06 GB"):
+        Job(frames(0.2, 0.3), RECIPE, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_where_results_may_not_go(tmp_path: Path) -> None:

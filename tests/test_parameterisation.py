@@ -64,7 +64,8 @@ def test_step_has_the_size_and_the_sign_of_the_recipe(cell_size: float) -> None:
     from tnst_mi.pyramid import gaussian, normalise
 
     direction = normalise(gaussian(gradient, 1.2), 3).numpy()
-    transport.descend(mi.TensorXf(mask), eta, rows, 3)
+    transport.find_steps(mi.TensorXf(mask), eta, rows, 3)
+    transport.descend()
     np.testing.assert_allclose(
         transport.fields["phi"].numpy(), -eta * rows / 2 * cell_size * mask * direction, rtol=1e-4, atol=1e-7
     )
@@ -79,7 +80,8 @@ def test_step_of_a_vector_potential_is_masked_in_every_component() -> None:
     transport = Transport(0.0)
     transport.enter(Octave(SHAPE, 1.0))
     pulled_back(transport, smooth_noise(rng, *SHAPE), blob(SHAPE, (9, 12, 8), 4))
-    transport.descend(mi.TensorXf(mask), 0.002, 24, 3)
+    transport.find_steps(mi.TensorXf(mask), 0.002, 24, 3)
+    transport.descend()
     psi = transport.fields["psi"].numpy()
     assert not psi[mask == 0].any()
     assert (np.abs(psi[mask == 1]).max(0) > 1e-4).all()

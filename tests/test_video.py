@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
+from videos import read_back
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.video import open_video
-
-
-def read_back(path: Path) -> tuple[np.ndarray, dict[str, object]]:
-    """All pictures (N, H, W, 3), and what the file says about itself."""
-    reader = imageio_ffmpeg.read_frames(str(path))
-    about = next(reader)
-    columns, rows = about["size"]
-    return np.stack([np.frombuffer(frame, np.uint8).reshape(rows, columns, 3) for frame in reader]), about
 
 
 @pytest.mark.parametrize("rows, columns", [(48, 64), (33, 47), (18, 30)])

@@ -27,7 +27,7 @@ from tnst_mi.commands.info import Info
 from tnst_mi.commands.render import Render
 from tnst_mi.commands.stylize import Stylize
 from tnst_mi.commands.weights import Weights
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, StoppedError
 
 COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
@@ -56,8 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # after --help
         return int(stop.code or 0)
     except KeyboardInterrupt:
-        kept = "; frames finished before are kept, --resume continues" if arguments[:1] == ["stylize"] else ""
+        kept = "; --resume continues" if arguments[:1] == ["stylize"] else ""
         return _failed(arguments, f"interrupted{kept}", 3)
+    except StoppedError as error:
+        return _failed(arguments, str(error), 3)
     except BrokenPipeError:  # such as `tnst-mi info ... | head`
         # Python flushes stdout once more when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,9 +1,11 @@
-"""A whole run: check the input, expose it, stylize frame after frame, report, and write the results."""
+"""A whole run: check the input, expose it, stylize its frames, report, and write the results."""
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,18 +15,26 @@ import numpy as np
 
 from tnst_mi import environment
 from tnst_mi.backend import activate
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.measure import exposure_of, measured, require_same_input
-from tnst_mi.outputs import RunFolder, frame_names, holds_run, require_writable, resumable_run
+from tnst_mi.measure import exposure_of, measured, require_coherent, require_same_input
+from tnst_mi.outputs import (
+    RunFolder,
+    StoredArrays,
+    frame_names,
+    holds_run,
+    require_space,
+    require_writable,
+    resumable_run,
+)
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
-from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
+from tnst_mi.sequence_record import sequence_record
+from tnst_mi.store import FolderStore, MemoryStore, working_bytes
 
 if TYPE_CHECKING:
-    from tnst_mi.googlenet import GoogLeNet
-    from tnst_mi.optimise import Stylized
+    from tnst_mi.sequence import Stylized
 
 #: What can be stylized: a file or folder, one frame, several, or a density grid (D, H, W).
 Frames = str | Path | Frame | Sequence[Frame] | np.ndarray
@@ -35,7 +45,7 @@ _TRIAL_ROWS = 64
 
 @dataclass(frozen=True)
 class Result:
-    """What a stylization gives, one entry per frame.
+    """What a stylization gives, one entry per frame. Arrays that were written to files are read when they are used.
 
     Attributes:
         densities: stylized densities, (D, H, W) float32, blended as the recipe says.
@@ -47,9 +57,9 @@ class Result:
         out: the folder of the results, or None.
     """
 
-    densities: list[np.ndarray]
-    velocities: list[np.ndarray]
-    frames: list[Frame]
+    densities: Sequence[np.ndarray]
+    velocities: Sequence[np.ndarray]
+    frames: Sequence[Frame]
     history: list[list[dict[str, Any]]]
     run: dict[str, Any]
     out: Path | None
@@ -63,7 +73,8 @@ def stylize(
 ) -> Result:
     """Stylize one frame or a sequence.
 
-    Interrupting it with Ctrl-C ends it after the last state has been taken (and written).
+    Ctrl-C ends it early: a single frame is given as far as it got. Without `out`, the state of all frames of a sequence
+    is held in memory; with it, memory is bounded by the window.
 
     Args:
         frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
@@ -81,24 +92,29 @@ def stylize(
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
     job = Job(frames, recipe, out, progress=progress)
-    done = list(job.run())
-    return Result(
-        densities=[frame.density for frame in done],
-        velocities=[frame.stylized.velocity for frame in done],
-        frames=[frame.source for frame in done],
-        history=[frame.stylized.history for frame in done],
-        run=job.record,
-        out=job.out,
-    )
+    densities: Sequence[np.ndarray] = []
+    velocities: Sequence[np.ndarray] = []
+    history = []
+    for frame in job.run():
+        history.append(frame.stylized.history)
+        if job.out is None:
+            densities.append(frame.stylized.density)
+            velocities.append(frame.stylized.velocity)
+    names = [record["name"] for record in job.record["frames"]]
+    if job.out is not None:
+        densities = StoredArrays(job.out, "density", names)
+        velocities = StoredArrays(job.out, "velocity", names)
+    elif len(densities) == len(job.frames) > 1:
+        job.record["sequence"] = sequence_record(job.recipe, job.frames, densities, job.record["frames"])
+    return Result(densities, velocities, job.frames_named(names), history, job.record, job.out)
 
 
 @dataclass(frozen=True)
 class StylizedFrame:
-    """One finished frame: what came in, what the optimisation gave, and the blended density."""
+    """One finished frame: what came in, what the optimisation gave, and what run.json says of it."""
 
     source: Frame
     stylized: Stylized
-    density: np.ndarray
     record: dict[str, Any]
 
 
@@ -122,16 +138,17 @@ class Job:
             recipe: the recipe.
             out: the folder of the results, or None.
             progress: show a progress bar on stderr.
-            resume: continue the run in `out`: frames that it has finished are left as they are.
+            resume: continue the run in `out` where it stopped.
             overwrite: replace the run in `out`.
 
         Raises:
             InputError: something cannot be used; nothing has been written then.
         """
-        _require_supported(recipe)
+        if not (recipe.style or recipe.semantic or recipe.tag or recipe.content):
+            raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
         if resume and overwrite:
             raise InputError("--resume and --overwrite: expected only one of them")
-        self.recipe = recipe = recipe.updated(_path_keys(recipe), "recipe: ", Path.cwd())
+        self.recipe = recipe = recipe.located(Path.cwd())
         self.out = None if out is None else Path(out)
         if self.out is not None:
             source = Path(frames) if isinstance(frames, str | Path) else None
@@ -140,23 +157,23 @@ class Job:
                 frame_names(self.out)  # refuses what is no run
         self.frames = _sequence_of(frames, recipe)
         # Reading the first frame finds most bad inputs before the network is loaded.
-        _, rows, columns = self.frames[0].density.shape
+        shape = self.frames[0].density.shape
         self._bar = ProgressBar(progress)
-        self._overwrite = overwrite
+        self._resume, self._overwrite = resume, overwrite
 
         variant = activate(recipe.variant)
+        from tnst_mi.goals import objective_of, require_meant
         from tnst_mi.googlenet import GoogLeNet
-        from tnst_mi.optimise import objective_of
         from tnst_mi.weights import find_weights
 
         # Layers, tags and pictures are checked before the frames, all of which may be empty and need none of them.
         weights = find_weights(recipe.weights)
         self._fallback = weights.fallback
         self._network = GoogLeNet.from_file(weights.path)
-        _require_meant(recipe, self._network, weights.fallback)
-        self._objective = objective_of(recipe)
-        self._objective.bind(self._network, _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows)))
+        require_meant(recipe, self._network, weights.fallback)
+        objective_of(recipe).bind(self._network, _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1])))
         self._measures = measured(self.frames, recipe)
+        require_coherent(self._measures, recipe)
         self.record = {
             "status": "running",
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -172,142 +189,151 @@ class Job:
             "exposure": self.exposure,
             "frames": [],
         }
-        if resume and self.out is not None:
-            earlier = resumable_run(self.out, recipe, self.record["weights"])
-            if earlier is not None:
-                require_same_input(self._measures, earlier, self.out)
-                self.record["frames"] = earlier["frames"]
+        earlier = resumable_run(self.out, recipe, self.record["weights"]) if resume and self.out is not None else None
+        if earlier is not None:
+            require_same_input(self._measures, earlier, self.out)
+            self.record |= {key: earlier[key] for key in ("frames", "sequence") if key in earlier}
+        elif self.out is not None:
+            require_space(self.out, working_bytes(shape, len(self.frames), recipe))
 
     def run(self) -> Iterator[StylizedFrame]:
-        """Stylize the frames one after the other, write each and give it; stops early when interrupted."""
+        """Stylize the frames, write each and give it once it is done; stops early when interrupted.
+
+        Raises:
+            InputError: a frame or the working state has been damaged since the run began.
+            StoppedError: the disk is full; the run can be resumed.
+        """
+        finished = {record["name"] for record in self.record["frames"]}
+        if len(finished) == len(self.frames) and (len(self.frames) == 1 or "sequence" in self.record):
+            self.record["status"] = "done"
+            return
+        try:
+            yield from self._run(finished)
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            raise StoppedError(
+                f"{self.out}: the disk is full; free some space and go on with --resume, nothing is lost"
+            ) from error
+        finally:
+            self._bar.close()
+
+    def _run(self, finished: set[str]) -> Iterator[StylizedFrame]:
+        from tnst_mi.sequence import SequenceOptimisation
         from tnst_mi.weights import announce_fallback
 
         started = time.perf_counter()
-        finished = {record["name"] for record in self.record["frames"]}
-        left = [index for index, measure in enumerate(self._measures) if measure.name not in finished]
-        self.record["status"] = "running" if left else "done"
-        self._bar.frames = len(left)
-        folder = None
-        if left:
-            self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
-            if self._fallback:
-                announce_fallback()
-        try:
-            for index in left:
-                frame = self._stylize_frame(index)
-                interrupted = frame.stylized.interrupted
+        folder, store = None, MemoryStore()
+        if self.out is not None:
+            folder = RunFolder(self.out, self.recipe, self._overwrite)
+            folder.write_run(self.record)
+            store = FolderStore(folder.work)
+        self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
+        if self._fallback:
+            announce_fallback()
+        for measure in self._measures:
+            if measure.brightest == 0.0 and measure.mass > 0.0:
+                gamma = self.recipe.at(measure.number).gamma
+                self._bar.say(f"warning: {measure.name} renders black at gamma {gamma:g} in the main view")
+        largest = max(measure.pixel_sum for measure in self._measures)
+        optimisation = SequenceOptimisation(
+            self.frames,
+            [measure.name for measure in self._measures],
+            [measure.number for measure in self._measures],
+            self.recipe,
+            self._network,
+            store,
+            self.exposure,
+            step_scales := [measure.pixel_sum / largest if largest > 0.0 else 0.0 for measure in self._measures],
+        )
+        done = [index for index, measure in enumerate(self._measures) if measure.name in finished]
+        with closing(optimisation.run(self._bar.advance, done)) as results:
+            for index, stylized in results:
+                frame = StylizedFrame(
+                    source := self.frames[index],
+                    stylized,
+                    _record_of(source, self._measures[index].sha256, step_scales[index], stylized),
+                )
                 self.record["frames"].append(frame.record)
-                if interrupted or index == left[-1]:
-                    self.record["status"] = "interrupted" if interrupted else "done"
-                self.record["seconds"] = round(time.perf_counter() - started, 3)
-                self.record["peak_memory_bytes"] = environment.peak_memory()
-                if self.out is not None:
-                    folder = folder or RunFolder(self.out, self.recipe, self._overwrite)
+                if folder is not None:
                     self._write(folder, frame)
+                    folder.write_run(self._progressed(started))
                 yield frame
-                if interrupted:
-                    break
-        finally:
-            self._bar.close()
+        self.record["status"] = "interrupted" if optimisation.interrupted else "done"
+        self._progressed(started)
+        if folder is not None:
+            if self.record["status"] == "done":
+                names = [measure.name for measure in self._measures]
+                self.record["frames"].sort(key=lambda record: names.index(record["name"]))
+                if len(names) > 1:
+                    densities = StoredArrays(folder.out, "density", names)
+                    self.record["sequence"] = sequence_record(
+                        self.recipe, self.frames, densities, self.record["frames"]
+                    )
+                    folder.write_sequence(self.record, self.recipe.fps)
+            folder.write_run(self.record)
+            if self.record["status"] == "done":
+                folder.remove_work()
+
+    def _progressed(self, started: float) -> dict[str, Any]:
+        """The record, with the time and memory used so far."""
+        self.record["seconds"] = round(time.perf_counter() - started, 3)
+        self.record["peak_memory_bytes"] = environment.peak_memory()
+        return self.record
 
     @property
     def exposure(self) -> float:
         """1 / the largest pixel of the unstylized main views; 1 where all of them are black."""
         return exposure_of(self._measures)
 
-    def _stylize_frame(self, index: int) -> StylizedFrame:
-        # Looked up late: importing it loads torch.
-        from tnst_mi.optimise import optimise
-
-        frame, measure = self.frames[index], self._measures[index]
-        largest = max(measure.pixel_sum for measure in self._measures)
-        step_scale = measure.pixel_sum / largest if largest > 0.0 else 1.0
-        self._bar.frame = frame.name
-        if measure.brightest == 0.0 and frame.density.any():
-            self._bar.say(f"warning: {frame.name} renders black at gamma {self.recipe.gamma:g} in the main view")
-        stylized = optimise(
-            frame,
-            self.recipe,
-            self._network,
-            self.exposure,
-            self._bar.advance,
-            step_scale=step_scale,
-            objective=self._objective,
-        )
-        blend = self.recipe.blend
-        density = np.float32((1.0 - blend) * frame.density + blend * stylized.density)
-        record = {
-            "name": frame.name,
-            "number": frame.number,
-            "input_sha256": measure.sha256,
-            "complete": not stylized.interrupted,
-            "note": stylized.note,
-            "mass_before": frame.mass,
-            "mass_after": float(density.sum(dtype=np.float64)),
-            "largest_displacement": float(np.linalg.norm(stylized.velocity, axis=-1).max()),
-            "step_scale": step_scale,
-            "losses": _losses_by_octave(stylized.history),
-            "timings": stylized.timings,
-        }
-        return StylizedFrame(frame, stylized, density, record)
+    def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
+        """The input's frames of these names, in their order; all of them as the sequence that they came in."""
+        if len(names) == len(self.frames):
+            return self.frames
+        return [self.frames[i] for i, measure in enumerate(self._measures) if measure.name in names]
 
     def _write(self, folder: RunFolder, frame: StylizedFrame) -> None:
         from tnst_mi.driving import main_view
 
-        name = frame.source.name
-        pair = (frame.source.density, frame.density)
-        before, after = (self.exposure * main_view(density, self.recipe) for density in pair)
+        source, recipe = frame.source, self.recipe.at(frame.source.number)
+        pair = (source.density, frame.stylized.density)
+        before, after = (self.exposure * main_view(density, recipe) for density in pair)
         attributes = {
-            "view": self.recipe.main_view,
-            "gamma": self.recipe.gamma,
-            "quadrature": self.recipe.quadrature,
+            "view": recipe.main_view,
+            "gamma": recipe.gamma,
+            "quadrature": recipe.quadrature,
             "exposure": self.exposure,
         }
-        folder.write_arrays(name, frame.density, frame.stylized.velocity)
-        folder.write_images(name, before, after, attributes)
-        folder.write_history(name, frame.stylized.history)
-        folder.write_run(self.record)
+        folder.write_arrays(source.name, frame.stylized.density, frame.stylized.velocity)
+        folder.write_images(source.name, before, after, attributes)
+        folder.write_history(source.name, frame.stylized.history)
         # Whole runs keep every frame; the largest arrays are not part of the result.
         frame.stylized.potential = (None, None)
 
 
-def _require_supported(recipe: Recipe) -> None:
-    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content):
-        raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
-    if recipe.window > 1:
-        raise InputError(f"window = {recipe.window}: temporal windows come with a later version, expected 1")
-
-
-def _require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
-    """Refuse channel numbers of another network on `patterns`, which a recipe means only if it says so.
-
-    Nothing in a number shows which network it was chosen for; recipes name channels of those trained on ImageNet.
-    Names of classes, and pictures, mean the same to any network.
-    """
-    if network.flavour != PATTERNS or recipe.weights is not None or not recipe.semantic:
-        return
-    from tnst_mi.weights import ENVIRONMENT_VARIABLE
-
-    if fallback:
-        reason, remedy = "no other was found", f"get the paper's network with `{DOWNLOAD_COMMAND}`"
-    else:
-        reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
-    tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
-    raise InputError(
-        f"semantic {recipe.semantic[0]!r}: channel numbers are those of one network, and this run would be on the "
-        f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
-        f"meant, or choose a tag, such as {tags}"
-    )
+def _record_of(frame: Frame, digest: str, step_scale: float, stylized: Stylized) -> dict[str, Any]:
+    """What run.json says of a frame."""
+    return {
+        "name": frame.name,
+        "number": frame.number,
+        "input_sha256": digest,
+        "complete": not stylized.interrupted,
+        "note": stylized.note,
+        "mass_before": frame.mass,
+        "mass_after": float(stylized.density.sum(dtype=np.float64)),
+        "largest_displacement": float(np.linalg.norm(stylized.velocity, axis=-1).max()),
+        "step_scale": step_scale,
+        "loss_before": stylized.loss_before,
+        "loss_after": stylized.loss_after,
+        "losses": _losses_by_octave(stylized.history),
+        "timings": stylized.timings,
+    }
 
 
 def _remedy(out: Path) -> str:
     if holds_run(out):
         return "continue its run with --resume, or replace it with --overwrite"
     return "give an empty or new folder"
-
-
-def _path_keys(recipe: Recipe) -> dict[str, Any]:
-    return {key: getattr(recipe, key) for key in ("style", "content", "weights", "light")}
 
 
 def _sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,12 +19,16 @@ from tnst_mi.recipe import Recipe
 
 @dataclass(frozen=True)
 class Measure:
-    """The largest pixel and the sum of the pixels in a frame's main view, and the SHA-256 of its density."""
+    """What is known of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
+    of its density, the SHA-256 of its density and velocity, and whether it has a velocity."""
 
     name: str
+    number: int | None
     brightest: float
     pixel_sum: float
+    mass: float
     sha256: str
+    moves: bool
 
 
 def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
@@ -37,9 +42,21 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
 
     measures = []
     for frame in checked_shapes(frames):
-        image = main_view(frame.density, recipe)
-        digest = hashlib.sha256(frame.density.tobytes()).hexdigest()
-        measures.append(Measure(frame.name, float(image.max()), float(image.sum()), digest))
+        image = main_view(frame.density, recipe.at(frame.number))
+        digest = hashlib.sha256(frame.density)
+        if frame.velocity is not None:
+            digest.update(frame.velocity)
+        measures.append(
+            Measure(
+                frame.name,
+                frame.number,
+                float(image.max()),
+                float(image.sum()),
+                frame.mass,
+                digest.hexdigest(),
+                frame.velocity is not None,
+            )
+        )
     names = [measure.name for measure in measures]
     for name in names:
         if not is_file_name(name):
@@ -47,6 +64,26 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
         if names.count(name) > 1:
             raise InputError(f"frames: the name {name!r} is there more than once, expected one name per frame")
     return measures
+
+
+def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
+    """Check that a window of several frames can be had: velocities lead from each frame to the next.
+
+    Raises:
+        InputError: there is but one frame, one lacks its velocity, or their numbers have gaps.
+    """
+    if recipe.window == 1:
+        return
+    needed = f"which window = {recipe.window} needs"
+    if len(measures) == 1:
+        raise InputError(f"{measures[0].name}: is a single frame, expected a sequence, {needed}; set window to 1")
+    for measure in measures[:-1]:
+        if not measure.moves:
+            raise InputError(f"{measure.name}: has no velocity, {needed}; add it to the frames, or set window to 1")
+    numbers = [measure.number for measure in measures]
+    for number, following in itertools.pairwise(numbers):
+        if number is not None and following is not None and following != number + 1:
+            raise InputError(f"frames: {following} comes after {number}, expected consecutive frames, {needed}")
 
 
 def exposure_of(measures: Sequence[Measure]) -> float:

@@ -140,6 +140,10 @@ class BoundObjective:
         weighted = [(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]
         return torch.stack(weighted).sum()
 
+    def weigh(self, weights: Sequence[float]) -> None:
+        """Set the weights of the terms, in the order of `names`."""
+        self._weights = dict(zip(self.names, weights, strict=True))
+
     def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
         """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and their number."""
         images = images.detach().requires_grad_()

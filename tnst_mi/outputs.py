@@ -12,18 +12,19 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
+from tnst_mi.before_after import side_by_side
 from tnst_mi.errors import InputError
-from tnst_mi.images import resized
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.exr import write_exr
-from tnst_mi.io.npz import write_arrays
+from tnst_mi.io.exr import read_exr, write_exr
+from tnst_mi.io.npz import read_arrays, write_arrays
 from tnst_mi.io.png import write_png
 from tnst_mi.recipe import KINDS, Recipe
 
@@ -35,16 +36,18 @@ _FRAME_FILES = (
     "images/{}_comparison.png",
     "images/{}_loss.png",
 )
-_RUN_FILES = ("metrics.jsonl", "recipe.toml", "run.json")
+_RUN_FILES = (
+    "metrics.jsonl",
+    "recipe.toml",
+    "run.json",
+    *(f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png")),
+)
+
+#: Folder of the working state.
+_WORK = ".work"
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _ELSEWHERE = "give another folder"
-
-#: White columns between the two pictures of a comparison.
-_GAP = 2
-
-#: Comparisons of small grids are enlarged to at least this many rows.
-_COMPARISON_HEIGHT = 400
 
 
 def require_writable(out: Path, source: Path | None = None, remedy: str | None = "give an empty or new one") -> None:
@@ -62,7 +65,7 @@ def require_writable(out: Path, source: Path | None = None, remedy: str | None =
         raise InputError(f"{out}: is a file, expected a folder for the results")
     if source is not None and source.resolve().is_relative_to(out.resolve()):
         raise InputError(f"{out}: contains the input {source}; give another folder for the results")
-    existing = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+    existing = _existing(out)
     try:
         with tempfile.TemporaryDirectory(prefix=".tnst_mi-", dir=existing):
             pass
@@ -71,6 +74,24 @@ def require_writable(out: Path, source: Path | None = None, remedy: str | None =
         raise InputError(f"{out}: cannot be written to ({error.strerror}); give another folder") from None
     if occupied and remedy is not None:
         raise InputError(f"{out}: is not empty; {remedy}")
+
+
+def require_space(out: Path, needed: int) -> None:
+    """Check, before any work is done, that a disk has room.
+
+    Args:
+        out: the folder of the results.
+        needed: bytes that the run will write at most.
+
+    Raises:
+        InputError: there is less.
+    """
+    free = shutil.disk_usage(_existing(out)).free
+    if needed > free:
+        raise InputError(
+            f"{out}: {free / 1e9:.3g} GB are free on its disk and the run needs up to {needed / 1e9:.3g} GB, most of "
+            "them until it is done; free some space, give another folder, or stylize fewer --frames at a time"
+        )
 
 
 def holds_run(out: Path) -> bool:
@@ -84,7 +105,7 @@ def frame_names(out: Path) -> list[str]:
     Raises:
         InputError: the folder holds something else than a run, or its run.json is damaged.
     """
-    if not _occupied(out):
+    if not _occupied(out) or _just_begun(out):
         return []
     if not holds_run(out):
         raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
@@ -110,7 +131,7 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
     Raises:
         InputError: the folder holds something else, or a run with another recipe or other weights.
     """
-    if not _occupied(out):
+    if not _occupied(out) or _just_begun(out):
         return None
     if not holds_run(out):
         raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
@@ -122,7 +143,7 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
     earlier = Recipe.from_toml(out / "recipe.toml")
-    for key in KINDS:
+    for key in (*KINDS, "keyframes"):
         before, now = getattr(earlier, key), getattr(recipe, key)
         if before != now:
             raise InputError(
@@ -139,7 +160,7 @@ class RunFolder:
 
     def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False) -> None:
         """Make the folder ready, removing the results of an earlier run if they are to be overwritten."""
-        self.out = out
+        self.out, self.work = out, out / _WORK
         if overwrite:
             _remove_results(out, frame_names(out))
         with written_whole(out / "recipe.toml") as temporary:
@@ -156,11 +177,7 @@ class RunFolder:
         for suffix, image in (("before", before), ("after", after)):
             write_png(images / f"{name}_{suffix}.png", image)
             write_exr(images / f"{name}_{suffix}.exr", image, attributes)
-        gap = np.ones((before.shape[0], _GAP), before.dtype)
-        both = np.concatenate([before, gap, after], axis=1)
-        scale = -(-_COMPARISON_HEIGHT // both.shape[0])
-        both = resized(both, scale * both.shape[0], scale * both.shape[1])
-        write_png(images / f"{name}_comparison.png", both)
+        write_png(images / f"{name}_comparison.png", side_by_side(before, after))
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
         """Add a frame's iterations to metrics.jsonl, in place of its earlier lines, and plot its loss."""
@@ -173,10 +190,53 @@ class RunFolder:
         if history:
             plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
 
+    def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
+        """Write what shows all frames together, whose pictures have been written: preview, contact sheet, plots."""
+        from tnst_mi.sequence_report import plot_sequence, write_contact_sheet, write_preview
+
+        images, records, sequence = self.out / "images", run["frames"], run["sequence"]
+        names = [record["name"] for record in records]
+
+        def pictures() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+            for name in names:
+                yield name, read_exr(images / f"{name}_before.exr"), read_exr(images / f"{name}_after.exr")
+
+        write_preview(images / "preview.mp4", ((before, after) for _, before, after in pictures()), frames_per_second)
+        write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
+        losses = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
+        changes = sequence["relative_changes"]
+        plot_sequence(images / "sequence.png", names, *losses, sequence["flicker_pairs"], changes)
+
+    def remove_work(self) -> None:
+        """Remove the working state of a run that is done."""
+        shutil.rmtree(self.work, ignore_errors=True)
+
     def write_run(self, run: dict[str, Any]) -> None:
         """Write run.json."""
         with written_whole(self.out / "run.json") as temporary:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
+
+
+class StoredArrays(Sequence[np.ndarray]):
+    """The arrays that a run wrote, in the order of their names; each access reads a file."""
+
+    def __init__(self, out: Path, kind: str, names: Sequence[str]) -> None:
+        """Take the "density" or "velocity" of the named frames."""
+        self._out, self._kind, self._names = out, kind, names
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._names)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> StoredArrays: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
+        """Read one array, or select several."""
+        if isinstance(index, slice):
+            return StoredArrays(self._out, self._kind, self._names[index])
+        return read_arrays(self._out / self._kind / f"{self._names[index]}.npz", (self._kind,))[self._kind]
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
@@ -186,7 +246,7 @@ def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
 
     octaves = sorted({entry["octave"] for entry in history})
     figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
-    figure.suptitle(name)
+    figure.suptitle(name, parse_math=False)
     for axes, octave in zip(figure.subplots(1, len(octaves), squeeze=False)[0], octaves, strict=True):
         entries = [entry for entry in history if entry["octave"] == octave]
         axes.plot([entry["iteration"] for entry in entries], [entry["loss"] for entry in entries], marker=".")
@@ -200,12 +260,24 @@ def _occupied(out: Path) -> bool:
     return out.exists() and any(out.iterdir())
 
 
+def _just_begun(out: Path) -> bool:
+    """Whether a run was killed here before it wrote its first run.json."""
+    return all(path.name == "recipe.toml" or path.name.startswith((".recipe.", ".run.")) for path in out.iterdir())
+
+
+def _existing(out: Path) -> Path:
+    """The nearest folder that exists: the given one, or one that it is to be made in."""
+    return next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+
+
 def _remove_results(out: Path, names: Iterable[str]) -> None:
     """Remove the files of the named frames and of their run, then the folders that this leaves empty."""
     for path in _result_files(out, names):
         # A linked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
+    if not (out / _WORK).is_symlink():
+        shutil.rmtree(out / _WORK, ignore_errors=True)
     for folder in ("density", "velocity", "images"):
         with contextlib.suppress(OSError):  # not empty, or not there
             (out / folder).rmdir()

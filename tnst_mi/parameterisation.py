@@ -21,6 +21,7 @@ class Parameterisation:
 
     Attributes:
         fields: the fields by name, (D, H, W) or (D, H, W, 3) tensors; empty before the first octave.
+        steps: what the next step takes off each field.
     """
 
     #: Channels of every field.
@@ -28,6 +29,7 @@ class Parameterisation:
 
     def __init__(self) -> None:
         self.fields: dict[str, mi.TensorXf] = {}
+        self.steps: dict[str, mi.TensorXf] = {}
         self.octave: Octave | None = None
 
     def enter(self, octave: Octave) -> None:
@@ -41,6 +43,15 @@ class Parameterisation:
                     self.fields[name].numpy(), self.octave.cell_size, octave.shape, octave.cell_size
                 )
             self.fields[name] = mi.TensorXf(values)
+        self.octave = octave
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The fields by name, to be kept."""
+        return {name: tensor.numpy() for name, tensor in self.fields.items()}
+
+    def restore(self, arrays: dict[str, np.ndarray], octave: Octave) -> None:
+        """Take over fields that were kept, and the octave that they are of."""
+        self.fields = {name: mi.TensorXf(arrays[name]) for name in self.channels}
         self.octave = octave
 
     def attach(self) -> None:
@@ -58,18 +69,29 @@ class Parameterisation:
         """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
         raise NotImplementedError
 
-    def descend(self, mask: mi.TensorXf, eta: float, rows: int, levels: int) -> None:
-        """One step against the normalised gradient: field ← field − η · unit step · mask · N(g).
+    def find_steps(self, mask: mi.TensorXf, eta: float, rows: int, levels: int) -> None:
+        """Set each field's step to η · unit step · mask · N(g).
 
         N(g) is the gradient, blurred and with the bands of its Laplacian pyramid normalised, each field by itself.
         """
         size = opaque(eta * self.unit_step(rows))
         for name, field in self.fields.items():
             direction = normalise(gaussian(dr.grad(field), GRADIENT_SIGMA), levels)
-            weight = mask if self.channels[name] == 1 else mi.TensorXf(mask.array, (*mask.shape, 1))
-            field = dr.detach(field) - size * weight * direction
-            dr.eval(field)
-            self.fields[name] = field
+            self.steps[name] = size * times(mask, direction)
+        dr.eval(self.steps)
+
+    def descend(self) -> None:
+        """Take the steps: field ← field − step."""
+        for name, step in self.steps.items():
+            self.fields[name] = dr.detach(self.fields[name]) - step
+        dr.eval(self.fields)
+
+
+def times(weight: mi.TensorXf, field: mi.TensorXf) -> mi.TensorXf:
+    """A field (D, H, W) or (D, H, W, 3) with every component multiplied by a scalar one (D, H, W)."""
+    if len(field.shape) == 3:
+        return weight * field
+    return mi.TensorXf(weight.array, (*weight.shape, 1)) * field
 
 
 class Transport(Parameterisation):
@@ -77,13 +99,18 @@ class Transport(Parameterisation):
 
     Args:
         lam: share λ of the irrotational part; 1 leaves out Ψ and 0 leaves out Φ.
-        steps: sub-steps of the advection, or "auto".
+        substeps: sub-steps of the advection, or "auto".
+        scalar: whether there is a Φ; where None, whether λ > 0.
+        vector: whether there is a Ψ; where None, whether λ < 1.
     """
 
-    def __init__(self, lam: float, steps: int | str = 1) -> None:
+    def __init__(
+        self, lam: float, substeps: int | str = 1, scalar: bool | None = None, vector: bool | None = None
+    ) -> None:
         super().__init__()
-        self.lam, self.steps = lam, steps
-        self.channels = ({"phi": 1} if lam > 0 else {}) | ({"psi": 3} if lam < 1 else {})
+        self.lam, self.substeps = lam, substeps
+        scalar, vector = lam > 0 if scalar is None else scalar, lam < 1 if vector is None else vector
+        self.channels = ({"phi": 1} if scalar else {}) | ({"psi": 3} if vector else {})
 
     def velocity(self) -> mi.TensorXf:
         """Velocity (D, H, W, 3) on the current octave, in full-resolution cells per frame."""
@@ -91,7 +118,7 @@ class Transport(Parameterisation):
 
     def density(self, density: mi.TensorXf) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
-        return advect(density, self.velocity(), "maccormack", self.octave.cell_size, "zero", self.steps)
+        return advect(density, self.velocity(), "maccormack", self.octave.cell_size, "zero", self.substeps)
 
     def unit_step(self, rows: int) -> float:
         """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""

@@ -8,25 +8,26 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from tnst_mi.optimise import Progress
+    from tnst_mi.sequence import Progress
 
 
 class ProgressBar:
     """Frame, octave, iteration and loss on stderr, with the time left; appears at the first iteration."""
 
     def __init__(self, shown: bool) -> None:
-        """Prepare the bar of one frame; `frames` is their number, `frame` the name of the current one."""
-        self.frames = 1
-        self.frame = ""
+        """Prepare the bar of one run."""
         self._shown = shown
         self._bar: tqdm | None = None
 
     def advance(self, progress: Progress) -> None:
         """Show one more iteration."""
         if self._bar is None:
-            total = self.frames * progress.octaves * progress.iterations
-            self._bar = tqdm(total=total, unit="it", disable=not self._shown, dynamic_ncols=True)
-        self._bar.set_description(f"{self.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
+            # A resumed run begins where it stopped.
+            begin = progress.done - 1
+            self._bar = tqdm(
+                total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
+            )
+        self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
             refresh=False,

@@ -1,17 +1,15 @@
 """The recipe of a stylization: one flat, documented set of keys for TOML files and the command line.
 
-Every field of `Recipe` is a TOML key and, with dashes for underscores, a flag of `tnst-mi stylize`. Values
-are taken from the defaults, then from the recipe file, then from the flags; the last one given wins.
+Every key (`tnst_mi.recipe_sections` has them all) is one of TOML and, with dashes for underscores, a flag of
+`tnst-mi stylize`. Values are taken from the defaults, then from the recipe file, then from the flags; the last one
+given wins. In a file some may change over the frames (`tnst_mi.keyframes`); `Recipe.at` gives the recipe of one frame.
 """
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import difflib
 import functools
-import inspect
-import itertools
 import re
 import reprlib
 import textwrap
@@ -19,13 +17,13 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Any
 
 import tomlkit
 
 from tnst_mi.errors import InputError
-from tnst_mi.quadrature import QUADRATURES
-from tnst_mi.recipe_keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
+from tnst_mi.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
+from tnst_mi.recipe_sections import KINDS, Goals, Method, Resources, documentation
 from tnst_mi.shipped import PATTERNS
 
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
@@ -38,128 +36,40 @@ _LARGEST_FILE = 1 << 20
 
 
 @dataclass(frozen=True)
-class Goals:
-    """What to stylize towards."""
-
-    style: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["fire.png"]')] = ()
-    """Picture whose style the smoke takes on: a file (relative to the recipe), or the name of a picture
-    that ships with the package (spirals, net, flames, cells). Repeatable."""
-    style_layers: Annotated[dict[str, float], LayerWeights()] = field(
-        default_factory=lambda: {"conv2/3x3": 1.0, "inception_3b/output": 1.0, "inception_4b/output": 1.0}
-    )
-    """Layers whose Gram matrices are matched to the style pictures, with weights. Low layers give fine
-    strokes, high layers large shapes."""
-    semantic: Annotated[
-        tuple[str, ...],
-        Texts(
-            "LAYER:CHANNEL[,CHANNEL…]",
-            'a list of layers with channels, such as ["inception_4b/pool_proj:16"]',
-            r"[^:]+:\d{1,6}(,\d{1,6})*",
-        ),
-    ] = ()
-    """Channels of a layer to make fire: the smoke takes on the motif that they recognise. Their numbers
-    hold for one network alone. Repeatable."""
-    tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["spiral"]')] = ()
-    """Class that the network shall see in the smoke, by its name (tnst-mi weights --tags lists those of the
-    network patterns, which ships with the package). Repeatable."""
-    content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
-    """Picture whose features (of inception_4d/output) the smoke shall match. Repeatable."""
-    style_weight: Annotated[float, Number(low=0.0)] = 1.0
-    """Weight of the style terms, 0 or more."""
-    semantic_weight: Annotated[float, Number(low=0.0)] = 1.0
-    """Weight of the semantic, tag and content terms, 0 or more."""
-    damping: Annotated[float, Number(low=0.0)] = 0.0
-    """Weight of an L1 penalty on the other channels of a semantic layer, 0 or more."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """How to get there."""
-
-    lam: Annotated[float, Number(0.0, 1.0)] = 1.0
-    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 moves smoke apart and together, 0 is free of
-    divergence."""
-    gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
-    """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
-    looks."""
-    quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
-    """Sum along the viewing rays: the paper's program, the exact integral, or opacity alone."""
-    octaves: Annotated[int, Integer(1, 16)] = 3
-    """Number of resolutions, coarse to fine, 1 or more."""
-    scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
-    """Ratio of the resolutions of neighbouring octaves, above 1."""
-    iterations: Annotated[int, Integer(1, 100_000)] = 20
-    """Iterations in each octave, 1 or more."""
-    views: Annotated[int, Integer(1, 10_000)] = 9
-    """Viewpoints per iteration, redrawn each time; the first is the main view."""
-    azimuth: Annotated[tuple[float, float], Range(-360.0, 360.0)] = (-10.0, 10.0)
-    """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
-    elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
-    """Range of camera elevations in degrees, + upwards; the main view is its centre."""
-    eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
-    """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
-    cells of size h, where the normalised gradient is 1."""
-    pyramid_levels: Annotated[int, Integer(0, 16)] = 3
-    """Bands of the Laplacian pyramid that normalises the gradient, 0 or more."""
-    window: Annotated[int, Integer(1, 99, odd=True)] = 1
-    """Frames over which the motion is kept coherent, odd; 1 is none."""
-    steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
-    """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest
-    displacement."""
-    parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
-    """Optimise velocities that transport the smoke, or change density values in place."""
-    integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"
-    """Renderer inside the optimisation: light emitted by the smoke, or Mitsuba's scattering path tracer, for
-    which the next four are."""
-    albedo: Annotated[float, Number(0.0, 1.0)] = 0.9
-    """prbvolpath: scattered share of the extinguished light, from 0 to 1."""
-    anisotropy: Annotated[float, Number(-0.99, 0.99)] = 0.0
-    """prbvolpath: mean cosine g of the phase function (Henyey and Greenstein's), from -0.99 (back) to 0.99
-    (on); 0 scatters evenly."""
-    light: Annotated[str, Text("FILE|key|environment", "a Mitsuba scene file, key or environment")] = "key"
-    """prbvolpath: where light comes from: the emitters of a Mitsuba scene file, or key (upper left, and some
-    from everywhere) or environment (from everywhere alike)."""
-    spp: Annotated[int, Integer(1, 4096)] = 16
-    """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
-    blend: Annotated[float, Number(0.0, 1.0)] = 1.0
-    """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
-    seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
-    """Seed of the random views; equal seeds give equal bits."""
-
-
-@dataclass(frozen=True)
-class Resources:
-    """What to read, compute with and write."""
-
-    frames: Annotated[
-        str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
-    ] = None
-    """Numbers of the first and the last frame of a sequence to stylize; all where not set."""
-    weights: Annotated[
-        str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
-    ] = None
-    """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. Searched for
-    where not set (tnst-mi weights lists the places)."""
-    variant: Annotated[
-        str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
-    ] = None
-    """Mitsuba variant: GPU or CPU; the GPU where not set and one answers."""
-    format: Annotated[str | None, Text("npz", "npz", "npz")] = None
-    """File format of the results; the input's where not set."""
-
-
-@dataclass(frozen=True)
 class Recipe(Resources, Method, Goals):
     """Everything that decides a stylization, apart from the frames themselves.
+
+    Some keys (`tnst_mi.keyframes.KEYABLE`) may be given a table {frame number: value} in place of one value. Their
+    attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
 
     Raises:
         InputError: a value has the wrong type or is out of range.
     """
 
+    keyframes: Mapping[str, Keyframes] = field(default_factory=dict)
+    """The keys given such tables, each as (frame number, value) in the order of the frames; they win over the
+    attributes. Made from the tables, never a key of a file."""
+    style_shares: tuple[float, ...] = ()
+    """How much of each picture of `style` is meant, 0 or more: all 1 but in a recipe from `at`. Never a key of a file,
+    nor written to one."""
+
     def __post_init__(self) -> None:
         """Check every value and bring it into its normal form."""
-        for name in KINDS:
-            object.__setattr__(self, name, _checked(name, getattr(self, name), "recipe: "))
+        keyframes = {}
+        for name in dict.fromkeys((*KINDS, *self.keyframes)):
+            value = converted(name, self._given(name), "recipe: ", _checked)
+            if is_keyframed(name, value):
+                keys = keyframes[name] = tuple(value.items())
+                value = pictures_of(keys) if name == "style" else keys[0][1]
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "keyframes", keyframes)
+        if all(share == 1.0 for share in self.style_shares):
+            object.__setattr__(self, "style_shares", (1.0,) * len(self.style))
+        elif len(self.style_shares) != len(self.style):
+            raise InputError(
+                f"recipe: style_shares = {self.style_shares}: expected a number for each of the {len(self.style)} "
+                "pictures of style"
+            )
         if self.frames is not None and self.frame_range[0] > self.frame_range[1]:
             raise InputError(f"recipe: frames = {self.frames!r}: expected the smaller number first")
 
@@ -190,14 +100,48 @@ class Recipe(Resources, Method, Goals):
         return cls().updated(values, source, folder or Path.cwd())
 
     def updated(self, values: Mapping[str, Any], source: str, folder: Path) -> Recipe:
-        """Return a copy with some keys replaced (see `from_dict`)."""
-        checked = {}
+        """Return a copy with some keys replaced, keyframes included (see `from_dict`)."""
+        replaced: dict[str, Any] = {}
         for name, value in values.items():
             if name not in KINDS:
                 nearest = difflib.get_close_matches(str(name), KINDS, n=1, cutoff=0.0)[0]
                 raise InputError(f"{source}unknown key {name!r}; the nearest known key is {nearest!r}")
-            checked[name] = _located(name, _checked(name, value, source), source, folder)
-        return dataclasses.replace(self, **checked)
+            checked = converted(name, value, source, _checked)
+            replaced[name] = converted(name, checked, source, functools.partial(_located, folder=folder))
+        kept = {name: keys for name, keys in self.keyframes.items() if name not in values}
+        shares = () if "style" in values else self.style_shares
+        return dataclasses.replace(self, **replaced, keyframes=kept, style_shares=shares)
+
+    def located(self, folder: Path) -> Recipe:
+        """Return a copy with absolute paths, keyframes and shares kept; relative ones are in `folder`.
+
+        Raises:
+            InputError: a picture or a light does not exist.
+        """
+        locate = functools.partial(_located, folder=folder)
+        values = {name: converted(name, self._given(name), "recipe: ", locate) for name in KINDS}
+        return dataclasses.replace(self, **values, keyframes={})
+
+    def at(self, number: int | None) -> Recipe:
+        """Return the recipe of one frame, without keyframes; itself where it has none.
+
+        Values are linear between keys, and constant before the first and after the last. `style` keeps the pictures
+        of all keys, and `style_shares` fades from those of one key to those of the next.
+
+        Raises:
+            InputError: there are keyframes, and the frame has no number (None).
+        """
+        if not self.keyframes:
+            return self
+        if number is None:
+            raise InputError(
+                f"recipe: {', '.join(self.keyframes)}: frames without numbers cannot be keyframed; number the frames, "
+                "or give one value"
+            )
+        values = {name: value_at(keys, number) for name, keys in self.keyframes.items() if name != "style"}
+        if "style" in self.keyframes:
+            values["style_shares"] = shares_at(self.keyframes["style"], number)
+        return dataclasses.replace(self, **values, keyframes={})
 
     def updated_by_flags(self, texts: Mapping[str, str | tuple[str, ...]]) -> Recipe:
         """Return a copy with keys replaced by texts of flags; relative paths are in the current folder."""
@@ -218,18 +162,17 @@ class Recipe(Resources, Method, Goals):
         for name, text in documentation().items():
             for line in textwrap.wrap(text, 100):
                 document.add(tomlkit.comment(line))
-            value = getattr(self, name)
+            value = self._given(name)
             if value is None:
                 document.add(tomlkit.comment(f"{name} is not set"))
-            elif isinstance(value, dict):
-                document.add(name, tomlkit.inline_table())
-                document[name].update(value)
-            elif name in ("style", "content"):
-                document.add(name, [_shipped_name(path) for path in value])
             else:
-                document.add(name, list(value) if isinstance(value, tuple) else value)
+                document.add(name, _toml_value(name, value))
             document.add(tomlkit.nl())
         return tomlkit.dumps(document)
+
+    def _given(self, name: str) -> Any:
+        """The value of a key, or its table of keyframes."""
+        return dict(self.keyframes[name]) if name in self.keyframes else getattr(self, name)
 
     @property
     def main_view(self) -> tuple[float, float]:
@@ -252,24 +195,6 @@ class Recipe(Resources, Method, Goals):
             layer, _, channels = target.partition(":")
             targets.append((layer, tuple(int(channel) for channel in channels.split(","))))
         return targets
-
-
-#: The kind of value that each key of a recipe holds, in the order of the file.
-KINDS: dict[str, Kind] = {
-    name: hint.__metadata__[0] for name, hint in get_type_hints(Recipe, include_extras=True).items()
-}
-
-
-@functools.cache
-def documentation() -> dict[str, str]:
-    """The documentation of each key, one paragraph: the text below its field in this file."""
-    paragraphs = {}
-    for section in (Goals, Method, Resources):
-        (body,) = ast.parse(inspect.getsource(section)).body
-        for field_node, text_node in itertools.pairwise(body.body):
-            if isinstance(field_node, ast.AnnAssign):
-                paragraphs[field_node.target.id] = " ".join(text_node.value.value.split())
-    return paragraphs
 
 
 def shipped_styles() -> list[str]:
@@ -311,6 +236,16 @@ def _picture(name: str, entry: str, source: str, folder: Path) -> str:
         return str(STYLES / f"{entry}.png")
     shipped = ", ".join(shipped_styles())
     raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+
+
+def _toml_value(name: str, value: Any) -> Any:
+    if isinstance(value, dict):
+        table = tomlkit.inline_table()
+        table.update({str(key): _toml_value(name, entry) for key, entry in value.items()})
+        return table
+    if name in ("style", "content"):
+        return [_shipped_name(path) for path in value]
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _shipped_name(path: str) -> str:

@@ -88,3 +88,19 @@ def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: flo
         return np.ascontiguousarray(field, np.float32)
     pairs = list(zip(field.shape[:3], shape, strict=True))
     return _apply(field, [cubic_matrix(n, h_from, m, h_to) for n, m in pairs])
+
+
+def resample_velocity(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, by components.
+
+    Values outside the grid repeat the border. Velocities are in full-resolution cells per frame at every octave, so
+    that no factor is needed. Cell sizes are in full-resolution cells.
+    """
+    if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
+        return np.ascontiguousarray(field, np.float32)
+    matrices = []
+    for n, m in zip(field.shape[:3], shape, strict=True):
+        matrix = linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
+        # What the zeros outside would take off is given back: near the border, the average of what is inside.
+        matrices.append(matrix / matrix.sum(axis=1, keepdims=True))
+    return _apply(field, matrices)

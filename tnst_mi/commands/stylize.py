@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -34,7 +34,7 @@ class Stylize(Command):
     recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recipe file (TOML); its keys are the flags below."""
     resume: bool = False
-    """Continue the run in --out: frames that it has finished are left as they are."""
+    """Continue the run in --out where it stopped, however it did."""
     overwrite: bool = False
     """Replace the run in --out."""
     goals: GoalFlags = field(default_factory=GoalFlags)
@@ -62,11 +62,24 @@ def run_job(job: Job) -> int:
         # tqdm.write keeps the lines apart from the progress bar.
         tqdm.write(summary(frame), file=sys.stdout)
     print(f"results   {job.out}")
+    if "sequence" in job.record:
+        print(sequence_summary(job.record["sequence"]))
     if job.record["status"] == "interrupted":
-        reached = f"{job.out} has what was reached, --resume continues after the last whole frame"
-        print(f"tnst-mi: interrupted; {reached}", file=sys.stderr)
+        print(f"tnst-mi: interrupted; --resume continues the run in {job.out} where it stopped", file=sys.stderr)
         return 3
     return 0
+
+
+def sequence_summary(sequence: dict[str, Any]) -> str:
+    """One line on a sequence: how steady it is, with what was reached."""
+    parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
+    parts.append(f"mean loss {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
+    parts.append(f"relative change {_number(sequence['relative_change'])}")
+    return f"sequence  {', '.join(parts)}"
+
+
+def _number(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.3g}"
 
 
 def summary(frame: StylizedFrame) -> str:

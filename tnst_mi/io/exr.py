@@ -22,3 +22,10 @@ def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str |
     pixels = np.ascontiguousarray(image, dtype=np.float32)
     with written_whole(path) as temporary, OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}) as file:
         file.write(str(temporary))
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """Read a picture that `write_exr` wrote: (H, W) or (H, W, 3) float32."""
+    with OpenEXR.File(str(path)) as file:
+        channels = file.channels()
+        return np.array(channels["Y" if "Y" in channels else "RGB"].pixels)

@@ -1,0 +1,120 @@
+"""The gradient of one frame: density → images of all views → loss, and back to the parameters (paper Alg. 1)."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import torch
+
+from tnst_mi.driving import driving_scene
+from tnst_mi.errors import InputError
+from tnst_mi.googlenet import GoogLeNet
+from tnst_mi.grid import Octave, opaque
+from tnst_mi.objective import Objective
+from tnst_mi.parameterisation import Parameterisation
+from tnst_mi.recipe import Recipe
+from tnst_mi.scene import View
+from tnst_mi.views import sample_views
+
+#: The views a result is judged from: the main view, and this far to both ends of the range of azimuths.
+_JUDGED_REACH = 0.8
+
+
+class OctaveProblem:
+    """What all frames share in one octave: the size of the images, and the loss with its targets and scales.
+
+    Args:
+        objective: what to minimise.
+        network: judges the images.
+        octave: the grid.
+        exposure: factor from rendered images to the network's [0, 1].
+    """
+
+    def __init__(self, objective: Objective, network: GoogLeNet, octave: Octave, exposure: float) -> None:
+        self.octave, self.exposure = octave, exposure
+        self.loss = objective.bind(network, octave.shape[1], octave.shape[2])
+
+    def gradient(
+        self,
+        parameters: Parameterisation,
+        density: mi.TensorXf,
+        recipe: Recipe,
+        seed: Sequence[int],
+    ) -> tuple[float, dict[str, float]]:
+        """Leave the derivative of the loss, merged over random views, in the fields of the parameters.
+
+        Args:
+            parameters: fields on the octave's grid.
+            density: (D, H, W), unstylized, on the octave's grid.
+            recipe: the recipe of the frame.
+            seed: of the views, and of the renderer where it is random.
+
+        Returns:
+            The loss, and the value of each of its terms.
+
+        Raises:
+            InputError: the loss is not finite.
+        """
+        parameters.attach()
+        stylized = parameters.density(density)
+
+        # Two phases: the views accumulate their gradient on a copy of the density, which then goes back through the
+        # transport once instead of once per view.
+        seen = dr.detach(stylized)
+        dr.enable_grad(seen)
+        images = self._images(seen, recipe, seed)
+
+        @dr.wrap(source="drjit", target="torch")
+        def loss_of(batch):  # noqa: ANN202
+            return self.loss(batch)
+
+        loss = loss_of(images)
+        dr.backward(loss)
+        dr.set_grad(stylized, dr.grad(seen))
+        dr.enqueue(dr.ADMode.Backward, stylized)
+        dr.traverse(dr.ADMode.Backward)
+
+        terms = {name: float(value) for name, value in self.loss.last_terms.items()}
+        value = float(loss.array[0])
+        if not math.isfinite(value):
+            raise InputError(
+                f"the loss is {value}, expected a finite number; "
+                f"try a smaller eta ({recipe.eta:g}) or gamma ({recipe.gamma:g})"
+            )
+        # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
+        # run, so it is asked to look at the young objects, which costs little.
+        del loss, images, seen, stylized
+        gc.collect(1)
+        return value, terms
+
+    def gradient_square_sum(
+        self, parameters: Parameterisation, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]
+    ) -> dict[str, tuple[float, int]]:
+        """By term, the sum of its squared image gradient over the views, and the number of pixels; see `rms_scales`."""
+        with dr.suspend_grad():
+            images = self._images(parameters.density(density), recipe, seed)
+        return self.loss.gradient_square_sum(images.torch().clone())
+
+    def judge(self, density: np.ndarray, recipe: Recipe) -> float:
+        """Loss of a density (D, H, W) from three fixed views, their mean: at the centre and near both ends."""
+        (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
+        views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
+        with torch.no_grad(), dr.suspend_grad():
+            images = self._rendered(mi.TensorXf(density), views, recipe, (recipe.seed,))
+            return float(self.loss(images.torch())) / len(views)
+
+    def _images(self, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]) -> mi.TensorXf:
+        views = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
+        return self._rendered(density, views, recipe, seed)
+
+    def _rendered(
+        self, density: mi.TensorXf, views: Sequence[View], recipe: Recipe, seed: Sequence[int]
+    ) -> mi.TensorXf:
+        scene = driving_scene(recipe, self.octave.shape, self.octave.cell_size, len(views))
+        scene.reseed(seed)
+        return scene.render(density, views) * opaque(self.exposure)

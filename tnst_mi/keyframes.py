@@ -1,0 +1,103 @@
+"""Keyframes: values of a recipe that change over the frames of a sequence.
+
+In a recipe a table from frame numbers to values, such as `gamma = {49 = 0.1, 72 = 1.0}`, can stand in place of one
+value: linear between the keys, constant before the first and after the last.
+"""
+
+from __future__ import annotations
+
+import bisect
+import re
+import reprlib
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from typing import Any
+
+from tnst_mi.errors import InputError
+
+#: The values of one key, as (frame number, value), in the order of the frames; at least one.
+Keyframes = tuple[tuple[int, Any], ...]
+
+#: The keys of a recipe whose values may change over the frames.
+KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth", "elevation", "eta", "blend")
+
+
+def is_keyframed(name: str, value: Any) -> bool:
+    """Whether the value of a key is a table from frames to values; a table from layers to weights is none."""
+    if not isinstance(value, Mapping):
+        return False
+    return name != "style_layers" or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
+
+
+def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, str], Any]) -> Any:
+    """Return convert(name, value, source), or of a table {frame number: convert of each value} by rising frames.
+
+    Raises:
+        InputError: the value is a table, but the key cannot be keyframed, or the table's keys are no frame numbers.
+    """
+    if not is_keyframed(name, value):
+        return convert(name, value, source)
+    entries = _by_frame(name, value, source)
+    return {frame: convert(name, entry, f"{source}frame {frame}: ") for frame, entry in sorted(entries.items())}
+
+
+def value_at(keys: Keyframes, frame: int) -> Any:
+    """The value at a frame, of keys that hold a number, or a tuple of as many numbers each."""
+    after = bisect.bisect_right(keys, frame, key=lambda key: key[0])
+    if after == 0:
+        return keys[0][1]
+    if after == len(keys):
+        return keys[-1][1]
+    (first, start), (last, end) = keys[after - 1 : after + 1]
+    share = Fraction(int(frame - first), last - first)
+    if isinstance(start, tuple):
+        return tuple(_between(low, high, share) for low, high in zip(start, end, strict=True))
+    return _between(start, end, share)
+
+
+def pictures_of(keys: Keyframes) -> tuple[str, ...]:
+    """All pictures in the lists that the keys hold, each once, in order of first appearance."""
+    return tuple(dict.fromkeys(picture for _, pictures in keys for picture in pictures))
+
+
+def shares_at(keys: Keyframes, frame: int) -> tuple[float, ...]:
+    """How much of each of `pictures_of(keys)` is meant at a frame.
+
+    At a key that is how often its list names the picture, 1 or 0 as a rule; in between the shares are linear, so that
+    one list's pictures fade into the next one's.
+    """
+    return tuple(
+        value_at(tuple((key, float(pictures.count(picture))) for key, pictures in keys), frame)
+        for picture in pictures_of(keys)
+    )
+
+
+def _between(start: float, end: float, share: Fraction) -> float:
+    # Exact, and rounded once: no value leaves the range of its neighbours, and low ≤ high stays so.
+    return float((1 - share) * Fraction(start) + share * Fraction(end))
+
+
+def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any]:
+    if name not in KEYABLE:
+        shown = reprlib.repr(dict(table))
+        raise InputError(f"{source}{name} = {shown}: cannot be keyframed; the keys that can are {', '.join(KEYABLE)}")
+    if not table:
+        raise InputError(f"{source}{name} = {{}}: expected at least one frame number with a value")
+    entries = {}
+    for key, entry in table.items():
+        frame = _frame_number(key)
+        if frame is None:
+            raise InputError(f"{source}{name}: {reprlib.repr(key)} is no frame number, expected 0 to 999999999")
+        if frame in entries:
+            raise InputError(f"{source}{name}: frame {frame} is there twice, expected each frame once")
+        # One picture needs no list in a table.
+        entries[frame] = [entry] if name == "style" and isinstance(entry, str) else entry
+    return entries
+
+
+def _frame_number(key: Any) -> int | None:
+    if isinstance(key, str) and re.fullmatch("[0-9]{1,9}", key):
+        return int(key)
+    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < 10**9:
+        return key
+    return None

@@ -1,0 +1,52 @@
+"""What run.json says of a sequence as a whole: how steady it is, and what that cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.frame import Frame
+from tnst_mi.recipe import Recipe
+
+
+def sequence_record(
+    recipe: Recipe, frames: Iterable[Frame], densities: Iterable[np.ndarray], records: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Flicker by pair, always with the loss reduction and the size of the change.
+
+    Args:
+        recipe: the recipe of the run.
+        frames: the frames as they came in.
+        densities: their stylized densities, (D, H, W).
+        records: their records, with the loss before and after.
+
+    Returns:
+        window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ by frame, and their mean;
+        loss_before and loss_after, means over the frames; loss_reduction, 1 − after/before where that has a meaning.
+    """
+    # Looked up late: it can be imported only once a variant is active.
+    from tnst_mi.flicker import FlickerMeter, relative_change
+
+    meter, changes = FlickerMeter(), []
+    for frame, density in zip(frames, densities, strict=True):
+        meter.add(frame.name, frame.density, density, frame.velocity)
+        changes.append(relative_change(frame.density, density))
+    before, after = (_mean([record[key] for record in records]) for key in ("loss_before", "loss_after"))
+    return {
+        "window": recipe.window,
+        "flicker": meter.mean,
+        "flicker_pairs": meter.pairs,
+        "relative_changes": changes,
+        "relative_change": _mean(changes),
+        "loss_before": before,
+        "loss_after": after,
+        # Style distances are positive; activations to be raised are losses below 0, of which no share can be told.
+        "loss_reduction": None if before is None or before <= 0 else 1 - after / before,
+    }
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None

@@ -1,0 +1,236 @@
+"""The working state of a run: arrays by group, frame and generation, on disk or in memory.
+
+A generation counts how often an item has been replaced. Items appear whole or not at all, and what an item holds
+follows from other items alone; so the state of a run that was killed is simply what is there, and the run goes on by
+making what is missing. On disk an item is one safetensors file, read without pickle and with checked sizes:
+
+    GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.recipe import Recipe
+
+#: What one item holds, by name.
+Arrays = dict[str, np.ndarray]
+
+_ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
+
+T = TypeVar("T")
+
+
+class Store(ABC):
+    """Items by group and frame; the newest generation of each is kept."""
+
+    @abstractmethod
+    def generation(self, group: str, frame: int) -> int:
+        """Generation of an item; −1 where it is not there."""
+
+    @abstractmethod
+    def read(self, group: str, frame: int) -> Arrays:
+        """The arrays of an item, floats in single precision.
+
+        Raises:
+            InputError: the item's file is damaged.
+        """
+
+    @abstractmethod
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+        """Put an item in the place of its earlier generation."""
+
+    @abstractmethod
+    def remove(self, group: str) -> None:
+        """Remove all items of a group; nothing happens where there is none."""
+
+    @abstractmethod
+    def numbers(self, name: str) -> dict[str, float] | None:
+        """Some named numbers, or None where they have not been written."""
+
+    @abstractmethod
+    def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
+        """Write some named numbers."""
+
+    @abstractmethod
+    def log(self, entry: dict[str, Any]) -> None:
+        """Add an entry to the log."""
+
+    @abstractmethod
+    def entries(self) -> list[dict[str, Any]]:
+        """The log so far."""
+
+
+class MemoryStore(Store):
+    """A store for runs that write nothing; all frames of a sequence are in memory at once."""
+
+    def __init__(self) -> None:
+        self._items: dict[tuple[str, int], tuple[int, Arrays]] = {}
+        self._numbers: dict[str, dict[str, float]] = {}
+        self._log: list[dict[str, Any]] = []
+
+    def generation(self, group: str, frame: int) -> int:
+        """See `Store`."""
+        return self._items.get((group, frame), (-1,))[0]
+
+    def read(self, group: str, frame: int) -> Arrays:
+        """See `Store`."""
+        return _single_precision(self._items[group, frame][1])
+
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+        """See `Store`."""
+        self._items[group, frame] = generation, arrays
+
+    def remove(self, group: str) -> None:
+        """See `Store`."""
+        self._items = {key: item for key, item in self._items.items() if key[0] != group}
+
+    def numbers(self, name: str) -> dict[str, float] | None:
+        """See `Store`."""
+        return self._numbers.get(name)
+
+    def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
+        """See `Store`."""
+        self._numbers[name] = numbers
+
+    def log(self, entry: dict[str, Any]) -> None:
+        """See `Store`."""
+        self._log.append(entry)
+
+    def entries(self) -> list[dict[str, Any]]:
+        """See `Store`."""
+        return self._log
+
+
+class FolderStore(Store):
+    """A store on disk, which outlives the process.
+
+    Args:
+        folder: where; it is made if it does not exist, and what it holds is the state.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._generations: dict[tuple[str, int], int] = {}
+        # A killed run may leave two generations of an item, both whole, and unfinished files.
+        for path in sorted(folder.glob("*/*.safetensors")):
+            match = _ITEM.fullmatch(path.name)
+            if match:
+                self._take(path.parent.name, int(match[1]), int(match[2]))
+            else:
+                path.unlink()
+
+    def generation(self, group: str, frame: int) -> int:
+        """See `Store`."""
+        return self._generations.get((group, frame), -1)
+
+    def read(self, group: str, frame: int) -> Arrays:
+        """See `Store`."""
+        path = self._path(group, frame, self._generations[group, frame])
+        try:
+            return _single_precision(load_file(path))
+        except (SafetensorError, OSError, ValueError) as error:
+            raise InputError(
+                f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
+            ) from None
+
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+        """See `Store`."""
+        with written_whole(self._path(group, frame, generation)) as temporary:
+            # Written from here rather than by the library, whose error does not tell that a disk is full.
+            temporary.write_bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
+        self._take(group, frame, generation)
+
+    def remove(self, group: str) -> None:
+        """See `Store`."""
+        shutil.rmtree(self.folder / group, ignore_errors=True)
+        self._generations = {key: value for key, value in self._generations.items() if key[0] != group}
+
+    def numbers(self, name: str) -> dict[str, float] | None:
+        """See `Store`."""
+        return self._all_numbers().get(name)
+
+    def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
+        """See `Store`."""
+        everything = self._all_numbers() | {name: numbers}
+        with written_whole(self.folder / "numbers.json") as temporary:
+            temporary.write_text(json.dumps(everything, indent=1), "utf-8")
+
+    def log(self, entry: dict[str, Any]) -> None:
+        """See `Store`."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
+            # The line break comes first: whatever a killed run left of its last line stays apart.
+            file.write("\n" + json.dumps(entry))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """See `Store`."""
+        path = self.folder / "metrics.jsonl"
+        entries = []
+        for line in path.read_text("utf-8").splitlines() if path.exists() else []:
+            try:
+                entries.append(json.loads(line))
+            except ValueError:
+                continue  # torn when the run was killed; its iteration is done again
+        return entries
+
+    def _all_numbers(self) -> dict[str, dict[str, float]]:
+        path = self.folder / "numbers.json"
+        try:
+            return json.loads(path.read_text("utf-8")) if path.exists() else {}
+        except ValueError:
+            raise InputError(f"{path}: damaged; the run cannot be resumed, start anew with --overwrite") from None
+
+    def _path(self, group: str, frame: int, generation: int) -> Path:
+        return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"
+
+    def _take(self, group: str, frame: int, generation: int) -> None:
+        """Count an item as the newest of its kind, and remove the one before."""
+        earlier = self._generations.get((group, frame))
+        if earlier is not None and earlier != generation:
+            self._path(group, frame, earlier).unlink(missing_ok=True)
+        self._generations[group, frame] = generation
+
+
+def read_ahead(reads: Iterable[Callable[[], T]]) -> Iterator[T]:
+    """What the given functions return, each called while the result of the one before it is in use."""
+    with ThreadPoolExecutor(1) as reader:
+        waiting = None
+        for read in reads:
+            following = reader.submit(read)
+            if waiting is not None:
+                yield waiting.result()
+            waiting = following
+        if waiting is not None:
+            yield waiting.result()
+
+
+def _single_precision(arrays: Arrays) -> Arrays:
+    return {name: np.asarray(a, np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
+
+
+def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
+    """The most bytes that a run of `count` frames (D, H, W) writes, results included.
+
+    By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
+    (6), the gain (2) and the step (2 a component) too; as results a density (4) and a velocity (12), if they compress
+    to nothing less. Coarser octaves add up to less than a quarter.
+    """
+    lams = [value for _, value in recipe.keyframes.get("lam", ((0, recipe.lam),))]
+    components = 1 if recipe.parameterisation == "density" else (max(lams) > 0) + 3 * (min(lams) < 1)
+    by_cell = 6 + 4 * components + 16 + (8 + 2 * components if recipe.window > 1 else 0)
+    return int(1.25 * math.prod(shape) * count * by_cell)
