@@ -12,6 +12,7 @@ import ray_march
 from fields import blob, directional_error, smooth_noise
 
 import tnst_mi
+from tnst_mi.scene import GridScene, grid_scene
 
 SHAPE = (10, 14, 9)
 QUADRATURES = ("paper", "exact", "transmittance")
@@ -331,3 +332,27 @@ def test_bad_arguments_are_named(change: dict) -> None:
         tnst_mi.render(**({"density": np.zeros((3, 3, 3))} | change))
     (key,) = change
     assert key in str(error.value)
+
+
+def test_one_loaded_scene_serves_every_gamma() -> None:
+    """Recipes may change γ from frame to frame; a pass differentiates with the γ that it rendered with."""
+    rng = np.random.default_rng(12)
+    density, views = np.float32(rng.uniform(0, 1, SHAPE)), VIEWS[:2]
+    thin, thick = (grid_scene(SHAPE, gamma, "paper", 1.0, 2) for gamma in (0.1, 2.0))
+    assert thin.scene is thick.scene
+
+    def alone(gamma: float) -> tuple[np.ndarray, np.ndarray]:
+        leaf = mi.TensorXf(density)
+        dr.enable_grad(leaf)
+        images = GridScene(SHAPE, gamma, "paper", 1.0, 2).render(leaf, views)
+        dr.backward(dr.sum(images, axis=None))
+        return images.numpy(), dr.grad(leaf).numpy()
+
+    leaves = [mi.TensorXf(density), mi.TensorXf(density)]
+    dr.enable_grad(leaves)
+    images = [scene.render(leaf, views) for scene, leaf in zip((thin, thick), leaves, strict=True)]
+    for gamma, image, leaf in zip((0.1, 2.0), images, leaves, strict=True):
+        dr.backward(dr.sum(image, axis=None))
+        expected_image, expected_gradient = alone(gamma)
+        np.testing.assert_array_equal(image.numpy(), expected_image)
+        np.testing.assert_array_equal(dr.grad(leaf).numpy(), expected_gradient)

@@ -80,7 +80,7 @@ class ScatteringScene(GridScene):
         largest = float(dr.max(dr.detach(extinction), axis=None).array[0])
         if _LEAST_SLACK * largest > self._majorant:
             self._load(_SLACK * largest)
-        super().show(extinction, views)
+        self.place(extinction, views)
 
     def _load(self, majorant: float) -> None:
         lighting = self._lighting

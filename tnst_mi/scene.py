@@ -6,6 +6,7 @@ of a `heterogeneous` medium, and the `emission_absorption` plugin renders it.
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from collections.abc import Sequence
@@ -101,6 +102,12 @@ class GridScene:
     #: Samples per pixel: one at its centre.
     spp = 1
 
+    def with_gamma(self, gamma: float) -> GridScene:
+        """This very scene, once loaded, for another γ."""
+        scene = copy.copy(self)
+        scene.gamma = gamma
+        return scene
+
     def reseed(self, seed: Sequence[int]) -> None:
         """Start the random numbers that belong to some whole numbers ≥ 0; there is nothing random here."""
 
@@ -114,13 +121,18 @@ class GridScene:
 
     def show(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
         """Put an extinction (D, H, W) per full-resolution cell and a set of views into the scene."""
+        self.scene.integrator().gamma = self.gamma
+        self.place(extinction, views)
+
+    def place(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
+        """As `show`, with whatever γ the integrator has."""
         self.sensor.set_views(views)
         self.parameters[_EXTINCTION] = mi.TensorXf(extinction.array, (*self.shape, 1))
         self.parameters.update()
 
 
 class _RenderViews(dr.CustomOp):
-    """density → images. A scene holds one density at a time: each pass first puts its own back."""
+    """density → images. A scene holds one density and one γ at a time: each pass first puts its own back."""
 
     def eval(self, density: mi.TensorXf, scene: GridScene, views: tuple[View, ...]) -> mi.TensorXf:
         self.density, self.scene, self.views = density, scene, views
@@ -166,12 +178,12 @@ def grid_scene(
     shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
 ) -> GridScene:
     """A `GridScene`, taken from a small cache: loading one is slow, and Mitsuba does not give back all its memory."""
-    return _cached_scene(mi.variant(), shape, gamma, quadrature, h, view_count, step)
+    return _cached_scene(mi.variant(), shape, quadrature, h, view_count, step).with_gamma(gamma)
 
 
 @functools.lru_cache(maxsize=6)
-def _cached_scene(variant: str, *arguments: object) -> GridScene:
-    return GridScene(*arguments)
+def _cached_scene(variant: str, shape: Shape, quadrature: str, *arguments: object) -> GridScene:
+    return GridScene(shape, 1.0, quadrature, *arguments)
 
 
 @any_array_kind("density")
