@@ -49,7 +49,7 @@ def main() -> None:
     """Kill, go on, kill, …, and let the last child end."""
     weights, out, (window, kills) = sys.argv[1], Path(sys.argv[2]), map(int, sys.argv[3:])
     goal = {"semantic": ["inception_3a/3x3:2"], "octaves": 2, "iterations": 4, "views": 2}
-    recipe = Recipe.from_dict(goal | {"window": window, "weights": weights, "lam": 0.5})
+    recipe = Recipe.from_dict(goal | {"window": window, "weights": weights, "lam": 0.5, "coherence": 1.0})
     rng = random.Random(window)
     for moment in range(kills + KILLED_WRITING):
         process, reader = child(recipe, out)

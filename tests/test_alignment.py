@@ -11,7 +11,7 @@ from fields import blob, smooth_noise
 
 import tnst_mi
 from tnst_mi.alignment import averaging_gain, transported_sums
-from tnst_mi.window import reading_order, window_of, window_weights
+from tnst_mi.window import WINDOW_WEIGHTS, reading_order, window_of, window_weights
 
 SHAPE = (7, 9, 8)
 COUNT = 7
@@ -77,7 +77,7 @@ def test_only_frames_of_the_window_count(motion: np.ndarray) -> None:
 
 @pytest.mark.parametrize("window", [1, 3, 9])
 def test_weights_of_a_window_sum_to_one(window: int) -> None:
-    for kind in ("uniform", "gaussian"):
+    for kind in WINDOW_WEIGHTS:
         weights = window_weights(window, kind)
         assert len(weights) == window // 2 + 1
         assert weights[0] + 2 * weights[1:].sum() == pytest.approx(1)

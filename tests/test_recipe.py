@@ -36,6 +36,7 @@ CHANGED: dict[str, Any] = {
     "eta": 0.01,
     "pyramid_levels": 0,
     "window": 9,
+    "coherence": 2.0,
     "window_weights": "gaussian",
     "steps": "auto",
     "parameterisation": "density",

@@ -148,16 +148,17 @@ def test_nothing_from_outside_the_window_reaches_a_frame_in_one_iteration(networ
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, False, False, True, True]
 
 
-def test_windows_make_a_sequence_steadier(network: GoogLeNet) -> None:
+def test_windows_and_coherence_make_a_sequence_steadier(network: GoogLeNet) -> None:
     frames = moving_smoke(5)
     means = {}
-    for window in (1, 5):
-        recipe = Recipe(**GOAL | {"iterations": 4, "window": window, "eta": 0.01})
+    for window, coherence in ((1, 0.0), (5, 0.0), (5, 2.0)):
+        recipe = Recipe(**GOAL | {"iterations": 4, "window": window, "coherence": coherence, "eta": 0.01})
         meter = FlickerMeter()
         for frame, result in zip(frames, stylized(frames, recipe, network), strict=True):
             meter.add(frame.name, frame.density, result.density, frame.velocity)
-        means[window] = meter.mean
-    assert means[5] < 0.8 * means[1]
+        means[window, coherence] = meter.mean
+    assert means[5, 0.0] < 0.8 * means[1, 0.0]
+    assert means[5, 2.0] < 0.9 * means[5, 0.0]
 
 
 def test_frames_without_smoke_are_left_alone_and_do_not_count(network: GoogLeNet) -> None:
@@ -259,7 +260,7 @@ def test_exposure_and_steps_follow_a_gamma_that_changes(weights: Path) -> None:
 
 @pytest.mark.parametrize("window", [1, 3])
 def test_state_on_disk_gives_the_bits_of_state_in_memory(window: int, network: GoogLeNet, tmp_path: Path) -> None:
-    frames, recipe = moving_smoke(3), Recipe(**GOAL | {"window": window, "lam": 0.5})
+    frames, recipe = moving_smoke(3), Recipe(**GOAL | {"window": window, "lam": 0.5, "coherence": 1.0})
     in_memory = bits(stylized(frames, recipe, network))
     assert bits(stylized(frames, recipe, network, store=FolderStore(tmp_path))) == in_memory
 

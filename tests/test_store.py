@@ -127,4 +127,4 @@ def test_working_bytes_counts_what_a_cell_needs() -> None:
     scalar = working_bytes((10, 20, 30), 8, Recipe(style=("net",)))
     assert scalar == 1.25 * cells * 8 * (4 + 2 + 4 + 16)
     both = Recipe.from_dict({"style": ["net"], "lam": {"1": 0.0, "8": 1.0}, "window": 9})
-    assert working_bytes((10, 20, 30), 8, both) == 1.25 * cells * 8 * (4 + 2 + 16 + 16 + 6 + 2 + 8)
+    assert working_bytes((10, 20, 30), 8, both) == 1.25 * cells * 8 * (4 + 2 + 16 + 16 + 6 + 2 + 8 + 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -23,6 +24,15 @@ from tnst_mi.views import sample_views
 
 #: The views a result is judged from: the main view, and this far to both ends of the range of azimuths.
 _JUDGED_REACH = 0.8
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The loss, the value of each of its terms, and the stylized density (D, H, W) that has it."""
+
+    loss: float
+    terms: dict[str, float]
+    density: mi.TensorXf
 
 
 class OctaveProblem:
@@ -45,7 +55,7 @@ class OctaveProblem:
         density: mi.TensorXf,
         recipe: Recipe,
         seed: Sequence[int],
-    ) -> tuple[float, dict[str, float]]:
+    ) -> Evaluation:
         """Leave the derivative of the loss, merged over random views, in the fields of the parameters.
 
         Args:
@@ -53,9 +63,6 @@ class OctaveProblem:
             density: (D, H, W), unstylized, on the octave's grid.
             recipe: the recipe of the frame.
             seed: of the views, and of the renderer where it is random.
-
-        Returns:
-            The loss, and the value of each of its terms.
 
         Raises:
             InputError: the loss is not finite.
@@ -88,9 +95,10 @@ class OctaveProblem:
             )
         # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
         # run, so it is asked to look at the young objects, which costs little.
+        evaluation = Evaluation(value, terms, dr.detach(stylized))
         del loss, images, seen, stylized
         gc.collect(1)
-        return value, terms
+        return evaluation
 
     def gradient_square_sum(
         self, parameters: Parameterisation, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]

@@ -69,14 +69,15 @@ class Parameterisation:
         """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
         raise NotImplementedError
 
-    def find_steps(self, mask: mi.TensorXf, eta: float, rows: int, levels: int) -> None:
+    def find_steps(self, mask: mi.TensorXf, eta: float, rows: int, levels: int, sigma: float = GRADIENT_SIGMA) -> None:
         """Set each field's step to η · unit step · mask · N(g).
 
-        N(g) is the gradient, blurred and with the bands of its Laplacian pyramid normalised, each field by itself.
+        N(g) is the gradient, blurred by `sigma` cells of the octave and with the bands of its Laplacian pyramid
+        normalised, each field by itself.
         """
         size = opaque(eta * self.unit_step(rows))
         for name, field in self.fields.items():
-            direction = normalise(gaussian(dr.grad(field), GRADIENT_SIGMA), levels)
+            direction = normalise(gaussian(dr.grad(field), sigma), levels)
             self.steps[name] = size * times(mask, direction)
         dr.eval(self.steps)
 

@@ -83,6 +83,9 @@ class Method:
     """Frames over which the stylization is kept coherent in time, odd; 1 is none. Needs their velocities."""
     window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
     """Weights of the frames in a window: all alike, or less for those far off."""
+    coherence: Annotated[float, Number(low=0.0)] = 0.0
+    """With a window, how much of each step goes to making the change of the smoke move with the smoke, relative to
+    the stylization's own, 0 or more; 0 is the paper's algorithm."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
     """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest
     displacement."""

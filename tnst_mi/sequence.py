@@ -5,7 +5,8 @@ The state of the run is in a `Store`, and everything here takes items of it and 
     inputs.o    density, mask, simulation velocity of a frame on the grid of octave o
     fields.o    what is optimised; generation = number of iterations done
     gain.o      normalises the average over the window, see `averaging_gain`
-    step.o      what one iteration would change by the frame's own gradient; generation = iterations done
+    step.o      what one iteration would change by the frame's own gradient, and the change of the density that it
+                starts from; generation = iterations done
 
 so that a run goes on where it was killed, and only the frames of a window need be in memory.
 """
@@ -21,6 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi import coherence
 from tnst_mi.alignment import averaging_gain, transported_sums
 from tnst_mi.backend import torch_device
 from tnst_mi.errors import InputError
@@ -28,7 +30,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.frame_gradient import OctaveProblem
 from tnst_mi.goals import objective_of, term_weights
 from tnst_mi.googlenet import GoogLeNet
-from tnst_mi.grid import Octave, octaves
+from tnst_mi.grid import Octave, octaves, opaque
 from tnst_mi.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.mask import soft_mask
 from tnst_mi.objective import Objective, rms_scales
@@ -93,6 +95,11 @@ class _Shot:
     number: int
     step_scale: float
     weights: list[float] | None
+
+    @property
+    def eta(self) -> float:
+        """The step size η_t."""
+        return self.recipe.eta * self.step_scale
 
     @property
     def still(self) -> bool:
@@ -274,7 +281,7 @@ class SequenceOptimisation:
         try:
             for iteration in range(begin, iterations):
                 self._stop_here()
-                entry = self._gradient_step(octave, index, iteration, parameters, density, mask)
+                entry, _ = self._gradient_step(octave, index, iteration, parameters, density, mask)
                 parameters.descend()
                 store.log(entry)
                 done = iteration + 1
@@ -296,17 +303,24 @@ class SequenceOptimisation:
             due = [i for i in self._alive if store.generation(steps, i) < done and store.generation(fields, i) < done]
             for index, density, mask, parameters in self._states(octave, due):
                 self._stop_here()
-                entry = self._gradient_step(octave, index, iteration, parameters, density, mask)
+                entry, stylized = self._gradient_step(octave, index, iteration, parameters, density, mask)
                 store.log(entry)
-                step = {name: tensor.numpy().astype(np.float16) for name, tensor in parameters.steps.items()}
-                store.write(steps, index, done, step)
+                step = parameters.steps | ({"change": stylized - density} if self._recipe.coherence > 0 else {})
+                store.write(
+                    steps, index, done, {name: array.numpy().astype(np.float16) for name, array in step.items()}
+                )
                 self._report(entry)
             due = [index for index in self._alive if store.generation(fields, index) < done]
-            for index, _, _, parameters in self._states(octave, due):
+            for index, density, mask, parameters in self._states(octave, due):
                 self._stop_here()
                 gain = mi.TensorXf(store.read(f"gain.{octave}", index)["gain"])
-                sums = self._windowed_sums(octave, index, steps, list(parameters.channels))
-                parameters.steps = {name: times(gain, total) for name, total in sums.items()}
+                names = list(parameters.channels)
+                sums = self._windowed_sums(octave, index, steps, names, self._window_weights)
+                total = {name: times(gain, sums[name]) for name in names}
+                if self._recipe.coherence > 0:
+                    coherent = self._coherence_steps(octave, index, parameters, density, mask)
+                    total = {name: total[name] + coherent[name] for name in names}
+                parameters.steps = total
                 parameters.descend()
                 store.write(fields, index, done, parameters.arrays())
 
@@ -318,38 +332,51 @@ class SequenceOptimisation:
         parameters: Parameterisation,
         density: mi.TensorXf,
         mask: mi.TensorXf,
-    ) -> dict:
-        """Find a frame's own step, left in the parameters, and what the log says of it."""
+    ) -> tuple[dict, mi.TensorXf]:
+        """Find a frame's own step, left in the parameters; what the log says of it, and the density it starts from."""
         since = time.perf_counter()
         shot, problem = self._shots[index], self._octave_problem(octave)
         if shot.weights is not None:
             problem.loss.weigh(shot.weights)
         try:
-            loss, terms = problem.gradient(parameters, density, shot.recipe, self._seed(index, octave, iteration))
+            found = problem.gradient(parameters, density, shot.recipe, self._seed(index, octave, iteration))
         except InputError as error:
             where = f"iteration {iteration + 1} of octave {octave + 1}"
             raise InputError(f"{shot.name}, {where}: {error}") from error
-        eta = shot.recipe.eta * shot.step_scale
-        parameters.find_steps(mask, eta, self._levels[-1].shape[1], shot.recipe.pyramid_levels)
-        return {
+        parameters.find_steps(mask, shot.eta, self._levels[-1].shape[1], shot.recipe.pyramid_levels)
+        entry = {
             "frame": shot.name,
             "octave": octave,
             "iteration": iteration,
-            "loss": loss,
-            "terms": terms,
+            "loss": found.loss,
+            "terms": found.terms,
             "seconds": time.perf_counter() - since,
         }
+        return entry, found.density
 
-    def _windowed_sums(self, octave: int, index: int, group: str, names: Sequence[str]) -> dict[str, mi.TensorXf]:
-        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a group's items."""
-        window = window_of(index, len(self._shots), self._window)
+    def _coherence_steps(
+        self, octave: int, index: int, parameters: Parameterisation, density: mi.TensorXf, mask: mi.TensorXf
+    ) -> dict[str, mi.TensorXf]:
+        """Steps towards the average of the changes of the density around a frame."""
+        shot, weights = self._shots[index], window_weights(coherence.WINDOW)
+        total = self._windowed_sums(octave, index, f"step.{octave}", ["change"], weights)["change"]
+        present = sum(weights[abs(i - index)] for i in window_of(index, len(self._shots), coherence.WINDOW))
+        eta, rows = shot.recipe.coherence * shot.eta, self._levels[-1].shape[1]
+        target = total * opaque(1 / present)
+        return coherence.coherence_steps(parameters, density, mask, target, eta, rows, shot.recipe.pyramid_levels)
+
+    def _windowed_sums(
+        self, octave: int, index: int, group: str, names: Sequence[str], weights: np.ndarray
+    ) -> dict[str, mi.TensorXf]:
+        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a group's items, with weights by distance."""
+        window = window_of(index, len(self._shots), 2 * len(weights) - 1)
         # Towards a frame from its past goes u_i, back from its future what led there.
         links = [(i, i if i < index else i - 1) for i in reading_order(index, window)]
         own = self._masked(octave, index, group, names)
         h = self._levels[octave].cell_size
         reads = (partial(self._neighbour, octave, i, link, group, names) for i, link in links)
         neighbours = ((_tensors(fields), mi.TensorXf(velocity)) for fields, velocity in read_ahead(reads))
-        return transported_sums(_tensors(own), self._window_weights, window, index, neighbours, h)
+        return transported_sums(_tensors(own), weights, window, index, neighbours, h)
 
     def _neighbour(
         self, octave: int, index: int, link: int, group: str, names: Sequence[str]
@@ -369,7 +396,7 @@ class SequenceOptimisation:
 
     def _gain(self, octave: int, index: int) -> Arrays:
         group = f"inputs.{octave}"
-        total = self._windowed_sums(octave, index, group, ["mask"])["mask"]
+        total = self._windowed_sums(octave, index, group, ["mask"], self._window_weights)["mask"]
         mask = mi.TensorXf(self._store.read(group, index)["mask"])
         return {"gain": averaging_gain(mask, total, self._window_weights[0]).numpy().astype(np.float16)}
 

@@ -227,10 +227,10 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
     """The most bytes that a run of `count` frames (D, H, W) writes, results included.
 
     By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
-    (6), the gain (2) and the step (2 a component) too; as results a density (4) and a velocity (12), if they compress
-    to nothing less. Coarser octaves add up to less than a quarter.
+    (6), the gain (2), the step (2 a component) and the change (2) too; as results a density (4) and a velocity (12), if
+    they compress to nothing less. Coarser octaves add up to less than a quarter.
     """
     lams = [value for _, value in recipe.keyframes.get("lam", ((0, recipe.lam),))]
     components = 1 if recipe.parameterisation == "density" else (max(lams) > 0) + 3 * (min(lams) < 1)
-    by_cell = 6 + 4 * components + 16 + (8 + 2 * components if recipe.window > 1 else 0)
+    by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)
     return int(1.25 * math.prod(shape) * count * by_cell)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Shapes of a window.
-WINDOW_WEIGHTS = ("uniform", "gaussian")
+WINDOW_WEIGHTS = ("uniform", "triangle", "gaussian")
 
 
 def window_weights(window: int, kind: str = "uniform") -> np.ndarray:
@@ -13,11 +13,16 @@ def window_weights(window: int, kind: str = "uniform") -> np.ndarray:
 
     Args:
         window: odd number of frames, 2w + 1.
-        kind: "uniform", as in the paper's program, or "gaussian" with a standard deviation of w/2.
+        kind: "uniform", as in the paper's program; "triangle", falling to 0 at the first frame outside; or "gaussian"
+            with a standard deviation of w/2.
     """
     reach = window // 2
     distance = np.arange(reach + 1)
-    weights = np.ones(reach + 1) if kind == "uniform" else np.exp(-0.5 * (2 * distance / max(reach, 1)) ** 2)
+    weights = {
+        "uniform": np.ones(reach + 1),
+        "triangle": 1 - distance / (reach + 1),
+        "gaussian": np.exp(-0.5 * (2 * distance / max(reach, 1)) ** 2),
+    }[kind]
     return weights / (weights[0] + 2 * weights[1:].sum())
 
 
