@@ -20,6 +20,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.goals import objective_of
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import Octave
+from tnst_mi.job import Job
 from tnst_mi.optimise import optimise
 from tnst_mi.parameterisation import Transport
 from tnst_mi.recipe import Recipe
@@ -321,3 +322,42 @@ def test_what_a_window_needs_is_checked_first(weights: Path, tmp_path: Path) -> 
         [*frames[:2], dataclasses.replace(frames[2], velocity=None)], recipe, tmp_path / "out", progress=False
     )
     assert len(result.run["sequence"]["flicker_pairs"]) == 2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "missing"])
+def test_a_bad_frame_in_the_middle_is_found_before_the_work_begins(
+    damage: str, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tnst_mi.save_frames(tmp_path / "smoke", moving_smoke(4))
+    path = tmp_path / "smoke" / "s_007.npz"
+    path.write_bytes(path.read_bytes()[:-3000])
+    if damage == "missing":
+        path.unlink()
+    recipe = Recipe(**GOAL | {"window": 3, "weights": str(weights)})
+    monkeypatch.setattr(SequenceOptimisation, "run", lambda *_: pytest.fail("the work has begun"))
+    expected = {
+        "truncated": r"s_007\.npz: .* truncated, or damaged",
+        "missing": "frames are missing between 5 and 8: 7",
+    }
+    with pytest.raises(InputError, match=expected[damage]):
+        tnst_mi.stylize(tmp_path / "smoke", recipe, tmp_path / "out", progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_that_is_damaged_while_the_run_goes_on_stops_it_and_can_be_repaired(
+    weights: Path, tmp_path: Path
+) -> None:
+    frames, out = moving_smoke(3), tmp_path / "out"
+    tnst_mi.save_frames(tmp_path / "smoke", frames)
+    recipe = Recipe(**GOAL | {"window": 3, "weights": str(weights)})
+    path = tmp_path / "smoke" / "s_006.npz"
+    whole = path.read_bytes()
+    job = Job(tmp_path / "smoke", recipe, out, progress=False)
+    path.write_bytes(whole[:-3000])
+    with pytest.raises(InputError, match=r"s_006\.npz: .* truncated, or damaged"):
+        list(job.run())
+    path.write_bytes(whole)
+    resumed = list(Job(tmp_path / "smoke", recipe, out, progress=False, resume=True).run())
+    alone = tnst_mi.stylize(frames, recipe, progress=False)
+    for frame, density in zip(resumed, alone.densities, strict=True):
+        np.testing.assert_array_equal(frame.stylized.density, density)
