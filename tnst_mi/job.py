@@ -18,7 +18,7 @@ from tnst_mi.backend import activate
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.measure import exposure_of, measured, require_coherent, require_same_input
+from tnst_mi.measure import digests, exposure_of, measured, require_coherent, require_same_input
 from tnst_mi.outputs import (
     RunFolder,
     StoredArrays,
@@ -186,6 +186,7 @@ class Job:
                 "flavour": self._network.flavour,
             },
             "main_view": list(recipe.main_view),
+            "inputs": digests(self._measures),
             "exposure": self.exposure,
             "frames": [],
         }
@@ -252,7 +253,7 @@ class Job:
                 frame = StylizedFrame(
                     source := self.frames[index],
                     stylized,
-                    _record_of(source, self._measures[index].sha256, step_scales[index], stylized),
+                    _record_of(source, step_scales[index], stylized),
                 )
                 self.record["frames"].append(frame.record)
                 if folder is not None:
@@ -311,12 +312,11 @@ class Job:
         frame.stylized.potential = (None, None)
 
 
-def _record_of(frame: Frame, digest: str, step_scale: float, stylized: Stylized) -> dict[str, Any]:
+def _record_of(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
     """What run.json says of a frame."""
     return {
         "name": frame.name,
         "number": frame.number,
-        "input_sha256": digest,
         "complete": not stylized.interrupted,
         "note": stylized.note,
         "mass_before": frame.mass,

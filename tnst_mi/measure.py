@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,22 +92,21 @@ def exposure_of(measures: Sequence[Measure]) -> float:
 
 
 def require_same_input(measures: Sequence[Measure], run: dict[str, Any], out: Path) -> None:
-    """Check that a run to be resumed had these frames.
+    """Check that a run to be resumed had these frames: each of them, finished or not, has its part in the others.
 
     Raises:
-        InputError: a frame that it finished, or the exposure that it found, was another.
+        InputError: there were other frames, or one of them was another.
     """
-    digests = {measure.name: measure.sha256 for measure in measures}
-    for record in run["frames"]:
-        if digests.get(record["name"]) != record.get("input_sha256"):
-            raise InputError(
-                f"{out}: its run stylized another {record['name']} than the input has now; "
-                "resume with the same input, or use --overwrite"
-            )
-    # Frames that are not finished count too: the brightest of all sets the exposure of each.
-    exposure = exposure_of(measures)
-    if not math.isclose(run["exposure"], exposure, rel_tol=1e-4):
-        raise InputError(
-            f"{out}: its run had exposure {run['exposure']:g} and the input now gives {exposure:g}: "
-            "the frames have changed; resume with the same input, or use --overwrite"
-        )
+    now, remedy = digests(measures), "resume with the same input, or use --overwrite"
+    if set(run["inputs"]) != set(now):
+        other = sorted(set(run["inputs"]) ^ set(now))[0]
+        where = "its run" if other in run["inputs"] else "the input now"
+        raise InputError(f"{out}: only {where} has a frame {other}; {remedy}")
+    for name, digest in now.items():
+        if run["inputs"][name] != digest:
+            raise InputError(f"{out}: its run had another {name} than the input has now; {remedy}")
+
+
+def digests(measures: Sequence[Measure]) -> dict[str, str]:
+    """The SHA-256 of the frames by their names."""
+    return {measure.name: measure.sha256 for measure in measures}

@@ -138,7 +138,7 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
         run["frames"] = [frame for frame in run["frames"] if frame["complete"] and frame["name"]]
-        run["exposure"] = float(run["exposure"])
+        run["inputs"] = dict(run["inputs"])
         earlier_weights = run["weights"]["sha256"]
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
