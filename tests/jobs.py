@@ -13,8 +13,8 @@ import pytest
 
 from tnst_mi.frame import Frame
 from tnst_mi.recipe import Recipe
-from tnst_mi.sequence import Progress, Stylized
 from tnst_mi.store import Store
+from tnst_mi.stylized import Progress, Stylized
 from tnst_mi.weights import ChosenWeights
 
 SHAPE = (4, 6, 5)

@@ -23,9 +23,10 @@ from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.images import read_image
 from tnst_mi.interrupt import deferred_interrupt
 from tnst_mi.losses import Match, Semantic, Style
-from tnst_mi.optimise import Progress, Stylized, optimise
+from tnst_mi.optimise import optimise
 from tnst_mi.recipe import Recipe
 from tnst_mi.scene import GridScene
+from tnst_mi.stylized import Progress, Stylized
 
 SHAPE = (16, 24, 16)
 VIEWS = [(-8.0, 0.0), (0.0, 0.0), (8.0, 0.0)]

@@ -24,8 +24,9 @@ from tnst_mi.job import Job
 from tnst_mi.optimise import optimise
 from tnst_mi.parameterisation import Transport
 from tnst_mi.recipe import Recipe
-from tnst_mi.sequence import Progress, SequenceOptimisation, Stylized
+from tnst_mi.sequence import SequenceOptimisation
 from tnst_mi.store import FolderStore, MemoryStore, Store
+from tnst_mi.stylized import Progress, Stylized
 from tnst_mi.window import window_of
 
 GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 2, "views": 2}

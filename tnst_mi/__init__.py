@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from tnst_mi.frame import Frame
     from tnst_mi.googlenet import GoogLeNet
     from tnst_mi.io import load_frames, save_frames
-    from tnst_mi.job import Result, stylize
     from tnst_mi.potentials import velocity
     from tnst_mi.recipe import Recipe
     from tnst_mi.scene import render
+    from tnst_mi.stylization import Result, stylize
     from tnst_mi.views import sample_views
 
 #: Public names and the modules they live in; a module is imported at the first use of its name.
@@ -31,13 +31,13 @@ _PUBLIC = {
     "Frame": "frame",
     "GoogLeNet": "googlenet",
     "Recipe": "recipe",
-    "Result": "job",
+    "Result": "stylization",
     "advect": "advection",
     "load_frames": "io",
     "render": "scene",
     "sample_views": "views",
     "save_frames": "io",
-    "stylize": "job",
+    "stylize": "stylization",
     "velocity": "potentials",
 }
 

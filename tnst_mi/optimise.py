@@ -9,8 +9,9 @@ from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.objective import Objective
 from tnst_mi.recipe import Recipe
-from tnst_mi.sequence import Progress, SequenceOptimisation, Stylized
+from tnst_mi.sequence import SequenceOptimisation
 from tnst_mi.store import MemoryStore
+from tnst_mi.stylized import Progress, Stylized
 
 
 def optimise(

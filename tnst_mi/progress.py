@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from tnst_mi.sequence import Progress
+    from tnst_mi.stylized import Progress
 
 
 class ProgressBar:

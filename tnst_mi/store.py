@@ -14,14 +14,14 @@ import math
 import re
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
@@ -43,8 +43,8 @@ class Store(ABC):
         """Generation of an item; −1 where it is not there."""
 
     @abstractmethod
-    def read(self, group: str, frame: int) -> Arrays:
-        """The arrays of an item, floats in single precision.
+    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
+        """The arrays of an item, or those that are named, floats in single precision.
 
         Raises:
             InputError: the item's file is damaged.
@@ -87,9 +87,10 @@ class MemoryStore(Store):
         """See `Store`."""
         return self._items.get((group, frame), (-1,))[0]
 
-    def read(self, group: str, frame: int) -> Arrays:
+    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
         """See `Store`."""
-        return _single_precision(self._items[group, frame][1])
+        item = self._items[group, frame][1]
+        return {name: _single_precision(item[name]) for name in item if names is None or name in names}
 
     def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
         """See `Store`."""
@@ -138,11 +139,12 @@ class FolderStore(Store):
         """See `Store`."""
         return self._generations.get((group, frame), -1)
 
-    def read(self, group: str, frame: int) -> Arrays:
+    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
         """See `Store`."""
         path = self._path(group, frame, self._generations[group, frame])
         try:
-            return _single_precision(load_file(path))
+            with safe_open(path, framework="numpy") as item:
+                return {n: _single_precision(item.get_tensor(n)) for n in item.keys() if names is None or n in names}
         except (SafetensorError, OSError, ValueError) as error:
             raise InputError(
                 f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
@@ -219,8 +221,8 @@ def read_ahead(reads: Iterable[Callable[[], T]]) -> Iterator[T]:
             yield waiting.result()
 
 
-def _single_precision(arrays: Arrays) -> Arrays:
-    return {name: np.asarray(a, np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
+def _single_precision(array: np.ndarray) -> np.ndarray:
+    return np.asarray(array, np.float32) if array.dtype == np.float16 else array
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
