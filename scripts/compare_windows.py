@@ -44,9 +44,10 @@ def rows_of(records: dict[int, dict[str, Any]]) -> list[dict[str, Any]]:
     rows = []
     for window, record in records.items():
         sequence = record["sequence"]
-        lost = sequence["loss_before"] - sequence["loss_after"]
-        row = {key: sequence[key] for key in ("flicker", "loss_before", "loss_after", "relative_change")}
-        row |= {"window": window, "loss_change": lost, "seconds": record["seconds"]}
+        # Scales are found anew in each run: only terms without them can be compared.
+        before, after = (sum(sequence[key].values()) for key in ("terms_before", "terms_after"))
+        row = {"window": window, "loss_before": before, "loss_after": after, "loss_change": before - after}
+        row |= {key: sequence[key] for key in ("flicker", "relative_change")} | {"seconds": record["seconds"]}
         row["peak_memory_bytes"] = record["peak_memory_bytes"]
         rows.append(row)
     for row in rows:

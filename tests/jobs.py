@@ -87,6 +87,8 @@ class FakeOptimiser:
                     timings={"total": 0.5},
                     loss_before=4.0,
                     loss_after=3.0,
+                    terms_before={"style": 8.0},
+                    terms_after={"style": 6.0},
                 ),
             )
 

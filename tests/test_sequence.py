@@ -182,9 +182,11 @@ def test_losses_before_and_after_are_those_of_the_objective(network: GoogLeNet) 
     (result,) = stylized([frame], recipe, network, store=store)
     bound = objective_of(recipe).bind(network, *SHAPE[1:])
     bound.set_scales(store.numbers("scales.1"))
-    for density, loss in ((frame.density, result.loss_before), (result.density, result.loss_after)):
+    judged = ((result.loss_before, result.terms_before), (result.loss_after, result.terms_after))
+    for density, (loss, terms) in zip((frame.density, result.density), judged, strict=True):
         images = tnst_mi.render(mi.TensorXf(density), [(-8, 0), (0, 0), (8, 0)], recipe.gamma, recipe.quadrature)
         assert float(bound((images * EXPOSURE).torch())) / 3 == pytest.approx(loss, rel=1e-4)
+        assert {name: float(term) / 3 for name, term in bound.last_terms.items()} == pytest.approx(terms, rel=1e-4)
 
 
 def test_blend_mixes_the_stylized_density_with_the_frame(network: GoogLeNet) -> None:

@@ -22,7 +22,7 @@ from tnst_mi.recipe import Recipe
 from tnst_mi.scene import View
 from tnst_mi.views import sample_views
 
-#: The views a result is judged from: the main view, and this far to both ends of the range of azimuths.
+#: How far the views that results are judged from reach.
 _JUDGED_REACH = 0.8
 
 
@@ -108,13 +108,17 @@ class OctaveProblem:
             images = self._images(parameters.density(density), recipe, seed)
         return self.loss.gradient_square_sum(images.torch().clone())
 
-    def judge(self, density: np.ndarray, recipe: Recipe) -> float:
-        """Loss of a density (D, H, W) from three fixed views, their mean: at the centre and near both ends."""
+    def judge(self, density: np.ndarray, recipe: Recipe) -> tuple[float, dict[str, float]]:
+        """Loss of a density (D, H, W), and its terms unscaled, as means over three fixed views.
+
+        They are the main view, and 0.8 of the way from there to both ends of the range of azimuths.
+        """
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
         views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
         with torch.no_grad(), dr.suspend_grad():
             images = self._rendered(mi.TensorXf(density), views, recipe, (recipe.seed,))
-            return float(self.loss(images.torch())) / len(views)
+            loss = float(self.loss(images.torch())) / len(views)
+        return loss, {name: float(value) / len(views) for name, value in self.loss.last_terms.items()}
 
     def _images(self, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]) -> mi.TensorXf:
         views = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)

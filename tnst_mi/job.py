@@ -259,6 +259,8 @@ def _record_of(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str,
         "step_scale": step_scale,
         "loss_before": stylized.loss_before,
         "loss_after": stylized.loss_after,
+        "terms_before": stylized.terms_before,
+        "terms_after": stylized.terms_after,
         "losses": _losses_by_octave(stylized.history),
         "timings": stylized.timings,
     }

@@ -273,8 +273,8 @@ class SequenceOptimisation:
         if state.store.numbers(f"scales.{last}") is not None:
             problem = self._octave_problem(last)
             self._weigh(problem, shot)
-            result.loss_before = problem.judge(frame.density, shot.recipe)
-            result.loss_after = problem.judge(result.density, shot.recipe)
+            result.loss_before, result.terms_before = problem.judge(frame.density, shot.recipe)
+            result.loss_after, result.terms_after = problem.judge(result.density, shot.recipe)
         return result
 
     # ---------------------------------------------------------------- parts

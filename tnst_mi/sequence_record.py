@@ -24,7 +24,8 @@ def sequence_record(
 
     Returns:
         window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ by frame, and their mean;
-        loss_before and loss_after, means over the frames; loss_reduction, 1 − after/before where that has a meaning.
+        loss_before and loss_after, means over the frames, and of the unscaled terms likewise; loss_reduction,
+        1 − after/before where that has a meaning.
     """
     # Looked up late: it can be imported only once a variant is active.
     from tnst_mi.flicker import FlickerMeter, relative_change
@@ -42,9 +43,15 @@ def sequence_record(
         "relative_change": _mean(changes),
         "loss_before": before,
         "loss_after": after,
+        **{key: _mean_terms([record[key] for record in records]) for key in ("terms_before", "terms_after")},
         # Style distances are positive; activations to be raised are losses below 0, of which no share can be told.
         "loss_reduction": None if before is None or before <= 0 else 1 - after / before,
     }
+
+
+def _mean_terms(terms: Sequence[dict[str, float]]) -> dict[str, float | None]:
+    names = dict.fromkeys(name for of_frame in terms for name in of_frame)
+    return {name: _mean([of_frame.get(name) for of_frame in terms]) for name in names}
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -34,8 +34,9 @@ class Stylized:
         interrupted: Ctrl-C ended the optimisation early; the result is what was reached.
         note: a remark for the user, such as for an empty frame.
         timings: seconds of each octave ("octave 0", ...) and in total.
-        loss_before, loss_after: loss of the unstylized and the stylized density, seen from the same three views; None
-            where nothing was stylized.
+        loss_before, loss_after: loss of the unstylized and the stylized density, the mean over the same three views;
+            None where nothing was stylized.
+        terms_before, terms_after: likewise the terms of the loss, unscaled and so comparable between runs.
     """
 
     density: np.ndarray
@@ -47,3 +48,5 @@ class Stylized:
     timings: dict[str, float] = field(default_factory=dict)
     loss_before: float | None = None
     loss_after: float | None = None
+    terms_before: dict[str, float] = field(default_factory=dict)
+    terms_after: dict[str, float] = field(default_factory=dict)
