@@ -18,6 +18,8 @@ from torch import Tensor, nn
 from tnst_mi.class_names import class_index, class_names, imagenet_names, matching_classes
 from tnst_mi.download import file_hash
 from tnst_mi.errors import InputError
+from tnst_mi.grey_convolution import GreyConvolution
+from tnst_mi.response_norm import LocalResponseNorm
 from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.weight_readers import CLASS_LIST, read_weights
 from tnst_mi.weight_readers.network_weights import (
@@ -100,6 +102,8 @@ class GoogLeNet(nn.Module):
         self.class_names = class_names(weights)
         self.layer_names = list(LAYERS)
         self._description = description
+        #: The first convolution's answer to black, for the size of image that was last asked for.
+        self._black: dict[tuple, Tensor] = {}
         self.convolutions = nn.ModuleDict({layer: _convolution(weights, layer) for layer in CONVOLUTIONS})
         stem = self.convolutions[STEM[0]]
         stem.stride = (1, 1) if stride1 else (2, 2)
@@ -148,8 +152,7 @@ class GoogLeNet(nn.Module):
         if x.ndim != 4 or x.shape[1] != 3 or 0 in x.shape or not x.is_floating_point():
             raise InputError(f"images of shape {tuple(x.shape)}, {x.dtype}: expected floating point (N, 3, H, W)")
         names = {layer: self.resolve(layer) for layer in layers}
-        image = (x * 255 - self.mean) / self._description.divisor
-        known = {"image": image.contiguous(memory_format=torch.channels_last)}
+        known = {"image": x}
         return {layer: self._value(name, known) for layer, name in names.items()}
 
     def resolve(self, layer: str) -> str:
@@ -234,12 +237,42 @@ class GoogLeNet(nn.Module):
             return values
         return self._pool(values, self._description.last_pool if block == _POOLED[-1] else 3)
 
-    def _first_convolution(self, image: Tensor) -> Tensor:
+    def _first_convolution(self, x: Tensor) -> Tensor:
+        """The first convolution of images in 0 to 1; grey ones, whose channels share their memory, have one filter."""
+        if x.stride(1) == 0:
+            return self._convolved_grey(x[:, :1])
+        image = (x * 255 - self.mean) / self._description.divisor
+        return self._convolved(image.contiguous(memory_format=torch.channels_last))
+
+    def _convolved(self, image: Tensor) -> Tensor:
         convolution = self.convolutions[STEM[0]]
         if not self._description.same_padding:
             return convolution(image)
-        rows, columns = (_same_padding(size, 7, convolution.stride[0]) for size in image.shape[2:])
-        return F.conv2d(F.pad(image, (*columns, *rows)), convolution.weight, convolution.bias, convolution.stride)
+        image = F.pad(image, self._stem_padding(image))
+        return F.conv2d(image, convolution.weight, convolution.bias, convolution.stride)
+
+    def _convolved_grey(self, grey: Tensor) -> Tensor:
+        """The same, where all channels are the image `grey` (N, 1, H, W).
+
+        The filters of the three channels add up to one. What the means contribute, which the padding leaves out at the
+        border, is the same for all images of a size: the convolution of a black one.
+        """
+        convolution = self.convolutions[STEM[0]]
+        key = (*grey.shape[2:], grey.dtype, grey.device)
+        if key not in self._black:
+            black = (-self.mean / self._description.divisor).expand(1, -1, *grey.shape[2:])
+            self._black = {key: self._convolved(black.contiguous(memory_format=torch.channels_last))}
+        filters = convolution.weight.sum(1) * (255 / self._description.divisor)
+        padded = F.pad(grey, self._stem_padding(grey))
+        return GreyConvolution.apply(padded, filters, convolution.stride[0]) + self._black[key]
+
+    def _stem_padding(self, image: Tensor) -> tuple[int, int, int, int]:
+        """Columns and rows that the first convolution adds around an image, before and after."""
+        if not self._description.same_padding:
+            return (3, 3, 3, 3)
+        stride = self.convolutions[STEM[0]].stride[0]
+        rows, columns = (_same_padding(size, 7, stride) for size in image.shape[2:])
+        return (*columns, *rows)
 
     def _pool(self, values: Tensor, window: int = 3) -> Tensor:
         """Maximum over windows at stride 2; the last may reach beyond the end (`ceil_mode`), as in Caffe.
@@ -252,27 +285,6 @@ class GoogLeNet(nn.Module):
             for size in values.shape[2:]
         ]
         return F.max_pool2d(values, window, stride=2, padding=padding, ceil_mode=True)
-
-
-class LocalResponseNorm(nn.Module):
-    """Local response normalisation across channels (Krizhevsky et al. 2012, section 3.3).
-
-    The sum over channels is a convolution with a banded matrix; torch's own function takes it by
-    three-dimensional pooling and is several times slower.
-    """
-
-    def __init__(self, channels: int, constants: ResponseNorm) -> None:
-        """For feature maps of `channels` channels."""
-        super().__init__()
-        index = torch.arange(channels)
-        band = (index[:, None] - index[None, :]).abs() <= constants.depth_radius
-        self.register_buffer("band", constants.alpha * band.float()[:, :, None, None], persistent=False)
-        self.register_buffer("bias", torch.full((channels,), constants.bias), persistent=False)
-        self.beta = constants.beta
-
-    def forward(self, x: Tensor) -> Tensor:
-        """x · (bias + alpha · Σ x²)^(−beta), the sum over neighbouring channels; x is (N, C, H, W)."""
-        return x * F.conv2d(x * x, self.band, self.bias).pow(-self.beta)
 
 
 def _same_padding(size: int, window: int, stride: int) -> tuple[int, int]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from numbers import Real
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 from tnst_mi.errors import InputError
 from tnst_mi.googlenet import GoogLeNet
@@ -135,10 +136,36 @@ class BoundObjective:
         Args:
             images: (N, H, W) grey views in about [0, 1], of the size that the objective was bound to.
         """
-        losses = self._losses(images)
-        self.last_terms = {name: loss.detach() for name, loss in losses.items()}
-        weighted = [(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]
-        return torch.stack(weighted).sum()
+        if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
+            raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
+        if torch.is_grad_enabled() and images.requires_grad:
+            return _ViewByView.apply(images, self)
+        return self._forward(images)[0]
+
+    def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+        """The weighted sum, and its derivative, where memory for it is given; sets `last_terms`."""
+        totals: dict[str, Tensor] = {}
+        for part in self._parts(images):
+            losses, views = self._losses(images[part], gradient is not None)
+            for name, loss in losses.items():
+                totals[name] = totals.get(name, 0) + loss.detach()
+            if gradient is not None:
+                with torch.enable_grad():
+                    weighted = self._sum(losses)
+                (gradient[part],) = torch.autograd.grad(weighted, views)
+        self.last_terms = totals
+        return self._sum(totals), gradient
+
+    def _parts(self, images: Tensor) -> Iterator[slice]:
+        """Which views the network sees at once.
+
+        On a CPU one by one: the feature maps of one fit its caches better, and take up no more memory than they must.
+        """
+        at_once = 1 if images.device.type == "cpu" else len(images)
+        return (slice(first, first + at_once) for first in range(0, len(images), at_once))
+
+    def _sum(self, losses: Mapping[str, Tensor]) -> Tensor:
+        return torch.stack([(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]).sum()
 
     def weigh(self, weights: Sequence[float]) -> None:
         """Set the weights of the terms, in the order of `names`."""
@@ -146,14 +173,13 @@ class BoundObjective:
 
     def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
         """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and their number."""
-        images = images.detach().requires_grad_()
-        with torch.enable_grad():
-            losses = self._losses(images)
-        sums = {}
-        for name, loss in losses.items():
-            (gradient,) = torch.autograd.grad(loss, images, retain_graph=True)
-            sums[name] = (gradient.double().square().sum().item(), gradient.numel())
-        return sums
+        sums = dict.fromkeys(self.names, 0.0)
+        for part in self._parts(images):
+            losses, views = self._losses(images[part], True)
+            for name, loss in losses.items():
+                (gradient,) = torch.autograd.grad(loss, views, retain_graph=True)
+                sums[name] += gradient.double().square().sum().item()
+        return {name: (square_sum, images.numel()) for name, square_sum in sums.items()}
 
     def calibrate(self, images: Tensor) -> None:
         """Set every scale to the RMS of its term's image gradient over this one batch."""
@@ -165,11 +191,27 @@ class BoundObjective:
             raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.names)}")
         self.scales = {name: float(scales[name]) for name in self.names}
 
-    def _losses(self, images: Tensor) -> dict[str, Tensor]:
-        if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
-            raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
-        features = self._net(as_rgb(images), layers=self._layers)
-        return {name: term.loss(features) for name, term in self._terms.items()}
+    def _losses(self, images: Tensor, differentiable: bool) -> tuple[dict[str, Tensor], Tensor]:
+        """The terms by name, and the images that they can be differentiated with respect to."""
+        images = images.detach().requires_grad_(differentiable)
+        with torch.set_grad_enabled(differentiable):
+            features = self._net(as_rgb(images), layers=self._layers)
+            return {name: term.loss(features) for name, term in self._terms.items()}, images
+
+
+class _ViewByView(torch.autograd.Function):
+    """A bound objective whose derivative is found together with its value, so that no view's features are kept."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, images: Tensor, objective: BoundObjective) -> Tensor:
+        value, gradient = objective._forward(images, torch.empty_like(images))
+        ctx.save_for_backward(gradient)
+        return value
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, factor: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * factor, None
 
 
 def rms_scales(sums: Iterable[Mapping[str, tuple[float, int]]]) -> dict[str, float]:

@@ -1,0 +1,30 @@
+"""A convolution of grey images, as a product of patches and filters, with its derivative.
+
+Libraries have no fast convolution for one input channel, least of all for its derivative with respect to the image.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.autograd.function import FunctionCtx
+from torch.nn import functional
+
+
+class GreyConvolution(torch.autograd.Function):
+    """(N, 1, H, W) images, padded already, and filters (C, k, k) to (N, C, h, w) in channels-last layout."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, images: Tensor, filters: Tensor, stride: int) -> Tensor:
+        ctx.save_for_backward(filters)
+        ctx.stride, ctx.size = stride, images.shape[2:]
+        window = filters.shape[-1]
+        patches = images[:, 0].unfold(1, window, stride).unfold(2, window, stride).flatten(3)
+        return (patches @ filters.flatten(1).t()).permute(0, 3, 1, 2)
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
+        (filters,) = ctx.saved_tensors
+        window = filters.shape[-1]
+        patches = filters.flatten(1).t() @ gradient.flatten(2)
+        return functional.fold(patches, ctx.size, window, stride=ctx.stride), None, None
