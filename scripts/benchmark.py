@@ -1,169 +1,368 @@
-"""Times the parts of an iteration and a whole run: medians of interleaved repetitions, as a table and as JSON.
+"""Times what an iteration consists of, ours against PyTorch and against plain Dr.Jit, and how it all grows.
 
-    python scripts/benchmark.py [--size 64] [--views 3] [--repeat 7] [--weights FILE] [--json FILE]
+    python scripts/benchmark.py [--size 128] [--weights FILE] [--out FOLDER] [--only parts,iteration,scaling,frame]
 
-The smoke is the bundled frame, resampled to the size asked for. Without weights the parts that need the network are
-left out.
+parts      transport, rendering and both together, forward and backward, for one view; smoothing, normalising and
+           stepping; the network, forward and backward
+iteration  a whole iteration of a style recipe with 9 views, ours and PyTorch's
+scaling    transport and rendering against the number of cells, views and threads, with the fitted exponents
+frame      a whole frame of the paper's size: 200×300×200 cells, semantic recipe, 3 octaves × 20 iterations × 9 views
+
+All sides are measured in one run, in turns; times are medians, and what counts is their ratio. The smoke is the bundled
+frame, resampled. Writes benchmark.json and, for `scaling`, scaling.png. Peers: `scripts/peers`.
 """
 
 from __future__ import annotations
 
+import tnst_mi  # first: it lets torch's idle threads sleep
+
+# isort: split
 import argparse
 import json
-import resource
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import torch
+from peers import drjit_peer, torch_peer
 
-import tnst_mi
-from tnst_mi.environment import device, versions
+from tnst_mi.environment import device, peak_memory, versions
+from tnst_mi.goals import objective_of
+from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import Octave
+from tnst_mi.io.atomic import written_whole
 from tnst_mi.optimise import optimise
 from tnst_mi.parameterisation import Transport
 from tnst_mi.resample import resample_density
 from tnst_mi.scene import GridScene
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
-STYLE_LAYERS = ["conv2/3x3", "inception_3b/output", "inception_4b/output"]
+GAMMA = 0.1
+VIEWS = 9
+
+#: A whole iteration: the style recipe of the paper's figures.
+STYLE = {"style": ["flames"], "octaves": 1, "views": VIEWS}
+
+#: A whole frame of the paper's size (Table 2: semantic transfer).
+PAPER_SHAPE = (200, 300, 200)
+PAPER = {"semantic": ["inception_4b/pool_proj:16"], "lam": 1.0, "octaves": 3, "iterations": 20, "views": VIEWS}
+
+Task = Callable[[], object]
 
 
-def bundled_density(size: int) -> np.ndarray:
-    """The bundled frame (64×96×64), resampled to `size` cells along x."""
+def bundled_density(size: int | tuple[int, int, int]) -> np.ndarray:
+    """The bundled frame (64×96×64), resampled to a shape, or to `size` cells along x."""
     with np.load(SCENES / "suzanne" / "frame_0010.npz") as arrays:
         density = arrays["density"]
-    shape = (size, size * 3 // 2, size)
-    return np.clip(resample_density(density, 1.0, shape, 64 / size), 0, 1)
+    shape = (size, size * 3 // 2, size) if isinstance(size, int) else size
+    return np.clip(resample_density(density, 1.0, shape, 64 / shape[2]), 0, 1)
 
 
-def field_tasks(density: np.ndarray, views: int) -> dict[str, Callable[[], object]]:
-    """Transport and rendering, forward and backward, on the grid of the density."""
-    shape = density.shape
-    transport, scene = Transport(1.0), GridScene(shape, 0.1, "paper", 1.0, views)
-    transport.enter(Octave(shape, 1.0))
-    wave = 0.5 * np.sin(np.arange(shape[2]) / 3)
-    transport.fields["phi"] = mi.TensorXf(np.broadcast_to(np.float32(wave), shape).copy())
-    smoke, mask = mi.TensorXf(density), mi.TensorXf(density)
-    angles = [tuple(view) for view in tnst_mi.sample_views(views)]
+def wavy_potential(shape: tuple[int, int, int]) -> np.ndarray:
+    """A smooth potential whose velocity is about half a cell."""
+    waves = [np.sin(np.arange(n, dtype=np.float32) / 3) for n in shape]
+    return np.float32(waves[0][:, None, None] + waves[1][:, None] + waves[2])
 
-    def transport_forward() -> object:
-        return transport.density(smoke)
 
-    def transport_backward() -> object:
-        transport.attach()
-        dr.backward(dr.sum(dr.square(transport.density(smoke)), axis=None))
-        return dr.grad(transport.fields["phi"])
+class Ours:
+    """The package's transport and rendering of one grid."""
 
-    def render_forward() -> object:
-        return scene.render(smoke, angles)
+    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
+        self.density, self.views = mi.TensorXf(density), views
+        self.scene = GridScene(density.shape, GAMMA, "paper", 1.0, len(views))
+        self.transport = Transport(1.0)
+        self.transport.restore({"phi": wavy_potential(density.shape)}, Octave(density.shape, 1.0))
 
-    def render_backward() -> object:
-        leaf = dr.detach(smoke)
-        dr.enable_grad(leaf)
-        dr.backward(dr.sum(dr.square(scene.render(leaf, angles)), axis=None))
-        return dr.grad(leaf)
+    def _transport_forward(self) -> object:
+        return self.transport.density(self.density)
 
-    def step() -> object:
-        transport.attach()
-        dr.set_grad(transport.fields["phi"], smoke)
-        before = transport.fields["phi"]
-        transport.find_steps(mask, 1e-9, shape[1], 3)
-        transport.descend()
-        after, transport.fields["phi"] = transport.fields["phi"], before
+    def _transport_backward(self) -> object:
+        self.transport.attach()
+        moved = self.transport.density(self.density)
+        dr.set_grad(moved, self.density)
+        dr.enqueue(dr.ADMode.Backward, moved)
+        dr.traverse(dr.ADMode.Backward)
+        return dr.grad(self.transport.fields["phi"])
+
+    def _render_forward(self) -> object:
+        return self.scene.render(self.density, self.views)
+
+    def _render_backward(self) -> object:
+        seen = dr.detach(self.density)
+        dr.enable_grad(seen)
+        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
+        return dr.grad(seen)
+
+    def _both_backward(self) -> object:
+        self.transport.attach()
+        moved = self.transport.density(self.density)
+        seen = dr.detach(moved)
+        dr.enable_grad(seen)
+        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
+        dr.set_grad(moved, dr.grad(seen))
+        dr.enqueue(dr.ADMode.Backward, moved)
+        dr.traverse(dr.ADMode.Backward)
+        return dr.grad(self.transport.fields["phi"])
+
+    def _step(self) -> object:
+        self.transport.attach()
+        before = self.transport.fields["phi"]
+        dr.set_grad(before, self.density)
+        self.transport.find_steps(self.density, 1e-9, self.density.shape[1], 3)
+        self.transport.descend()
+        after, self.transport.fields["phi"] = self.transport.fields["phi"], before
         return after
 
-    return {
-        "transport forward": transport_forward,
-        "transport forward + backward": transport_backward,
-        f"render {views} views forward": render_forward,
-        f"render {views} views forward + backward": render_backward,
-        "smooth, normalise, step": step,
-    }
+
+class Torch:
+    """PyTorch's, with `grid_sample` and autograd."""
+
+    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
+        self.density, self.views = torch.from_numpy(density), views
+        self.phi = torch.from_numpy(wavy_potential(density.shape)).requires_grad_()
+
+    def _transport_forward(self) -> object:
+        with torch.no_grad():
+            return torch_peer.advect(self.density, torch_peer.velocity(self.phi))
+
+    def _transport_backward(self) -> object:
+        moved = torch_peer.advect(self.density, torch_peer.velocity(self.phi))
+        return torch.autograd.grad(moved, self.phi, self.density)
+
+    def _render_forward(self) -> object:
+        with torch.no_grad():
+            return torch_peer.render(self.density, self.views, GAMMA)
+
+    def _render_backward(self) -> object:
+        return self._gradient_of_views(self.density)
+
+    def _both_backward(self) -> object:
+        moved = torch_peer.advect(self.density, torch_peer.velocity(self.phi))
+        return torch.autograd.grad(moved, self.phi, self._gradient_of_views(moved))
+
+    def _gradient_of_views(self, density: torch.Tensor) -> torch.Tensor:
+        # View by view, so that only the graph of one is in memory.
+        seen = density.detach().requires_grad_()
+        total = torch.zeros_like(seen)
+        for view in self.views:
+            total += torch.autograd.grad(torch_peer.render(seen, [view], GAMMA).square().sum(), seen)[0]
+        return total
+
+    def _step(self) -> object:
+        with torch.no_grad():
+            return self.phi - 1e-9 * self.density * torch_peer.normalised(self.density, 3)
 
 
-def network_task(weights: str | None, views: int, rows: int, columns: int) -> Callable[[], object]:
-    """Features of the style layers and their gradient with respect to the images."""
-    import torch
+class PlainDrJit:
+    """Dr.Jit's, with its own derivatives."""
 
-    network = tnst_mi.GoogLeNet.load(weights)
-    images = torch.rand(views, 3, rows, columns, generator=torch.Generator().manual_seed(0))
+    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
+        self.density, self.views, self.shape = mi.Float(density.ravel()), views, density.shape
+        self.phi = mi.Float(wavy_potential(density.shape).ravel())
 
-    def network_backward() -> object:
-        leaf = images.clone().requires_grad_()
-        features = network(leaf, layers=STYLE_LAYERS)
-        sum(features[layer].square().mean() for layer in STYLE_LAYERS).backward()
-        return leaf.grad
+    def _moved(self, phi: mi.Float) -> mi.Float:
+        return drjit_peer.advect(self.density, drjit_peer.velocity(phi, self.shape), self.shape)
 
-    return network_backward
+    def _squares(self, density: mi.Float) -> mi.Float:
+        images = drjit_peer.render(density, self.shape, self.views, GAMMA)
+        return sum(dr.sum(image * image) for image in images)
+
+    def _transport_forward(self) -> object:
+        return self._moved(self.phi)
+
+    def _transport_backward(self) -> object:
+        leaf = mi.Float(self.phi)
+        dr.enable_grad(leaf)
+        dr.backward(dr.sum(self._moved(leaf) * self.density))
+        return dr.grad(leaf)
+
+    def _render_forward(self) -> object:
+        return drjit_peer.render(self.density, self.shape, self.views, GAMMA)
+
+    def _render_backward(self) -> object:
+        leaf = mi.Float(self.density)
+        dr.enable_grad(leaf)
+        dr.backward(self._squares(leaf))
+        return dr.grad(leaf)
+
+    def _both_backward(self) -> object:
+        leaf = mi.Float(self.phi)
+        dr.enable_grad(leaf)
+        moved = self._moved(leaf)
+        seen = dr.detach(moved)
+        dr.enable_grad(seen)
+        dr.backward(self._squares(seen))
+        dr.backward(dr.sum(moved * dr.grad(seen)))
+        return dr.grad(leaf)
 
 
-def medians(tasks: dict[str, Callable[[], object]], repeat: int) -> dict[str, dict[str, float]]:
-    """Seconds of each task: the first call (with compilation), and the median of `repeat` interleaved calls."""
+PARTS = {
+    "_transport_forward": "transport, forward",
+    "_transport_backward": "transport, forward + backward",
+    "_render_forward": "rendering, forward",
+    "_render_backward": "rendering, forward + backward",
+    "_both_backward": "transport + rendering, forward + backward",
+    "_step": "smooth, normalise, step",
+}
+
+
+def medians(tasks: dict[str, Task], repeat: int) -> dict[str, float]:
+    """Median seconds of each task over `repeat` calls in turns, after one to warm up."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
     for _ in range(repeat + 1):
         for name, task in tasks.items():
             dr.sync_thread()
             start = time.perf_counter()
-            dr.eval(task())
+            result = task()
+            if not isinstance(result, torch.Tensor | tuple):
+                dr.eval(result)
             dr.sync_thread()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
             times[name].append(time.perf_counter() - start)
-    return {name: {"first": values[0], "median": statistics.median(values[1:])} for name, values in times.items()}
+    return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 
-def whole_runs(weights: str | None, density: np.ndarray) -> dict[str, float]:
-    """Seconds of the two reference runs: 2 octaves × 20 iterations × 3 views, without loading the network."""
-    network = tnst_mi.GoogLeNet.load(weights)
-    short = {"octaves": 2, "iterations": 20, "views": 3}
-    recipes = {
-        "style run": tnst_mi.Recipe(style=("spirals",), **short),
-        "semantic run": tnst_mi.Recipe(semantic=("inception_4b/pool_proj:16",), lam=0.0, **short),
-    }
-    recipes = {name: recipe.updated({"style": list(recipe.style)}, "", Path.cwd()) for name, recipe in recipes.items()}
-    frame = tnst_mi.Frame(density)
-    return {name: optimise(frame, recipe, network).timings["total"] for name, recipe in recipes.items()}
+def parts(size: int, repeat: int) -> dict[str, dict[str, float]]:
+    """Seconds of every part by side."""
+    density = bundled_density(size)
+    sides = {"ours": Ours, "torch": Torch, "plain Dr.Jit": PlainDrJit}
+    made = {name: side(density, [(8.0, 3.0)]) for name, side in sides.items()}
+    found: dict[str, dict[str, float]] = {}
+    for part, label in PARTS.items():
+        found[label] = medians({n: getattr(s, part) for n, s in made.items() if hasattr(s, part)}, repeat)
+        print_row(label, found[label])
+    return found
+
+
+def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
+    """A whole iteration, ours as `stylize` does it, and PyTorch's: transport, 9 views, network, normalised step."""
+    from tnst_mi.frame_gradient import OctaveProblem
+
+    density = bundled_density(size)
+    recipe = tnst_mi.Recipe.from_dict(STYLE)
+    network = GoogLeNet.load(weights)
+    octave = Octave(density.shape, 1.0)
+    exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
+    problem = OctaveProblem(objective_of(recipe), network, octave, exposure)
+    parameters = Transport(1.0)
+    parameters.restore({"phi": wavy_potential(density.shape)}, octave)
+    smoke, mask = mi.TensorXf(density), mi.TensorXf(density)
+
+    def ours() -> object:
+        problem.gradient(parameters, smoke, recipe, (0,))
+        parameters.find_steps(mask, 1e-9, density.shape[1], 3)
+        parameters.descend()
+        return parameters.fields["phi"]
+
+    peer = torch_peer.StyleIteration(density, wavy_potential(density.shape), recipe, network, exposure)
+    found = medians({"ours": ours, "torch": peer}, repeat)
+    print_row(f"iteration, style, {VIEWS} views", found)
+    return found
+
+
+def scaling(repeat: int) -> dict[str, list[dict[str, float]]]:
+    """Transport and rendering, forward and backward, against cells, views and threads."""
+    found: dict[str, list[dict[str, float]]] = {"cells": [], "views": [], "threads": []}
+    for size in (32, 48, 64, 96, 128, 160):
+        density = bundled_density(size)
+        seconds = medians({"ours": Ours(density, [(8.0, 3.0)])._both_backward}, repeat)["ours"]
+        found["cells"].append({"cells": density.size, "seconds": seconds})
+    for views in (1, 3, 9, 27):
+        task = Ours(bundled_density(64), [tuple(view) for view in tnst_mi.sample_views(views)])._render_backward
+        found["views"].append({"views": views, "seconds": medians({"ours": task}, repeat)["ours"]})
+    everything = dr.thread_count()
+    for threads in range(1, everything + 1):
+        dr.set_thread_count(threads)
+        task = Ours(bundled_density(96), [(8.0, 3.0)])._both_backward
+        found["threads"].append({"threads": threads, "seconds": medians({"ours": task}, repeat)["ours"]})
+    dr.set_thread_count(everything)
+    for name, rows in found.items():
+        for row in rows:
+            each = 1e9 * row["seconds"] / row[name]
+            print(f"  {name} {row[name]:>10}: {1e3 * row['seconds']:8.1f} ms, {each:.3g} ns each")
+        if len(rows) > 2:
+            print(f"  exponent {exponent(name, rows):.2f}")
+    return found
+
+
+def exponent(name: str, rows: list[dict[str, float]]) -> float:
+    """Slope of log seconds over log size, without the smallest."""
+    sizes, seconds = ([np.log(row[key]) for row in rows[1:]] for key in (name, "seconds"))
+    return float(np.polyfit(sizes, seconds, 1)[0])
+
+
+def frame(weights: str | None) -> dict[str, Any]:
+    """A whole frame of the paper's size."""
+    density = bundled_density(PAPER_SHAPE)
+    network = GoogLeNet.load(weights)
+    since = time.perf_counter()
+    result = optimise(tnst_mi.Frame(density), tnst_mi.Recipe.from_dict(PAPER), network)
+    seconds = time.perf_counter() - since
+    found = {"seconds": seconds, "timings": result.timings, "peak_memory_bytes": peak_memory()}
+    found["losses"] = [entry["loss"] for entry in result.history]
+    print(f"  whole frame {PAPER_SHAPE}: {seconds:.0f} s, peak memory {(peak_memory() or 0) / 1e9:.2f} GB")
+    return found
+
+
+def print_row(label: str, seconds: dict[str, float]) -> None:
+    """Milliseconds of every side, and how many times longer than ours."""
+    cells = (f"{name} {1e3 * value:8.1f} ({value / seconds['ours']:.1f}×)" for name, value in seconds.items())
+    print(f"  {label:44s} {'   '.join(cells)}", flush=True)
+
+
+def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
+    """Seconds over size, both logarithmic."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for axes, (name, rows) in zip(figure.subplots(1, 3), found.items(), strict=True):
+        axes.loglog([row[name] for row in rows], [row["seconds"] for row in rows], marker="o")
+        axes.set(xlabel=name, ylabel="seconds")
+        axes.grid(which="both", alpha=0.3)
+    with written_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(str(temporary))
+
+
+def chosen(only: str) -> Iterator[str]:
+    """The sections asked for."""
+    for name in only.split(","):
+        if name not in ("parts", "iteration", "scaling", "frame"):
+            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling or frame")
+        yield name
 
 
 def main() -> None:
-    """Measure, print a table, and write the JSON file if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, default=64, help="cells along x; H is 3/2 of it (default 64)")
-    parser.add_argument("--views", type=int, default=3, help="views per launch (default 3)")
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=128, help="cells along x; H is 3/2 of it (default 128)")
     parser.add_argument("--repeat", type=int, default=7, help="timed calls of each part (default 7)")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
-    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--only", default="parts,iteration,scaling", help="default: parts,iteration,scaling")
+    parser.add_argument("--out", type=Path, help="folder for benchmark.json and scaling.png")
     arguments = parser.parse_args()
-
     variant = tnst_mi.activate()
-    density = bundled_density(arguments.size)
-    tasks = field_tasks(density, arguments.views)
-    runs: dict[str, float] = {}
-    try:
-        tasks[f"network {arguments.views} views forward + backward"] = network_task(
-            arguments.weights, arguments.views, *density.shape[1:]
-        )
-        runs = whole_runs(arguments.weights, density)
-    except tnst_mi.InputError as error:
-        print(f"without the network: {error}")
-    results = {
-        "versions": versions(),
-        "device": device(variant),
-        "shape": list(density.shape),
-        "seconds": medians(tasks, arguments.repeat),
-        "runs": runs,
-        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    }
-    print(f"grid {density.shape}, {variant}, {dr.thread_count()} threads: milliseconds, median (first)")
-    for name, seconds in results["seconds"].items():
-        print(f"  {name:42s} {1e3 * seconds['median']:8.1f}  ({1e3 * seconds['first']:.0f})")
-    for name, seconds in runs.items():
-        print(f"  {name:42s} {seconds:8.1f} s")
-    print(f"  peak memory {results['peak_memory_mib']:.0f} MiB")
-    if arguments.json:
-        arguments.json.write_text(json.dumps(results, indent=2) + "\n", "utf-8")
+    torch.set_num_threads(dr.thread_count())
+    results: dict[str, Any] = {"versions": versions(), "device": device(variant), "size": arguments.size}
+    print(f"{variant}, {dr.thread_count()} threads, H = {arguments.size * 3 // 2}: milliseconds (times ours)")
+    for name in chosen(arguments.only):
+        results[name] = {
+            "parts": lambda: parts(arguments.size, arguments.repeat),
+            "iteration": lambda: iteration(arguments.size, arguments.weights, max(1, arguments.repeat // 3)),
+            "scaling": lambda: scaling(arguments.repeat),
+            "frame": lambda: frame(arguments.weights),
+        }[name]()
+    if arguments.out is not None:
+        with written_whole(arguments.out / "benchmark.json") as temporary:
+            temporary.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
+        if "scaling" in results:
+            draw_scaling(arguments.out / "scaling.png", results["scaling"])
 
 
 if __name__ == "__main__":
