@@ -94,16 +94,17 @@ def draw(frames: list[Frame], recipe: Recipe, exposure: float, runs: dict[int, l
     for axes in grid.flat:
         axes.set(xticks=[], yticks=[])
     for axes, image in zip(grid[0], before, strict=False):
-        axes.imshow(image[part], cmap="gray", vmin=0, vmax=1)
+        axes.imshow(image[part], cmap="gray", vmin=0, vmax=1, interpolation="bicubic")
     grid[0][0].set_ylabel("unstylized")
     grid[0][2].set_visible(False)
     for axes_row, (window, densities) in zip(grid[1:], runs.items(), strict=True):
         changes = [after - frame.density for after, frame in zip(densities, frames, strict=True)]
         new = changes[1] - advect(changes[0], frames[0].velocity, "semi_lagrangian", outside="edge")
         for axes, density in zip(axes_row, densities, strict=False):
-            axes.imshow((exposure * picture(density, recipe))[part], cmap="gray", vmin=0, vmax=1)
+            image = exposure * picture(density, recipe)
+            axes.imshow(image[part], cmap="gray", vmin=0, vmax=1, interpolation="bicubic")
         strength = np.abs(new).max(0)[::-1][part]
-        axes_row[2].imshow(strength, cmap="magma", vmin=0, vmax=1)
+        axes_row[2].imshow(strength, cmap="magma", vmin=0, vmax=1, interpolation="bicubic")
         axes_row[0].set_ylabel(f"window {window}")
     for axes, title in zip(grid[1], titles, strict=True):
         axes.set_title(title, fontsize=10)
