@@ -4,8 +4,17 @@ Semi-Lagrangian:  f(x) = d(x − v(x)), one Euler back-trace, trilinear.
 MacCormack:       b(x) = f(x + v(x)),  result = f + (d − b)/2, reverted to f where that leaves the range of the eight
                   cells around the departure point x − v (Selle et al. 2008).
 
-The adjoint needs one scatter (of the backward leg, onto f); everything else is local to a cell. The revert is a
-switch: its choice is held fixed when differentiating.
+With w = 0 where the result is reverted and 1 elsewhere, and g = ∂L/∂result, the adjoint is
+
+    ∂L/∂b = −w g/2,    ∂L/∂f = g + Bᵀ ∂L/∂b,    ∂L/∂v = ∇f(x + v) ∂L/∂b − ∇d(x − v) ∂L/∂f,
+    ∂L/∂d = w g/2 + Fᵀ ∂L/∂f,
+
+where F and B interpolate at x − v and x + v. It needs one scatter, Bᵀ, and where the field is differentiated a second
+one; everything else is local to a cell. The revert is a switch: its choice is held fixed when differentiating.
+
+Where the eight cells around x − v are equal, as in all the air around the smoke, the range has no width: the result is
+f whatever v is, and neither the correction nor a derivative with respect to v has anything to do. So once f is known,
+the limited step works on the other cells alone.
 """
 
 from __future__ import annotations
@@ -17,7 +26,7 @@ import mitsuba as mi
 
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
-from tnst_mi.grid import Cells, RepeatableSum, Shape, Trilinear, gather, largest_magnitude, opaque
+from tnst_mi.grid import Cells, RepeatableSum, Shape, Trilinear, largest_magnitude, opaque, stored
 
 #: A displacement of more cells than this is a mistake, not a motion to be followed in steps of one cell.
 _MOST_SUBSTEPS = 10_000
@@ -26,8 +35,8 @@ METHODS = ("maccormack", "semi_lagrangian", "maccormack_unlimited")
 
 
 def _interleave(components: list[mi.Float]) -> mi.Float:
-    """Flat array with the channels of a cell next to each other."""
-    return components[0] if len(components) == 1 else dr.ravel(mi.Vector3f(*components))
+    """Flat array with the channels of a cell next to each other, written with the next evaluation."""
+    return stored(components[0]) if len(components) == 1 else dr.ravel(mi.Vector3f(*components))
 
 
 class _Step(dr.CustomOp):
@@ -36,7 +45,7 @@ class _Step(dr.CustomOp):
     def eval(
         self,
         field: mi.TensorXf,
-        velocity: mi.TensorXf,
+        velocity: mi.TensorXf | mi.Vector3f,
         shape: Shape,
         method: str,
         h: float,
@@ -47,136 +56,192 @@ class _Step(dr.CustomOp):
         self.shape, self.outside, self.h, self.field_varies = shape, outside, h, field_varies
         self.channels = 1 if len(field.shape) == 3 else field.shape[3]
         self.corrected = method != "semi_lagrangian"
-        self.field, self.velocity = field.array, velocity.array
-        self.tensor_shape, self.velocity_shape = tuple(field.shape), tuple(velocity.shape)
+        self.field, self.velocity, self.tensor_shape = field.array, velocity, tuple(field.shape)
+        #: Storage indices of the cells that the correction and ∂/∂v are computed for; None for all of them.
+        self.chosen: mi.UInt32 | None = None
+        #: By channel, which of them keep the corrected value; None where all do.
+        self.kept: list[mi.Bool] | None = None
 
-        cells, displacement = self._cells_and_displacement()
-        departure = Trilinear(cells, -displacement, outside)
+        departure, _ = self._stencils(Cells.of(shape))
         corners = departure.read(self.field, self.channels)
-        forward = departure.value(corners)
-        if not self.corrected:
-            return mi.TensorXf(_interleave(forward), self.tensor_shape)
-
-        # The backward leg interpolates f, which must be in memory first.
-        self.forward_step = _interleave(forward)
+        self.forward_step = _interleave(departure.value(corners))
+        limited = method == "maccormack" and reverted is None
+        if limited:
+            self.chosen = dr.compress(stored(_varied(corners)))
         dr.eval(self.forward_step)
-        arrival = Trilinear(cells, displacement, outside)
+        if self._idle():
+            return mi.TensorXf(mi.Float(self.forward_step), self.tensor_shape)
+
+        # The backward leg interpolates f, which is in memory now.
+        cells = Cells.of(shape, self.chosen)
+        departure, arrival = self._stencils(cells)
+        corners = departure.read(self.field, self.channels)
         backward = arrival.value(arrival.read(self.forward_step, self.channels))
-        here = dr.arange(mi.UInt32, math.prod(self.shape))
-        result, kept = [], []
+        f, d = cells.own(self.forward_step, self.channels), cells.own(self.field, self.channels)
+        result, kept = mi.Float(self.forward_step), []
         for c in range(self.channels):
-            slot = here if self.channels == 1 else here * self.channels + c
-            f = dr.gather(mi.Float, self.forward_step, slot)
-            value = f + 0.5 * (dr.gather(mi.Float, self.field, slot) - backward[c])
-            if reverted is not None:
+            value = f[c] + 0.5 * (d[c] - backward[c])
+            slot = cells.number * self.channels + c
+            keep = mi.Bool(True)
+            if limited:
+                low, high = _range([corner[c] for corner in corners])
+                keep = (value >= low) & (value <= high) & (low < high)
+            elif reverted is not None:
                 keep = dr.gather(mi.Float, reverted.array, slot) == 0
-            elif method == "maccormack":
-                keep = _in_range(value, [corner[c] for corner in corners])
-            else:
-                keep = mi.Bool(True)
-            result.append(dr.select(keep, value, f))
-            kept.append(dr.select(keep, 1.0, mi.Float(0)))
-        self.kept = _interleave(kept) if method == "maccormack" or reverted is not None else None
-        output = mi.TensorXf(_interleave(result), self.tensor_shape)
-        dr.eval(output, self.kept)
-        return output
+            dr.scatter(result, value, slot, keep, dr.ReduceMode.NoConflicts)
+            kept.append(keep)
+        if limited or reverted is not None:
+            self.kept = [stored(keep) for keep in kept]
+        dr.eval(result, self.kept)
+        return mi.TensorXf(result, self.tensor_shape)
 
-    def _cells_and_displacement(self) -> tuple[Cells, mi.Vector3f]:
-        cells = Cells.of(self.shape)
-        index = dr.arange(mi.UInt32, math.prod(self.shape))
-        v = mi.Vector3f(*gather(self.velocity, index, 3))
-        return cells, v * dr.rcp(opaque(self.h))
+    def _idle(self) -> bool:
+        """Whether f is the result, and no cell has a derivative with respect to v."""
+        return not self.corrected or (self.chosen is not None and dr.width(self.chosen) == 0)
 
-    def _channels_of(self, values: mi.Float) -> list[mi.Float]:
-        return gather(values, dr.arange(mi.UInt32, math.prod(self.shape)), self.channels)
+    def _stencils(self, cells: Cells) -> tuple[Trilinear, Trilinear]:
+        """Around x − v and x + v."""
+        displacement = self._components(self.velocity, cells) * dr.rcp(opaque(self.h))
+        return Trilinear(cells, -displacement, self.outside), Trilinear(cells, displacement, self.outside)
+
+    @staticmethod
+    def _components(vectors: mi.TensorXf | mi.Vector3f, cells: Cells) -> mi.Vector3f:
+        """Vectors at some cells."""
+        if isinstance(vectors, mi.TensorXf):
+            return mi.Vector3f(*cells.own(vectors.array, 3))
+        return mi.Vector3f(*(cells.own(component)[0] for component in vectors))
+
+    def _keep(self, values: list[mi.Float]) -> list[mi.Float]:
+        """Values where the correction is kept, 0 elsewhere."""
+        if self.kept is None:
+            return values
+        return [dr.select(keep, value, 0) for keep, value in zip(self.kept, values, strict=True)]
 
     def forward(self) -> None:
-        cells, displacement = self._cells_and_displacement()
-        velocity_tangent = self.grad_in("velocity").array
-        index = dr.arange(mi.UInt32, math.prod(self.shape))
-        moved = mi.Vector3f(*gather(velocity_tangent, index, 3))
-        moved *= dr.rcp(opaque(self.h))
-        field_tangent = self.grad_in("field").array
+        field_tangent, velocity_tangent = self.grad_in("field").array, self.grad_in("velocity")
 
-        departure = Trilinear(cells, -displacement, self.outside)
-        slopes = departure.gradient(departure.read(self.field, self.channels))
-        carried = departure.value(departure.read(field_tangent, self.channels))
-        f = [value - dr.dot(slope, moved) for value, slope in zip(carried, slopes, strict=True)]
-        if not self.corrected:
-            self.set_grad_out(mi.TensorXf(_interleave(f), self.tensor_shape))
-            return
-        f_flat = _interleave(f)
-        dr.eval(f_flat)
-        arrival = Trilinear(cells, displacement, self.outside)
-        slopes = arrival.gradient(arrival.read(self.forward_step, self.channels))
-        carried = arrival.value(arrival.read(f_flat, self.channels))
-        b = _interleave([value + dr.dot(slope, moved) for value, slope in zip(carried, slopes, strict=True)])
-        correction = 0.5 * (field_tangent - b)
-        if self.kept is not None:
-            correction *= self.kept
-        self.set_grad_out(mi.TensorXf(f_flat + correction, self.tensor_shape))
+        def carried(stencil: Trilinear, cells: Cells, values: mi.Float, tangent: mi.Float, sign: int) -> list[mi.Float]:
+            """Derivative of the values interpolated at x + sign · v."""
+            moved = self._components(velocity_tangent, cells) * (sign * dr.rcp(opaque(self.h)))
+            slopes = stencil.gradient(stencil.read(values, self.channels))
+            interpolated = stencil.value(stencil.read(tangent, self.channels))
+            return [value + dr.dot(slope, moved) for value, slope in zip(interpolated, slopes, strict=True)]
+
+        cells = Cells.of(self.shape)
+        departure, _ = self._stencils(cells)
+        result = _interleave(carried(departure, cells, self.field, field_tangent, -1))
+        dr.eval(result)
+        if not self._idle():
+            cells = Cells.of(self.shape, self.chosen)
+            _, arrival = self._stencils(cells)
+            b = carried(arrival, cells, self.forward_step, result, 1)
+            d = cells.own(field_tangent, self.channels)
+            corrections = self._keep([0.5 * (x - y) for x, y in zip(d, b, strict=True)])
+            forward_tangent, result = result, mi.Float(result)
+            for c, correction in enumerate(corrections):
+                slot = cells.number * self.channels + c
+                value = dr.gather(mi.Float, forward_tangent, slot) + correction
+                dr.scatter(result, value, slot, mode=dr.ReduceMode.NoConflicts)
+        self.set_grad_out(mi.TensorXf(result, self.tensor_shape))
 
     def backward(self) -> None:
         g = self.grad_out().array
         dr.eval(g)
-        cells, displacement = self._cells_and_displacement()
-        size, count = dr.width(self.field), 8 * math.prod(self.shape)
-        velocity_gradient = mi.Vector3f(0)
-        direct = None
-        on_forward_step = g
-        if self.corrected:
-            kept = g if self.kept is None else g * self.kept
-            on_backward_step = self._channels_of(-0.5 * kept)
-            arrival = Trilinear(cells, displacement, self.outside)
-            total = RepeatableSum(size, largest_magnitude(g), count)
-            arrival.splat(total, on_backward_step)
-            for slope, value in zip(
-                arrival.gradient(arrival.read(self.forward_step, self.channels)),
-                on_backward_step,
-                strict=True,
-            ):
-                velocity_gradient += slope * value
-            on_forward_step = g + total.result()
-            direct = 0.5 * kept
-            dr.eval(on_forward_step, velocity_gradient)
-
-        departure = Trilinear(cells, -displacement, self.outside)
-        pulled = self._channels_of(on_forward_step)
-        for slope, value in zip(departure.gradient(departure.read(self.field, self.channels)), pulled, strict=True):
-            velocity_gradient -= slope * value
-        velocity_gradient *= dr.rcp(opaque(self.h))
-        self.set_grad_in("velocity", mi.TensorXf(dr.ravel(velocity_gradient), self.velocity_shape))
+        on_backward_step: list[mi.Float] = []
+        scattered: RepeatableSum | None = None
+        cells = Cells.of(self.shape, self.chosen)
+        if not self._idle():
+            _, arrival = self._stencils(cells)
+            on_backward_step = [stored(v) for v in self._keep([-0.5 * v for v in cells.own(g, self.channels)])]
+            scattered = RepeatableSum(dr.width(self.field), _largest(on_backward_step), 8 * math.prod(self.shape))
+            arrival.splat(scattered, on_backward_step)
+        if self.chosen is None or dr.width(self.chosen):
+            self._set_velocity_gradient(g, cells, on_backward_step, scattered)
         if self.field_varies:
-            total = RepeatableSum(size, largest_magnitude(on_forward_step), count)
-            departure.splat(total, pulled)
-            gradient = total.result() if direct is None else total.result() + direct
-            self.set_grad_in("field", mi.TensorXf(gradient, self.tensor_shape))
+            self._set_field_gradient(g, cells, on_backward_step, scattered)
+
+    def _set_velocity_gradient(
+        self, g: mi.Float, cells: Cells, on_backward_step: list[mi.Float], scattered: RepeatableSum | None
+    ) -> None:
+        departure, arrival = self._stencils(cells)
+        gradient = mi.Vector3f(0)
+        slopes = departure.gradient(departure.read(self.field, self.channels))
+        for c, (slope, value) in enumerate(zip(slopes, cells.own(g, self.channels), strict=True)):
+            returned = 0 if scattered is None else scattered.at(cells.number * self.channels + c)
+            gradient -= slope * (value + returned)
+        if scattered is not None:
+            slopes = arrival.gradient(arrival.read(self.forward_step, self.channels))
+            for slope, value in zip(slopes, on_backward_step, strict=True):
+                gradient += slope * value
+        gradient *= dr.rcp(opaque(self.h))
+
+        once, count = dr.ReduceMode.NoConflicts, math.prod(self.shape)
+        if isinstance(self.velocity, mi.TensorXf):
+            flat = dr.zeros(mi.Float, 3 * count)
+            dr.scatter(flat, gradient, cells.number, mode=once)
+            self.set_grad_in("velocity", mi.TensorXf(flat, tuple(self.velocity.shape)))
+        else:
+            components = dr.zeros(mi.Vector3f, count)
+            dr.scatter(components, gradient, cells.number, mode=once)
+            self.set_grad_in("velocity", components)
+
+    def _set_field_gradient(
+        self, g: mi.Float, cells: Cells, on_backward_step: list[mi.Float], scattered: RepeatableSum | None
+    ) -> None:
+        on_forward_step = g if scattered is None else g + scattered.result()
+        dr.eval(on_forward_step)
+        everywhere = Cells.of(self.shape)
+        departure, _ = self._stencils(everywhere)
+        bound = _largest([on_forward_step, *on_backward_step])
+        total = RepeatableSum(dr.width(self.field), bound, 9 * math.prod(self.shape))
+        departure.splat(total, everywhere.own(on_forward_step, self.channels))
+        for c, value in enumerate(on_backward_step):
+            total.add(cells.number * self.channels + c, -value)
+        self.set_grad_in("field", mi.TensorXf(total.result(), self.tensor_shape))
 
     def name(self) -> str:
         return "advection step"
 
 
-def _in_range(value: mi.Float, corners: list[mi.Float]) -> mi.Bool:
+def _largest(arrays: list[mi.Float]) -> mi.Float:
+    """The largest magnitude in some arrays."""
+    result = mi.Float(0)
+    for array in arrays:
+        result = dr.maximum(result, largest_magnitude(array))
+    return result
+
+
+def _range(corners: list[mi.Float]) -> tuple[mi.Float, mi.Float]:
+    """Smallest and largest value."""
     low = high = corners[0]
     for corner in corners[1:]:
         low, high = dr.minimum(low, corner), dr.maximum(high, corner)
-    return (value >= low) & (value <= high)
+    return low, high
+
+
+def _varied(corners: list[list[mi.Float]]) -> mi.Bool:
+    """Whether the corners differ in any channel."""
+    varied = mi.Bool(False)
+    for channel in zip(*corners, strict=True):
+        low, high = _range(list(channel))
+        varied |= low < high
+    return varied
 
 
 def step(
     field: mi.TensorXf,
-    velocity: mi.TensorXf,
+    velocity: mi.TensorXf | mi.Vector3f,
     method: str = "maccormack",
     h: float = 1.0,
     outside: str = "zero",
     reverted: mi.TensorXf | None = None,
 ) -> mi.TensorXf:
-    """One advection step of Dr.Jit tensors.
+    """One advection step of Dr.Jit tensors; the velocity may also come as its components on the field's grid.
 
     `reverted`, of the field's shape and non-zero where the result is f, fixes the limiter's choice. Finite differences
     need the choice fixed: the limiter is a switch, so a difference across it is no derivative.
     """
-    shape = tuple(velocity.shape)[:3]
+    shape = tuple(field.shape)[:3]
     return dr.custom(_Step, field, velocity, shape, method, float(h), outside, reverted, bool(dr.grad_enabled(field)))
 
 
@@ -225,20 +290,27 @@ def advect(
         )
     if not h > 0.0:
         raise InputError(f"advect: h {h} given, expected a cell size > 0")
-    count = substeps(v, h) if steps == "auto" else steps
-    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+    if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise InputError(f"advect: steps {steps!r} given, expected a whole number >= 1 or 'auto'")
+    return advect_in_steps(field, v, method, h, outside, steps)
+
+
+def advect_in_steps(
+    field: mi.TensorXf, v: mi.TensorXf | mi.Vector3f, method: str, h: float, outside: str, steps: int | str
+) -> mi.TensorXf:
+    """As `advect`, with arguments that are known to be right; the velocity may also come as its components."""
+    count = substeps(v, h) if steps == "auto" else steps
     part = v if count == 1 else v * dr.rcp(opaque(count))
     for _ in range(count):
         field = step(field, part, method, h, outside)
     return field
 
 
-def substeps(v: mi.TensorXf, h: float) -> int:
+def substeps(v: mi.TensorXf | mi.Vector3f, h: float) -> int:
     """Number of sub-steps that "auto" stands for: ⌈max |v| / h⌉, so that none crosses more than one cell."""
-    index = dr.arange(mi.UInt32, math.prod(v.shape[:3]))
-    values = dr.detach(v.array)
-    fastest = dr.max(dr.norm(mi.Vector3f(*gather(values, index, 3))))[0] if dr.width(values) else 0.0
+    v = dr.detach(v)
+    vectors = dr.unravel(mi.Vector3f, v.array) if isinstance(v, mi.TensorXf) else v
+    fastest = dr.max(dr.norm(vectors))[0] if dr.width(vectors) else 0.0
     if not fastest / h <= _MOST_SUBSTEPS:
         raise InputError(
             f"advect: the largest displacement is {fastest:g} cells of size {h:g}, expected at most {_MOST_SUBSTEPS} "

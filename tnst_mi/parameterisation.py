@@ -6,9 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.advection import advect
+from tnst_mi.advection import advect_in_steps
 from tnst_mi.grid import Octave, opaque
-from tnst_mi.potentials import velocity
+from tnst_mi.potentials import velocity, velocity_components
 from tnst_mi.pyramid import gaussian, normalise
 from tnst_mi.resample import resample_potential
 
@@ -119,7 +119,9 @@ class Transport(Parameterisation):
 
     def density(self, density: mi.TensorXf) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
-        return advect(density, self.velocity(), "maccormack", self.octave.cell_size, "zero", self.substeps)
+        h = self.octave.cell_size
+        v = velocity_components(self.fields.get("phi"), self.fields.get("psi"), self.lam, h)
+        return advect_in_steps(density, v, "maccormack", h, "zero", self.substeps)
 
     def unit_step(self, rows: int) -> float:
         """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""

@@ -11,49 +11,44 @@ import mitsuba as mi
 
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
-from tnst_mi.grid import Cells, Shape, opaque
+from tnst_mi.grid import Cells, Shape, opaque, stored
 
 
 class _AxisDifference:
-    """d/dx_axis in cells, and its transpose, applied to one component of a flat array."""
+    """d/dx_axis in cells, and its transpose."""
 
     def __init__(self, cells: Cells, axis: int, scale: mi.Float) -> None:
-        self.cells, self.axis, self.scale = cells, axis, scale
-        self.coordinate = (cells.x, cells.y, cells.z)[axis]
-        self.last = cells.size[axis] - 1
-
-    def _neighbour(self, step: int) -> mi.UInt32:
-        coordinates = [self.cells.x, self.cells.y, self.cells.z]
-        coordinates[self.axis] = dr.clip(self.coordinate + step, 0, self.last)
-        return self.cells.index(*coordinates)
+        self.scale = scale
+        self.coordinate, self.last = (cells.x, cells.y, cells.z)[axis], cells.size[axis] - 1
+        stride = (mi.Int32(1), cells.size.x, cells.size.x * cells.size.y)[axis]
+        here = mi.Int32(cells.number)
+        #: Storage indices of the neighbours; beyond an end, of the cell itself.
+        self.below = mi.UInt32(here - dr.select(self.coordinate > 0, stride, 0))
+        self.above = mi.UInt32(here + dr.select(self.coordinate < self.last, stride, 0))
 
     def _row_weight(self, coordinate: mi.Int32) -> mi.Float:
         """1/2 for a central difference, 1 for the one-sided ones at both ends."""
         return dr.select((coordinate <= 0) | (coordinate >= self.last), 1.0, 0.5)
 
-    def apply(self, values: mi.Float, channels: int, channel: int) -> mi.Float:
-        """Difference of the neighbours; a clamped neighbour makes it one-sided."""
-        upper = dr.gather(mi.Float, values, self._neighbour(1) * channels + channel)
-        lower = dr.gather(mi.Float, values, self._neighbour(-1) * channels + channel)
-        return (upper - lower) * self._row_weight(self.coordinate) * self.scale
+    def apply(self, values: mi.Float, channels: int = 1, channel: int = 0) -> mi.Float:
+        """Difference of the neighbours of one channel; a cell in place of its neighbour makes it one-sided."""
+        above = dr.gather(mi.Float, values, self.above * channels + channel)
+        below = dr.gather(mi.Float, values, self.below * channels + channel)
+        return (above - below) * self._row_weight(self.coordinate) * self.scale
 
-    def transpose(self, values: mi.Float, channels: int, channel: int) -> mi.Float:
+    def transpose(self, values: mi.Float) -> mi.Float:
         """Gather form of the transpose: what the rows of both neighbours, and an end's own row, contribute here."""
-
-        def row(step: int, active: mi.Bool) -> mi.Float:
-            value = dr.gather(mi.Float, values, self._neighbour(step) * channels + channel, active)
-            return value * self._row_weight(self.coordinate + step)
-
         i = self.coordinate
-        total = row(-1, i >= 1) - row(1, i < self.last)
-        total += row(0, (i == self.last) & (i > 0)) - row(0, (i == 0) & (i < self.last))
-        return total * self.scale
+        below = dr.gather(mi.Float, values, self.below, i > 0) * self._row_weight(i - 1)
+        above = dr.gather(mi.Float, values, self.above, i < self.last) * self._row_weight(i + 1)
+        own = dr.select(i == self.last, values, 0) - dr.select(i == 0, values, 0)
+        return (below - above + own) * self.scale
 
 
 class _Velocity(dr.CustomOp):
     """(Φ, Ψ) → v; linear, so that its derivative in forward mode is the map itself."""
 
-    def eval(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None, shape: Shape, lam: float, h: float) -> mi.TensorXf:
+    def eval(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None, shape: Shape, lam: float, h: float) -> mi.Vector3f:
         self.shape, self.lam, self.h = shape, lam, h
         self.has_phi, self.has_psi = phi is not None, psi is not None
         return self._map(phi, psi)
@@ -63,12 +58,11 @@ class _Velocity(dr.CustomOp):
         scale = dr.rcp(opaque(self.h))
         return [_AxisDifference(cells, axis, scale) for axis in range(3)]
 
-    def _map(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None) -> mi.TensorXf:
+    def _map(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None) -> mi.Vector3f:
         d = self._differences()
         v = mi.Vector3f(0)
         if phi is not None:
-            grad = mi.Vector3f(*(d[axis].apply(phi.array, 1, 0) for axis in range(3)))
-            v += grad * opaque(self.lam)
+            v += mi.Vector3f(*(difference.apply(phi.array) for difference in d)) * opaque(self.lam)
         if psi is not None:
             p = psi.array
             curl = mi.Vector3f(
@@ -77,7 +71,9 @@ class _Velocity(dr.CustomOp):
                 d[0].apply(p, 3, 1) - d[1].apply(p, 3, 0),
             )
             v += curl * opaque(1 - self.lam)
-        return mi.TensorXf(dr.ravel(v), (*self.shape, 3))
+        components = mi.Vector3f(*(stored(component) for component in v))
+        dr.eval(components)
+        return components
 
     def forward(self) -> None:
         self.set_grad_out(
@@ -86,20 +82,29 @@ class _Velocity(dr.CustomOp):
 
     def backward(self) -> None:
         d = self._differences()
-        g = self.grad_out().array
+        g = self.grad_out()
         if self.has_phi:
-            grad_phi = sum((d[axis].transpose(g, 3, axis) for axis in range(3)), mi.Float(0))
-            self.set_grad_in("phi", mi.TensorXf(grad_phi * opaque(self.lam), self.shape))
+            grad_phi = d[0].transpose(g.x) + d[1].transpose(g.y) + d[2].transpose(g.z)
+            self.set_grad_in("phi", mi.TensorXf(stored(grad_phi * opaque(self.lam)), self.shape))
         if self.has_psi:
             grad_psi = mi.Vector3f(
-                d[2].transpose(g, 3, 1) - d[1].transpose(g, 3, 2),
-                d[0].transpose(g, 3, 2) - d[2].transpose(g, 3, 0),
-                d[1].transpose(g, 3, 0) - d[0].transpose(g, 3, 1),
+                d[2].transpose(g.y) - d[1].transpose(g.z),
+                d[0].transpose(g.z) - d[2].transpose(g.x),
+                d[1].transpose(g.x) - d[0].transpose(g.y),
             )
             self.set_grad_in("psi", mi.TensorXf(dr.ravel(grad_psi * opaque(1 - self.lam)), (*self.shape, 3)))
 
     def name(self) -> str:
         return "velocity"
+
+
+def velocity_components(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: float) -> mi.Vector3f:
+    """As `velocity`, with arguments that are known to be right: an array for each component, in storage order.
+
+    This is how the velocity is best kept between kernels: a thread's neighbours read what lies next to each other.
+    """
+    shape = tuple(phi.shape) if phi is not None else tuple(psi.shape)[:-1]
+    return dr.custom(_Velocity, phi, psi, shape, float(lam), float(h))
 
 
 @any_array_kind("phi", "psi")
@@ -126,4 +131,4 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         raise InputError(f"velocity: {found} given, expected (D, H, W) and (D, H, W, 3) on the same grid")
     if not 0.0 <= lam <= 1.0 or not h > 0.0:
         raise InputError(f"velocity: lam {lam} and h {h} given, expected 0 <= lam <= 1 and h > 0")
-    return dr.custom(_Velocity, phi, psi, shape, float(lam), float(h))
+    return mi.TensorXf(dr.ravel(velocity_components(phi, psi, lam, h)), (*shape, 3))

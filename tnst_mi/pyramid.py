@@ -2,22 +2,84 @@
 
 The Laplacian pyramid (Burt and Adelson 1983) splits a field into bands; each is divided by its root mean square,
 so that low frequencies move as much as high ones (paper section 4; reference kernel [1, 4, 6, 4, 1]/16 per axis).
+
+What these filters cost is reading neighbours. Those of adjacent cells overlap, so a thread computes a run or a block
+of cells and reads each neighbour once. No derivatives are taken of this.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.grid import Divisor, opaque_int
+from tnst_mi.grid import Divisor, opaque, opaque_int
 
 #: Bands are divided by no less than this: an empty one stays empty.
 FLOOR = 1e-10
 
 #: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.
 _AXES = (0, 1, 2)
+
+#: Results along the axis of a filter that one thread computes.
+_RUN = 8
+
+#: Coarse cells in a row that one thread interpolates between; each becomes two fine cells on every axis.
+_BLOCK = 4
+
+#: No cell is written twice, so the writes of a thread need not wait for each other (in a kernel each).
+_ONCE = dr.ReduceMode.NoConflicts
+
+
+class _Runs:
+    """A pass along one axis: each thread reads a part of a line of cells, and writes `_RUN` cells of the result.
+
+    Args:
+        field: (D, H, W) or (D, H, W, C).
+        axis: the axis of the pass.
+        length: cells of the result along the axis.
+        boundary: "nearest", "reflect" or "zero": what is read outside the field, up to `margin` cells from it.
+    """
+
+    def __init__(self, field: mi.TensorXf, axis: int, length: int, boundary: str = "nearest", margin: int = 0) -> None:
+        shape = list(field.shape)
+        self.source, self.source_length, shape[axis] = field.array, shape[axis], length
+        self.shape, self.boundary, self.margin = tuple(shape), boundary, margin
+        self.result = dr.empty(mi.Float, math.prod(shape))
+
+        inner, runs = math.prod(shape[axis + 1 :]), -(-length // _RUN)
+        row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape[:axis]) * runs * inner))
+        outer, run = Divisor(runs).split(row)
+        #: Position of the thread's first result along the axis.
+        self.first = mi.Int32(run) * _RUN
+        self.length, self.last, self.inner = opaque_int(length), opaque_int(self.source_length - 1), opaque_int(inner)
+        self.source_start = mi.Int32(outer) * opaque_int(self.source_length * inner) + mi.Int32(offset)
+        self.start = mi.Int32(outer) * opaque_int(length * inner) + mi.Int32(offset)
+
+    def read(self, position: mi.Int32) -> mi.Float:
+        """The source at a position along the axis."""
+        inside: mi.Bool | bool = True
+        if self.boundary == "zero":
+            inside = (position >= 0) & (position <= self.last)
+        elif self.boundary == "reflect":
+            # The reflections at both ends, taken together, repeat after two lengths.
+            period = 2 * self.source_length
+            ahead = opaque_int(period * -(-self.margin // period))
+            position = mi.Int32(Divisor(period).split(mi.UInt32(position + ahead))[1])
+            position = dr.minimum(position, opaque_int(period - 1) - position)
+        index = self.source_start + dr.clip(position, 0, self.last) * self.inner
+        return dr.gather(mi.Float, self.source, mi.UInt32(index), inside)
+
+    def write(self, values: list[mi.Float]) -> mi.TensorXf:
+        """The results, from those of one thread."""
+        for step, value in enumerate(values):
+            position = self.first + step
+            index = mi.UInt32(self.start + position * self.inner)
+            dr.scatter(self.result, value, index, position < self.length, _ONCE)
+        dr.eval(self.result)
+        return mi.TensorXf(self.result, self.shape)
 
 
 def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect") -> mi.TensorXf:
@@ -31,56 +93,112 @@ def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect") -> mi.
     if sigma <= 0:
         return field
     radius = math.floor(4 * sigma + 0.5)
-    weights = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(-radius, radius + 1)]
-    total = math.fsum(weights)
-    return dr.convolve(field, [w / total for w in weights], axis=_AXES, boundary=boundary)
+    half = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(radius + 1)]
+    total = half[0] + 2 * math.fsum(half[1:])
+    weights = [opaque(w / total) for w in half]
+    for axis in _AXES:
+        runs = _Runs(field, axis, field.shape[axis], boundary, radius)
+        values = [runs.read(runs.first + k) for k in range(-radius, _RUN + radius)]
+        field = runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(_RUN)])
+    return field
 
 
-class _Axis:
-    """Reads a tensor along one axis, at clamped positions, into a tensor of another length on that axis."""
-
-    def __init__(self, field: mi.TensorXf, axis: int, length: int) -> None:
-        shape = list(field.shape)
-        length_before, shape[axis] = shape[axis], length
-        self.values, self.shape = field.array, tuple(shape)
-        inner = math.prod(shape[axis + 1 :])
-        row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape)))
-        outer, coordinate = Divisor(length).split(row)
-        #: Coordinate of every target element along the axis.
-        self.coordinate = mi.Int32(coordinate)
-        self.last = opaque_int(length_before - 1)
-        self.inner, self.offset = opaque_int(inner), mi.Int32(offset)
-        self.base = mi.Int32(outer) * opaque_int(length_before)
-
-    def read(self, coordinate: mi.Int32) -> mi.Float:
-        clamped = dr.clip(coordinate, 0, self.last)
-        return dr.gather(mi.Float, self.values, mi.UInt32((self.base + clamped) * self.inner + self.offset))
-
-    def store(self, values: mi.Float) -> mi.TensorXf:
-        dr.eval(values)
-        return mi.TensorXf(values, self.shape)
+def _weighted(values: list[mi.Float], weights: list[mi.Float]) -> mi.Float:
+    """Sum of an odd number of values with symmetric weights, given from the middle outwards."""
+    middle = len(values) // 2
+    total = values[middle] * weights[0]
+    for i in range(1, middle + 1):
+        total = dr.fma(values[middle - i] + values[middle + i], weights[i], total)
+    return total
 
 
 def reduce(field: mi.TensorXf) -> mi.TensorXf:
     """Blur with [1, 4, 6, 4, 1]/16 and keep every second cell, ⌈n/2⌉ of n, on each spatial axis."""
+    weights = [mi.Float(6 / 16), mi.Float(4 / 16), mi.Float(1 / 16)]
     for axis in _AXES:
-        a = _Axis(field, axis, (field.shape[axis] + 1) // 2)
-        i = 2 * a.coordinate
-        outer, middle = a.read(i - 2) + a.read(i + 2), a.read(i - 1) + a.read(i + 1)
-        field = a.store((outer + 4 * middle + 6 * a.read(i)) * (1 / 16))
+        runs = _Runs(field, axis, (field.shape[axis] + 1) // 2)
+        values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * _RUN + 1)]
+        field = runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(_RUN)])
     return field
+
+
+def _interpolated(values: list) -> list:
+    """Twice as many fine values, from coarse ones with a neighbour at either end (a constant stays that constant)."""
+    result = []
+    for before, here, after in zip(values, values[1:], values[2:], strict=False):
+        result += [(before + 6 * here + after) * (1 / 8), (here + after) * 0.5]
+    return result
+
+
+class _Expansion:
+    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 `_BLOCK` fine cells per thread."""
+
+    def __init__(self, coarse: mi.TensorXf, shape: tuple[int, ...]) -> None:
+        self.coarse, self.shape = coarse, shape
+        self.channels = math.prod(shape[3:])
+        blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * _BLOCK))]
+        self.threads = math.prod(blocks) * self.channels
+        rest, self.channel = Divisor(self.channels).split(dr.arange(mi.UInt32, self.threads))
+        rest, x = Divisor(blocks[2]).split(rest)
+        z, y = Divisor(blocks[1]).split(rest)
+        #: Coarse cell that the block starts from: z, y, x.
+        self.first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * _BLOCK]
+
+    def _index(self, shape: tuple[int, ...], z: mi.Int32, y: mi.Int32, x: mi.Int32) -> mi.UInt32:
+        row = dr.fma(z, opaque_int(shape[1]), y)
+        return mi.UInt32(dr.fma(row, opaque_int(shape[2]), x)) * self.channels + self.channel
+
+    def _read(self, z: int, y: int, x: int) -> mi.Float:
+        steps, sizes = (z, y, x), self.coarse.shape
+        cell = [dr.clip(self.first[a] + steps[a], 0, opaque_int(sizes[a] - 1)) for a in _AXES]
+        return dr.gather(mi.Float, self.coarse.array, self._index(sizes, *cell))
+
+    def cells(self) -> Iterator[tuple[mi.Float, mi.UInt32, mi.Bool]]:
+        """The fine cells of a thread: the interpolated value, the index, and whether it lies in the grid."""
+        lines = [
+            [_interpolated([self._read(z, y, x) for x in range(-1, _BLOCK + 1)]) for y in range(-1, 2)]
+            for z in range(-1, 2)
+        ]
+        for x in range(2 * _BLOCK):
+            planes = [_interpolated([line[x] for line in plane]) for plane in lines]
+            for y in range(2):
+                for z, value in enumerate(_interpolated([plane[y] for plane in planes])):
+                    cell = [2 * first + step for first, step in zip(self.first, (z, y, x), strict=True)]
+                    inside = (cell[0] < opaque_int(self.shape[0])) & (cell[1] < opaque_int(self.shape[1]))
+                    inside &= cell[2] < opaque_int(self.shape[2])
+                    yield value, self._index(self.shape, *cell), inside
 
 
 def expand(field: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
     """Interpolate a reduced field back to `shape` with the same kernel (a constant stays that constant)."""
-    for axis in _AXES:
-        a = _Axis(field, axis, shape[axis])
-        i = a.coordinate // 2
-        here, after = a.read(i), a.read(i + 1)
-        even = (a.read(i - 1) + 6 * here + after) * (1 / 8)
-        odd = (here + after) * 0.5
-        field = a.store(dr.select((a.coordinate & 1) == 0, even, odd))
-    return field
+    result = dr.empty(mi.Float, math.prod(shape))
+    for value, index, inside in _Expansion(field, shape).cells():
+        dr.scatter(result, value, index, inside, _ONCE)
+    dr.eval(result)
+    return mi.TensorXf(result, shape)
+
+
+def _band(field: mi.TensorXf, coarse: mi.TensorXf) -> tuple[mi.TensorXf, mi.Float]:
+    """What the coarse field leaves out, field − expand(coarse), and its root mean square."""
+    shape = tuple(field.shape)
+    result, squares = dr.empty(mi.Float, math.prod(shape)), mi.Float(0)
+    for value, index, inside in _Expansion(coarse, shape).cells():
+        difference = dr.gather(mi.Float, field.array, index, inside) - value
+        dr.scatter(result, difference, index, inside, _ONCE)
+        squares += dr.select(inside, dr.square(difference), 0)
+    dr.eval(result, squares)
+    return mi.TensorXf(result, shape), dr.sqrt(dr.sum(squares) * (1 / opaque(math.prod(shape))))
+
+
+def _joined(band: mi.TensorXf, size: mi.Float, coarse: mi.TensorXf) -> mi.TensorXf:
+    """band / size + expand(coarse)."""
+    shape = tuple(band.shape)
+    result, scale = dr.empty(mi.Float, math.prod(shape)), 1 / size
+    for value, index, inside in _Expansion(coarse, shape).cells():
+        value = dr.fma(dr.gather(mi.Float, band.array, index, inside), scale, value)
+        dr.scatter(result, value, index, inside, _ONCE)
+    dr.eval(result)
+    return mi.TensorXf(result, shape)
 
 
 def split(field: mi.TensorXf, levels: int) -> list[mi.TensorXf]:
@@ -88,7 +206,7 @@ def split(field: mi.TensorXf, levels: int) -> list[mi.TensorXf]:
     bands = []
     for _ in range(levels):
         coarse = reduce(field)
-        bands.append(field - expand(coarse, tuple(field.shape)))
+        bands.append(_band(field, coarse)[0])
         field = coarse
     return [*bands, field]
 
@@ -97,7 +215,7 @@ def merge(bands: list[mi.TensorXf]) -> mi.TensorXf:
     """Inverse of `split`, exact up to rounding."""
     field = bands[-1]
     for band in reversed(bands[:-1]):
-        field = band + expand(field, tuple(band.shape))
+        field = _joined(band, opaque(1.0), field)
     return field
 
 
@@ -113,5 +231,13 @@ def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
         field: gradient (D, H, W) or (D, H, W, 3).
         levels: number of bands besides the residual; 0 normalises the field as a whole.
     """
-    bands = split(field, levels)
-    return merge([mi.TensorXf(b.array / dr.maximum(root_mean_square(b), FLOOR), tuple(b.shape)) for b in bands])
+    bands = []
+    for _ in range(levels):
+        coarse = reduce(field)
+        bands.append(_band(field, coarse))
+        field = coarse
+    result = mi.TensorXf(field.array / dr.maximum(root_mean_square(field), FLOOR), tuple(field.shape))
+    while bands:
+        band, size = bands.pop()
+        result = _joined(band, dr.maximum(size, FLOOR), result)
+    return result
