@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from tnst_mi.class_names import class_index, class_names, imagenet_names, matching_classes
 from tnst_mi.download import file_hash
 from tnst_mi.errors import InputError
-from tnst_mi.grey_convolution import GreyConvolution
+from tnst_mi.grey_convolution import grey_convolution
 from tnst_mi.response_norm import LocalResponseNorm
 from tnst_mi.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.weight_readers import CLASS_LIST, read_weights
@@ -264,7 +264,7 @@ class GoogLeNet(nn.Module):
             self._black = {key: self._convolved(black.contiguous(memory_format=torch.channels_last))}
         filters = convolution.weight.sum(1) * (255 / self._description.divisor)
         padded = F.pad(grey, self._stem_padding(grey))
-        return GreyConvolution.apply(padded, filters, convolution.stride[0]) + self._black[key]
+        return grey_convolution(padded, filters, convolution.stride[0]) + self._black[key]
 
     def _stem_padding(self, image: Tensor) -> tuple[int, int, int, int]:
         """Columns and rows that the first convolution adds around an image, before and after."""

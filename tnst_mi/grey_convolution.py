@@ -11,8 +11,8 @@ from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 
-class GreyConvolution(torch.autograd.Function):
-    """(N, 1, H, W) images, padded already, and filters (C, k, k) to (N, C, h, w) in channels-last layout."""
+class _GreyConvolution(torch.autograd.Function):
+    """Patches of the images times filters; backwards, the patches' derivatives added up where they overlap."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, images: Tensor, filters: Tensor, stride: int) -> Tensor:
@@ -28,3 +28,17 @@ class GreyConvolution(torch.autograd.Function):
         window = filters.shape[-1]
         patches = filters.flatten(1).t() @ gradient.flatten(2)
         return functional.fold(patches, ctx.size, window, stride=ctx.stride), None, None
+
+
+def grey_convolution(images: Tensor, filters: Tensor, stride: int) -> Tensor:
+    """Convolve grey images without padding.
+
+    Args:
+        images: (N, 1, H, W), padded already.
+        filters: (C, k, k), not differentiated.
+        stride: distance between the positions of the window, in pixels.
+
+    Returns:
+        (N, C, h, w) in channels-last layout, differentiable in the images.
+    """
+    return _GreyConvolution.apply(images, filters, stride)
