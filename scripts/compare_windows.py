@@ -141,8 +141,10 @@ def main() -> None:
     print(table(rows), end="")
 
     frames = open_frames(arguments.frames, recipe.frame_range)
-    numbers = [record["number"] for record in records[1]["frames"]] if 1 in records else None
-    first = len(frames) // 2 if arguments.shown is None else numbers.index(arguments.shown)
+    numbers = [record["number"] for record in next(iter(records.values()))["frames"]]
+    if arguments.shown is not None and arguments.shown not in numbers[:-1]:
+        parser.error(f"--shown {arguments.shown}: expected a frame from {numbers[0]} to {numbers[-2]}")
+    first = len(frames) // 2 - 1 if arguments.shown is None else numbers.index(arguments.shown)
     pair = [frames[first], frames[first + 1]]
     runs = {
         window: StoredArrays(arguments.out / f"window_{window}", "density", [frame.name for frame in pair])

@@ -192,6 +192,63 @@ def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) 
     assert {name: (out / name).read_bytes() for name in files_of(out)} == before
 
 
+def test_pictures_and_obstacles_belong_to_the_input(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out, picture = tmp_path / "out", tmp_path / "fire.png"
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(picture)
+    recipe = Recipe(style=(str(picture),), octaves=2, iterations=3)
+    tnst_mi.stylize(frames(0.2), recipe, out, progress=False)
+    (frame,) = frames(0.2)
+    blocked = Frame(frame.density, obstacle=frame.density > 0, name=frame.name, number=frame.number)
+    with pytest.raises(InputError, match="its run had another f_07 than the input has now"):
+        Job(blocked, recipe, out, progress=False, resume=True)
+    Image.fromarray(np.ones((4, 4), np.uint8)).save(picture)
+    with pytest.raises(InputError, match=r"its run had another .*fire\.png than there is now"):
+        Job(frame, recipe, out, progress=False, resume=True)
+
+
+def test_fps_may_change_and_lost_results_are_made_again(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
+    (out / "velocity" / "f_08.npz").unlink()
+    faster = Recipe(style=("spirals",), gamma=GAMMA, octaves=2, iterations=3, fps=30)
+    for _ in Job(frames(0.2, 0.4), faster, out, progress=False, resume=True).run():
+        pass
+    assert optimiser.names == ["f_07", "f_08", "f_08"]
+    assert (out / "velocity" / "f_08.npz").exists()
+
+
+def test_what_killed_runs_leave_is_cleaned_up(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    """Unfinished files; the working state of a run that had ended; a removal that had not."""
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
+    complete = files_of(out)
+    unfinished = [out / "density" / ".f_07.4242.npz", out / "images" / ".preview.4242.mp4", out / ".run.4242.json"]
+    for path in unfinished:
+        path.write_bytes(b"PK")
+    assert len(load_frames(out / "density")) == 2
+    (out / ".work").mkdir()
+    run = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(run | {"status": "running"}))
+    list(Job(frames(0.2, 0.4), RECIPE, out, progress=False, resume=True).run())
+    assert files_of(out) == complete and not (out / ".work").exists()
+    assert json.loads((out / "run.json").read_text()) == run
+
+    for left in ({"recipe.toml"}, {"recipe.toml", "run.json"}):
+        for name in files_of(out) - left:
+            (out / name).unlink()
+        list(Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run())
+        assert "density/f_07.npz" in files_of(out)
+
+
+def test_overwriting_removes_frames_that_were_not_recorded_yet(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
+    run = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(run | {"frames": run["frames"][:1]}))
+    list(Job(frames(0.3), RECIPE, out, progress=False, overwrite=True).run())
+    assert not any("f_08" in name for name in files_of(out))
+
+
 def test_overwriting_removes_the_earlier_run_and_nothing_else(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)

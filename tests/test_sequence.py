@@ -163,10 +163,11 @@ def test_windows_and_coherence_make_a_sequence_steadier(network: GoogLeNet) -> N
     assert means[5, 2.0] < 0.9 * means[5, 0.0]
 
 
-def test_frames_without_smoke_are_left_alone_and_do_not_count(network: GoogLeNet) -> None:
+@pytest.mark.parametrize("coherence", [0.0, 1.0])
+def test_frames_without_smoke_are_left_alone_and_do_not_count(coherence: float, network: GoogLeNet) -> None:
     frames = moving_smoke(3)
     empty = dataclasses.replace(frames[0], density=np.zeros(SHAPE, np.float32), name="empty", number=4)
-    recipe = Recipe(**GOAL | {"window": 3})
+    recipe = Recipe(**GOAL | {"window": 3, "coherence": coherence})
     results = stylized([empty, *frames], recipe, network, scales=[0.0, 1.0, 1.0, 1.0])
     assert "empty is empty: nothing to stylize" in results[0].note
     assert not results[0].density.any() and results[0].loss_before is None
@@ -290,6 +291,31 @@ def test_interrupted_run_goes_on_to_the_same_bits(window: int, stop: int, networ
     assert done == list(range(done[0], 13)) and done[0] in (stop, stop + 1)
     losses = [[entry["loss"] for entry in result.history] for result in results]
     assert losses == [[entry["loss"] for entry in result.history] for result in expected[len(finished) :]]
+
+
+def test_second_ctrl_c_leaves_what_was_written(
+    network: GoogLeNet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the middle of a step: fields that have been changed already must not pass for those of an iteration before."""
+    frames, recipe = moving_smoke(1), Recipe(**GOAL)
+    (expected,) = stylized(frames, recipe, network)
+    descend = Transport.descend
+
+    def interrupted(transport: Transport) -> None:
+        descend(transport)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Transport, "descend", interrupted)
+    assert stylized(frames, recipe, network, store=FolderStore(tmp_path))[0].interrupted
+    monkeypatch.undo()
+    assert bits(stylized(frames, recipe, network, store=FolderStore(tmp_path))) == bits([expected])
+
+
+def test_changes_too_large_for_half_precision_are_refused(network: GoogLeNet) -> None:
+    frames = [dataclasses.replace(frame, density=1e8 * frame.density) for frame in moving_smoke(2)]
+    recipe = Recipe(**GOAL | {"window": 3, "coherence": 1.0, "gamma": 1e-9, "iterations": 3})
+    with pytest.raises(InputError, match=r"s_005: steps or changes of the density exceed 65504; scale the density"):
+        stylized(frames, recipe, network)
 
 
 def test_interrupted_single_frame_is_given_as_far_as_it_got(network: GoogLeNet, tmp_path: Path) -> None:

@@ -47,3 +47,12 @@ def test_a_video_that_is_not_finished_leaves_nothing(tmp_path: Path) -> None:
         video.add(np.zeros((16, 16)))
         video.add(np.zeros((18, 16)))
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.mp4": "an earlier one"}
+
+
+def test_a_video_that_could_not_be_written_is_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The encoder does not tell that a disk is full: the pictures in the file are counted."""
+    monkeypatch.setattr("imageio_ffmpeg.count_frames_and_secs", lambda path: (2, 0.1))
+    with pytest.raises(OSError, match="ffmpeg wrote 2 of 3 pictures"), open_video(tmp_path / "a.mp4") as video:
+        for _ in range(3):
+            video.add(np.zeros((16, 16), np.float32))
+    assert not any(tmp_path.iterdir())

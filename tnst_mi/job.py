@@ -18,7 +18,7 @@ from tnst_mi.backend import activate
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.measure import digests, exposure_of, measured, require_coherent, require_same_input
+from tnst_mi.measure import digests, exposure_of, file_digests, measured, require_coherent, require_same_input
 from tnst_mi.outputs import (
     RunFolder,
     StoredArrays,
@@ -35,6 +35,9 @@ from tnst_mi.store import FolderStore, MemoryStore, working_bytes
 
 if TYPE_CHECKING:
     from tnst_mi.stylized import Stylized
+
+#: A full disk, and a quota that is used up.
+_NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 #: What can be stylized: a file or folder, one frame, several, or a density grid (D, H, W).
 Frames = str | Path | Frame | Sequence[Frame] | np.ndarray
@@ -121,13 +124,15 @@ class Job:
             },
             "main_view": list(recipe.main_view),
             "inputs": digests(self._measures),
+            "files": file_digests(recipe),
             "exposure": self.exposure,
             "frames": [],
         }
         earlier = resumable_run(self.out, recipe, self.record["weights"]) if resume and self.out is not None else None
         if earlier is not None:
-            require_same_input(self._measures, earlier, self.out)
-            self.record |= {key: earlier[key] for key in ("frames", "sequence") if key in earlier}
+            require_same_input(self._measures, recipe, earlier, self.out)
+            kept = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
+            self.record |= {key: earlier[key] for key in kept if key in earlier}
         elif self.out is not None:
             require_space(self.out, working_bytes(shape, len(self.frames), recipe))
 
@@ -141,11 +146,16 @@ class Job:
         finished = {record["name"] for record in self.record["frames"]}
         if len(finished) == len(self.frames) and (len(self.frames) == 1 or "sequence" in self.record):
             self.record["status"] = "done"
+            if self.out is not None:
+                # It may have been killed before it had cleaned up.
+                folder = RunFolder(self.out, self.recipe)
+                folder.write_run(self.record)
+                folder.remove_work()
             return
         try:
             yield from self._run(finished)
         except OSError as error:
-            if error.errno != errno.ENOSPC:
+            if error.errno not in _NO_ROOM:
                 raise
             raise StoppedError(
                 f"{self.out}: the disk is full; free some space and go on with --resume, nothing is lost"
@@ -157,7 +167,7 @@ class Job:
         from tnst_mi.sequence import SequenceOptimisation
         from tnst_mi.weights import announce_fallback
 
-        started = time.perf_counter()
+        started = time.perf_counter() - self.record.get("seconds", 0.0)
         folder, store = None, MemoryStore()
         if self.out is not None:
             folder = RunFolder(self.out, self.recipe, self._overwrite)
@@ -166,6 +176,8 @@ class Job:
         self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
         if self._fallback:
             announce_fallback()
+        if self.recipe.coherence > 0 and (self.recipe.window == 1 or len(self.frames) == 1):
+            self._bar.say(f"warning: coherence = {self.recipe.coherence:g} has no effect without a window")
         for measure in self._measures:
             if measure.brightest == 0.0 and measure.mass > 0.0:
                 gamma = self.recipe.at(measure.number).gamma
@@ -213,7 +225,9 @@ class Job:
     def _progressed(self, started: float) -> dict[str, Any]:
         """The record, with the time and memory used so far."""
         self.record["seconds"] = round(time.perf_counter() - started, 3)
-        self.record["peak_memory_bytes"] = environment.peak_memory()
+        self.record["peak_memory_bytes"] = max(
+            environment.peak_memory() or 0, self.record.get("peak_memory_bytes") or 0
+        )
         return self.record
 
     @property

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tnst_mi.download import file_hash
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import checked_shapes
@@ -19,7 +20,7 @@ from tnst_mi.recipe import Recipe
 @dataclass(frozen=True)
 class Measure:
     """What is known of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
-    of its density, the SHA-256 of its density and velocity, and whether it has a velocity."""
+    of its density, the SHA-256 of its arrays, and whether it has a velocity."""
 
     name: str
     number: int | None
@@ -43,8 +44,9 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
     for frame in checked_shapes(frames):
         image = main_view(frame.density, recipe.at(frame.number))
         digest = hashlib.sha256(frame.density)
-        if frame.velocity is not None:
-            digest.update(frame.velocity)
+        for array in (frame.velocity, frame.obstacle):
+            if array is not None:
+                digest.update(array)
         measures.append(
             Measure(
                 frame.name,
@@ -91,13 +93,16 @@ def exposure_of(measures: Sequence[Measure]) -> float:
     return 1.0 / brightest if brightest > 0.0 else 1.0
 
 
-def require_same_input(measures: Sequence[Measure], run: dict[str, Any], out: Path) -> None:
+def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:
     """Check that a run to be resumed had these frames: each of them, finished or not, has its part in the others.
 
     Raises:
         InputError: there were other frames, or one of them was another.
     """
     now, remedy = digests(measures), "resume with the same input, or use --overwrite"
+    for path, digest in file_digests(recipe).items():
+        if run["files"].get(path) != digest:
+            raise InputError(f"{out}: its run had another {path} than there is now; {remedy}")
     if set(run["inputs"]) != set(now):
         other = sorted(set(run["inputs"]) ^ set(now))[0]
         where = "its run" if other in run["inputs"] else "the input now"
@@ -105,8 +110,16 @@ def require_same_input(measures: Sequence[Measure], run: dict[str, Any], out: Pa
     for name, digest in now.items():
         if run["inputs"][name] != digest:
             raise InputError(f"{out}: its run had another {name} than the input has now; {remedy}")
+    if list(run["inputs"]) != list(now):
+        raise InputError(f"{out}: its run had the frames in another order; {remedy}")
 
 
 def digests(measures: Sequence[Measure]) -> dict[str, str]:
     """The SHA-256 of the frames by their names."""
     return {measure.name: measure.sha256 for measure in measures}
+
+
+def file_digests(recipe: Recipe) -> dict[str, str]:
+    """The SHA-256 of the pictures and the light that a recipe names, by their paths."""
+    paths = [*recipe.style, *recipe.content, recipe.light]
+    return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}

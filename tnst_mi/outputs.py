@@ -22,7 +22,7 @@ import numpy as np
 
 from tnst_mi.before_after import side_by_side
 from tnst_mi.errors import InputError
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.atomic import remove_unfinished, written_whole
 from tnst_mi.io.exr import read_exr, write_exr
 from tnst_mi.io.npz import read_arrays, write_arrays
 from tnst_mi.io.png import write_png
@@ -37,14 +37,20 @@ _FRAME_FILES = (
     "images/{}_loss.png",
 )
 _RUN_FILES = (
-    "metrics.jsonl",
-    "recipe.toml",
-    "run.json",
     *(f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png")),
+    "metrics.jsonl",
 )
+
+#: What tells that a folder holds a run: removed last, and in this order, so that a removal can be taken up again.
+_MARKS = ("run.json", "recipe.toml")
+
+_FOLDERS = ("density", "velocity", "images")
 
 #: Folder of the working state.
 _WORK = ".work"
+
+#: Keys that may be others when a run is resumed.
+_DECIDES_NOTHING = ("fps",)
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _ELSEWHERE = "give another folder"
@@ -96,7 +102,7 @@ def require_space(out: Path, needed: int) -> None:
 
 def holds_run(out: Path) -> bool:
     """Whether a folder has the two files that every run writes."""
-    return all((out / name).is_file() for name in ("run.json", "recipe.toml"))
+    return all((out / name).is_file() for name in _MARKS)
 
 
 def frame_names(out: Path) -> list[str]:
@@ -110,7 +116,9 @@ def frame_names(out: Path) -> list[str]:
     if not holds_run(out):
         raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
     try:
-        names = [frame["name"] for frame in json.loads((out / "run.json").read_text("utf-8"))["frames"]]
+        run = json.loads((out / "run.json").read_text("utf-8"))
+        # A frame may have been written and not recorded yet.
+        names = list(dict.fromkeys([*(frame["name"] for frame in run["frames"]), *run.get("inputs", ())]))
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {_ELSEWHERE}") from None
     for name in names:
@@ -137,13 +145,15 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
         raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
-        run["frames"] = [frame for frame in run["frames"] if frame["complete"] and frame["name"]]
-        run["inputs"] = dict(run["inputs"])
+        run["frames"] = [frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"])]
+        run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
         earlier_weights = run["weights"]["sha256"]
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
     earlier = Recipe.from_toml(out / "recipe.toml")
     for key in (*KINDS, "keyframes"):
+        if key in _DECIDES_NOTHING:
+            continue
         before, now = getattr(earlier, key), getattr(recipe, key)
         if before != now:
             raise InputError(
@@ -163,6 +173,8 @@ class RunFolder:
         self.out, self.work = out, out / _WORK
         if overwrite:
             _remove_results(out, frame_names(out))
+        for folder in (out, *(out / name for name in _FOLDERS)):
+            remove_unfinished(folder)
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
 
@@ -261,8 +273,18 @@ def _occupied(out: Path) -> bool:
 
 
 def _just_begun(out: Path) -> bool:
-    """Whether a run was killed here before it wrote its first run.json."""
-    return all(path.name == "recipe.toml" or path.name.startswith((".recipe.", ".run.")) for path in out.iterdir())
+    """Whether a run was killed here before it wrote its first run.json, or after it had removed another one."""
+    return all(
+        path.name == "recipe.toml"
+        or path.name.startswith((".recipe.", ".run."))
+        or (path.name in _FOLDERS and path.is_dir() and not any(path.iterdir()))
+        for path in out.iterdir()
+    )
+
+
+def _results_of(out: Path, name: str) -> bool:
+    """Whether the arrays of a frame are there."""
+    return is_file_name(name) and all((out / kind / f"{name}.npz").is_file() for kind in ("density", "velocity"))
 
 
 def _existing(out: Path) -> Path:
@@ -276,9 +298,12 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
         # A linked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
-    if not (out / _WORK).is_symlink():
-        shutil.rmtree(out / _WORK, ignore_errors=True)
-    for folder in ("density", "velocity", "images"):
+    if (out / _WORK).is_dir() and not (out / _WORK).is_symlink():
+        # An error here ends the run: what would be left is the state of another one.
+        shutil.rmtree(out / _WORK)
+    for name in _MARKS:
+        (out / name).unlink(missing_ok=True)
+    for folder in _FOLDERS:
         with contextlib.suppress(OSError):  # not empty, or not there
             (out / folder).rmdir()
 

@@ -99,6 +99,8 @@ class SequenceOptimisation:
         self._on_iteration = on_iteration
         state, last = self._state, self._recipe.octaves - 1
         wanted = [index for index in range(len(state.shots)) if index not in finished]
+        if not wanted:
+            return
         with deferred_interrupt() as self._interrupt:
             try:
                 for octave in range(state.reached() if state.alive else last + 1, last + 1):
@@ -163,23 +165,23 @@ class SequenceOptimisation:
         done = state.done(octave, index)
         if done >= iterations:
             return
+        self._stop_here()
         (current,) = state.current(octave, [index])
         written = time.perf_counter()
-        try:
-            for iteration in range(done, iterations):
-                self._stop_here()
-                entry, _ = self._find_step(octave, iteration, current)
-                current.parameters.descend()
-                state.store.log(entry)
-                done = iteration + 1
+        for iteration in range(done, iterations):
+            entry, _ = self._find_step(octave, iteration, current)
+            current.parameters.descend()
+            state.store.log(entry)
+            try:
                 self._report(entry)
-                if done == iterations or time.perf_counter() - written > CHECKPOINT_SECONDS:
-                    state.write_fields(octave, index, done, current.parameters)
-                    written = time.perf_counter()
-        except KeyboardInterrupt:
-            if state.done(octave, index) < done:
-                state.write_fields(octave, index, done, current.parameters)
-            raise
+                self._stop_here()
+            except KeyboardInterrupt:
+                # Only here are fields and count in step; a second Ctrl-C comes anywhere, and leaves what was written.
+                state.write_fields(octave, index, iteration + 1, current.parameters)
+                raise
+            if iteration + 1 == iterations or time.perf_counter() - written > CHECKPOINT_SECONDS:
+                state.write_fields(octave, index, iteration + 1, current.parameters)
+                written = time.perf_counter()
 
     def _iterate_together(self, octave: int) -> None:
         """Iterations of all frames: first every frame's own step, then every frame's average over its window."""
@@ -232,7 +234,9 @@ class SequenceOptimisation:
         state, index, weights = self._state, current.index, window_weights(coherence.WINDOW)
         shot = state.shots[index]
         total = state.windowed_sums(octave, index, f"step.{octave}", ["change"], weights)["change"]
-        present = sum(weights[abs(i - index)] for i in window_of(index, len(state.shots), coherence.WINDOW))
+        # Frames that are left unchanged have no change to follow.
+        window = set(window_of(index, len(state.shots), coherence.WINDOW)) & set(state.alive)
+        present = sum(weights[abs(i - index)] for i in window)
         return coherence.coherence_steps(
             current.parameters,
             current.density,

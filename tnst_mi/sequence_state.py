@@ -157,7 +157,13 @@ class SequenceState:
 
     def write_step(self, octave: int, index: int, done: int, step: dict[str, mi.TensorXf]) -> None:
         """Write a frame's own step, and the change that it starts from, in half precision."""
-        half = {name: tensor.numpy().astype(np.float16) for name, tensor in step.items()}
+        with np.errstate(over="ignore"):
+            half = {name: tensor.numpy().astype(np.float16) for name, tensor in step.items()}
+        if not all(np.isfinite(array).all() for array in half.values()):
+            raise InputError(
+                f"{self.shots[index].name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
+                "scale the density to about 1 and gamma accordingly"
+            )
         self.store.write(f"step.{octave}", index, done, half)
 
     # ---------------------------------------------------------------- from items to tensors

@@ -141,7 +141,7 @@ class FolderStore(Store):
 
     def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
         """See `Store`."""
-        path = self._path(group, frame, self._generations[group, frame])
+        path = self._path(group, frame, self.generation(group, frame))
         try:
             with safe_open(path, framework="numpy") as item:
                 return {n: _single_precision(item.get_tensor(n)) for n in item.keys() if names is None or n in names}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.atomic import write_failure, written_whole
 
 
 def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
@@ -21,7 +21,10 @@ def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str |
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
     pixels = np.ascontiguousarray(image, dtype=np.float32)
     with written_whole(path) as temporary, OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}) as file:
-        file.write(str(temporary))
+        try:
+            file.write(str(temporary))
+        except RuntimeError as error:
+            raise write_failure(temporary, str(error)) from error
 
 
 def read_exr(path: Path) -> np.ndarray:

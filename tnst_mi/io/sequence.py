@@ -156,7 +156,9 @@ def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
 
 
 def _numbered_files(folder: Path, selection: tuple[int, int] | None) -> list[Path]:
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
+    # Hidden files are none of ours, or what a killed run was writing.
+    visible = (file for file in folder.iterdir() if not file.name.startswith("."))
+    files = sorted(file for file in visible if file.suffix.lower() in FORMATS and file.is_file())
     if not files:
         raise InputError(f"{folder}: no frames in this folder, expected files {', '.join(FORMATS)}")
     if len(files) == 1:

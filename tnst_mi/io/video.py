@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.atomic import write_failure, written_whole
 from tnst_mi.io.png import eight_bits
 
 #: Players guess the colour matrix from the size of the picture; this is written into the file.
@@ -26,6 +26,7 @@ class Video:
         self._path, self._frames_per_second = path, frames_per_second
         self._encoder = None
         self._shape: tuple[int, int] = (0, 0)
+        self._count = 0
 
     def add(self, image: np.ndarray) -> None:
         """Append a picture (H, W) or (H, W, 3), row 0 at the top; 0 is black, 1 and above full brightness.
@@ -46,6 +47,7 @@ class Video:
             first = f"{self._shape[1]} x {self._shape[0]}"
             raise InputError(f"video: a picture of {columns} x {rows} pixels after ones of {first}, expected one size")
         self._encoder.send(np.ascontiguousarray(pixels))
+        self._count += 1
 
     def _start(self, columns: int, rows: int) -> None:
         import imageio_ffmpeg
@@ -63,10 +65,23 @@ class Video:
         self._encoder.send(None)
 
     def close(self) -> None:
-        """Finish the file."""
-        if self._encoder is not None:
-            self._encoder.close()
-            self._encoder = None
+        """Finish the file.
+
+        Raises:
+            OSError: not all pictures are in it, such as for a full disk, which the encoder does not tell.
+        """
+        if self._encoder is None:
+            return
+        import imageio_ffmpeg
+
+        self._encoder.close()
+        self._encoder = None
+        try:
+            count, _ = imageio_ffmpeg.count_frames_and_secs(str(self._path))
+        except (OSError, RuntimeError):
+            count = 0
+        if count != self._count:
+            raise write_failure(self._path, f"ffmpeg wrote {count} of {self._count} pictures")
 
 
 @contextmanager
@@ -81,5 +96,8 @@ def open_video(path: Path, frames_per_second: float = 24.0) -> Iterator[Video]:
         video = Video(temporary, frames_per_second)
         try:
             yield video
-        finally:
-            video.close()
+        except BaseException:
+            with suppress(OSError):
+                video.close()
+            raise
+        video.close()
