@@ -10,6 +10,7 @@ from fields import blob, directional_error, smooth_noise
 
 import tnst_mi
 from tnst_mi.advection import METHODS, revert_mask, step
+from tnst_mi.potentials import PotentialVelocity
 
 SHAPE = (9, 12, 7)
 
@@ -190,6 +191,82 @@ def test_gradient_against_central_differences(method: str, wrt: str) -> None:
     assert error <= 1e-2
     if reverted is not None:
         assert 0.005 < reverted.numpy().mean() < 0.5
+
+
+def smoke_in_air(rng: np.random.Generator, shape: tuple[int, int, int]) -> np.ndarray:
+    """A ball of noise with nothing around it."""
+    density = np.zeros(shape, np.float32)
+    inner = tuple(slice(n // 4, -(n // 4)) for n in shape)
+    density[inner] = np.abs(smooth_noise(rng, *density[inner].shape))
+    return density
+
+
+@pytest.mark.parametrize("outside", ["zero", "edge"])
+def test_air_that_is_left_out_has_no_part_in_the_gradient(outside: str) -> None:
+    """∂/∂v is computed near smoke only; with the limiter's choice given, or the field differentiated, everywhere."""
+    rng = np.random.default_rng(10)
+    shape = (16, 20, 14)
+    density, v = smoke_in_air(rng, shape), 1.5 * smooth_noise(rng, *shape, 3)
+    w = mi.TensorXf(smooth_noise(rng, *shape))
+    reverted = revert_mask(mi.TensorXf(density), mi.TensorXf(v), 1.0, outside)
+    results = []
+    for choice, field_varies in ((None, False), (None, True), (reverted, False)):
+        d, u = mi.TensorXf(density), mi.TensorXf(v)
+        dr.enable_grad(u, *([d] if field_varies else []))
+        result = step(d, u, "maccormack", 1.0, outside, choice)
+        dr.backward(dr.sum(result * w, axis=None))
+        results.append((result.numpy(), dr.grad(u).numpy()))
+    (moved, gradient), *everywhere = results
+    for expected, expected_gradient in everywhere:
+        np.testing.assert_array_equal(moved, expected)
+        np.testing.assert_allclose(gradient, expected_gradient, atol=2e-6 * np.abs(gradient).max())
+    assert 0.1 < gradient.any(-1).mean() < 0.9
+
+
+@pytest.mark.parametrize("value", [0.0, 0.7])
+def test_a_constant_field_stays_and_its_velocity_has_no_gradient(value: float) -> None:
+    v_values = 2 * smooth_noise(np.random.default_rng(11), *SHAPE, 3)
+    for field_varies in (False, True):
+        field, v = mi.TensorXf(np.full(SHAPE, value, np.float32)), mi.TensorXf(v_values)
+        dr.enable_grad(v, *([field] if field_varies else []))
+        moved = tnst_mi.advect(field, v, outside="edge")
+        np.testing.assert_array_equal(moved.numpy(), np.float32(value))
+        dr.backward(dr.sum(moved, axis=None))
+        assert not dr.grad(v).numpy().any()
+    assert dr.grad(field).numpy().sum() == pytest.approx(np.prod(SHAPE), rel=1e-5)
+
+
+@pytest.mark.parametrize("names", [("phi",), ("psi",), ("phi", "psi")])
+def test_velocity_of_potentials_need_not_be_stored(names: tuple[str, ...]) -> None:
+    """The step that differentiates the potentials itself, in both directions, against `velocity` and `advect`."""
+    rng = np.random.default_rng(12)
+    density, lam, h = smoke_in_air(rng, SHAPE), 0.4, 1.3
+    values = {name: 4 * smooth_noise(rng, *SHAPE, *([3] if name == "psi" else [])) for name in names}
+    w, tangent = smooth_noise(rng, *SHAPE), smooth_noise(rng, *SHAPE)
+
+    def through(fused: bool) -> tuple[list[np.ndarray], np.ndarray]:
+        def moved(potentials: dict[str, mi.TensorXf]) -> mi.TensorXf:
+            phi, psi = potentials.get("phi"), potentials.get("psi")
+            if fused:
+                return step(mi.TensorXf(density), PotentialVelocity(phi, psi, lam, h), h=h)
+            return tnst_mi.advect(mi.TensorXf(density), tnst_mi.velocity(phi, psi, lam, h), h=h)
+
+        potentials = {name: mi.TensorXf(value) for name, value in values.items()}
+        dr.enable_grad(potentials)
+        result = moved(potentials)
+        dr.backward(dr.sum(result * mi.TensorXf(w), axis=None))
+        arrays = [result.numpy(), *(dr.grad(potential).numpy() for potential in potentials.values())]
+
+        potentials = {name: mi.TensorXf(value) for name, value in values.items()}
+        dr.enable_grad(potentials)
+        first = potentials[names[0]]
+        dr.set_grad(first, mi.TensorXf(tangent if names[0] == "phi" else np.stack([tangent] * 3, -1)))
+        return arrays, dr.forward_to(moved(potentials)).numpy()
+
+    (fused, fused_tangent), (stored, stored_tangent) = through(True), through(False)
+    for ours, expected in zip([*fused, fused_tangent], [*stored, stored_tangent], strict=True):
+        np.testing.assert_allclose(ours, expected, atol=5e-6 * np.abs(expected).max())
+        assert np.abs(expected).max() > 1e-3
 
 
 def test_gradient_has_the_same_bits_in_every_run() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tnst_mi
-from tnst_mi.grid import Cells, Divisor, RepeatableSum, Trilinear, largest_magnitude, octaves
+from tnst_mi.grid import Cells, Divisor, RepeatableSum, Trilinear, largest_magnitude, octaves, stored
 
 
 def test_octave_sizes_are_those_of_the_paper() -> None:
@@ -43,6 +43,26 @@ def test_cells_are_enumerated_in_storage_order() -> None:
     for ours, expected in ((cells.x, x), (cells.y, y), (cells.z, z)):
         np.testing.assert_array_equal(ours.numpy(), expected)
     np.testing.assert_array_equal(cells.index(cells.x, cells.y, cells.z).numpy(), np.arange(60))
+
+
+def test_chosen_cells_and_their_own_values() -> None:
+    shape = (3, 5, 4)
+    chosen = np.array([0, 7, 31, 59], np.uint32)
+    cells = Cells.of(shape, mi.UInt32(chosen))
+    for ours, expected in zip((cells.z, cells.y, cells.x), np.unravel_index(chosen, shape), strict=True):
+        np.testing.assert_array_equal(ours.numpy(), expected)
+    values = np.random.default_rng(3).random((60, 3)).astype(np.float32)
+    for c, own in enumerate(cells.own(mi.Float(values.ravel()), 3)):
+        np.testing.assert_array_equal(own.numpy(), values[chosen, c])
+    (own,) = Cells.of(shape).own(mi.Float(values[:, 0].copy()))
+    np.testing.assert_array_equal(own.numpy(), values[:, 0])
+
+
+def test_stored_values_are_the_values() -> None:
+    values = np.random.default_rng(4).random(1001).astype(np.float32)
+    np.testing.assert_array_equal(stored(mi.Float(values) * 2).numpy(), values * 2)
+    np.testing.assert_array_equal(stored(mi.Float(values) > 0.5).numpy(), values > 0.5)
+    assert dr.width(stored(mi.Float([]))) == 0
 
 
 @pytest.mark.parametrize("outside", ["zero", "edge"])

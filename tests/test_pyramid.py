@@ -95,3 +95,18 @@ def test_gaussian_against_numpy_for_every_component() -> None:
         expected = sum(w * np.take(padded, np.arange(n) + k, axis) for k, w in taps)
     np.testing.assert_allclose(gaussian(mi.TensorXf(field), sigma).numpy(), expected, atol=1e-6)
     assert gaussian(mi.TensorXf(field), 0).numpy() is not None
+
+
+@pytest.mark.parametrize(("boundary", "mode"), [("reflect", "symmetric"), ("nearest", "edge"), ("zero", "constant")])
+@pytest.mark.parametrize("shape", [(1, 2, 3), (9, 4, 17), (2, 8, 1, 3)])
+def test_gaussian_at_the_borders_of_narrow_grids(boundary: str, mode: str, shape: tuple[int, ...]) -> None:
+    """Axes shorter than the kernel are reflected several times; lengths on both sides of a thread's run."""
+    field, sigma = np.random.default_rng(7).standard_normal(shape).astype(np.float32), 1.2
+    radius = math.floor(4 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    expected = field.astype(np.float64)
+    for axis in range(3):
+        padded = np.pad(expected, [(radius, radius) if a == axis else (0, 0) for a in range(len(shape))], mode=mode)
+        taps = enumerate(weights / weights.sum())
+        expected = sum(w * np.take(padded, np.arange(shape[axis]) + k, axis) for k, w in taps)
+    np.testing.assert_allclose(gaussian(mi.TensorXf(field), sigma, boundary).numpy(), expected, atol=1e-6)

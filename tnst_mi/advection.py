@@ -14,19 +14,22 @@ one; everything else is local to a cell. The revert is a switch: its choice is h
 
 Where the eight cells around x − v are equal, as in all the air around the smoke, the range has no width: the result is
 f whatever v is, and neither the correction nor a derivative with respect to v has anything to do. So once f is known,
-the limited step works on the other cells alone.
+the limited step works on the other cells alone, unless the field is differentiated too.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
-from tnst_mi.grid import Cells, RepeatableSum, Shape, Trilinear, largest_magnitude, opaque, stored
+from tnst_mi.grid import Cells, RepeatableSum, Trilinear, largest_magnitude, opaque, stored
+from tnst_mi.potentials import PotentialVelocity
 
 #: A displacement of more cells than this is a mistake, not a motion to be followed in steps of one cell.
 _MOST_SUBSTEPS = 10_000
@@ -39,41 +42,57 @@ def _interleave(components: list[mi.Float]) -> mi.Float:
     return stored(components[0]) if len(components) == 1 else dr.ravel(mi.Vector3f(*components))
 
 
+@dataclass(frozen=True)
+class _GivenVelocity:
+    """A velocity that is in memory, with the interface of `PotentialVelocity`."""
+
+    v: mi.TensorXf
+
+    def at(self, cells: Cells) -> mi.Vector3f:
+        return mi.Vector3f(*cells.own(self.v.array, 3))
+
+    def transpose(self, g: mi.Vector3f) -> dict[str, mi.TensorXf]:
+        return {"v": mi.TensorXf(dr.ravel(g), tuple(self.v.shape))}
+
+
 class _Step(dr.CustomOp):
     """One advection step of a field with `channels` values per cell (1 or 3)."""
 
     def eval(
         self,
         field: mi.TensorXf,
-        velocity: mi.TensorXf | mi.Vector3f,
-        shape: Shape,
+        velocity: dict[str, mi.TensorXf],
+        source: Callable[[dict[str, mi.TensorXf]], _GivenVelocity | PotentialVelocity],
         method: str,
         h: float,
         outside: str,
         reverted: mi.TensorXf | None,
         field_varies: bool,
     ) -> mi.TensorXf:
-        self.shape, self.outside, self.h, self.field_varies = shape, outside, h, field_varies
-        self.channels = 1 if len(field.shape) == 3 else field.shape[3]
+        self.outside, self.h, self.field_varies = outside, h, field_varies
+        self.tensor_shape = tuple(field.shape)
+        self.shape, self.channels = self.tensor_shape[:3], math.prod(self.tensor_shape[3:])
         self.corrected = method != "semi_lagrangian"
-        self.field, self.velocity, self.tensor_shape = field.array, velocity, tuple(field.shape)
+        self.field, self.source, self.velocity = field.array, source, source(velocity)
         #: Storage indices of the cells that the correction and ∂/∂v are computed for; None for all of them.
         self.chosen: mi.UInt32 | None = None
         #: By channel, which of them keep the corrected value; None where all do.
         self.kept: list[mi.Bool] | None = None
 
-        departure, _ = self._stencils(Cells.of(shape))
+        departure, _ = self._stencils(Cells.of(self.shape))
         corners = departure.read(self.field, self.channels)
         self.forward_step = _interleave(departure.value(corners))
         limited = method == "maccormack" and reverted is None
-        if limited:
+        if limited and not field_varies:
             self.chosen = dr.compress(stored(_varied(corners)))
+            if dr.width(self.chosen) == 0:
+                self.chosen, self.corrected = None, False
         dr.eval(self.forward_step)
-        if self._idle():
+        if not self.corrected:
             return mi.TensorXf(mi.Float(self.forward_step), self.tensor_shape)
 
         # The backward leg interpolates f, which is in memory now.
-        cells = Cells.of(shape, self.chosen)
+        cells = Cells.of(self.shape, self.chosen)
         departure, arrival = self._stencils(cells)
         corners = departure.read(self.field, self.channels)
         backward = arrival.value(arrival.read(self.forward_step, self.channels))
@@ -85,7 +104,7 @@ class _Step(dr.CustomOp):
             keep = mi.Bool(True)
             if limited:
                 low, high = _range([corner[c] for corner in corners])
-                keep = (value >= low) & (value <= high) & (low < high)
+                keep = (value >= low) & (value <= high)
             elif reverted is not None:
                 keep = dr.gather(mi.Float, reverted.array, slot) == 0
             dr.scatter(result, value, slot, keep, dr.ReduceMode.NoConflicts)
@@ -95,21 +114,10 @@ class _Step(dr.CustomOp):
         dr.eval(result, self.kept)
         return mi.TensorXf(result, self.tensor_shape)
 
-    def _idle(self) -> bool:
-        """Whether f is the result, and no cell has a derivative with respect to v."""
-        return not self.corrected or (self.chosen is not None and dr.width(self.chosen) == 0)
-
     def _stencils(self, cells: Cells) -> tuple[Trilinear, Trilinear]:
         """Around x − v and x + v."""
-        displacement = self._components(self.velocity, cells) * dr.rcp(opaque(self.h))
+        displacement = self.velocity.at(cells) * dr.rcp(opaque(self.h))
         return Trilinear(cells, -displacement, self.outside), Trilinear(cells, displacement, self.outside)
-
-    @staticmethod
-    def _components(vectors: mi.TensorXf | mi.Vector3f, cells: Cells) -> mi.Vector3f:
-        """Vectors at some cells."""
-        if isinstance(vectors, mi.TensorXf):
-            return mi.Vector3f(*cells.own(vectors.array, 3))
-        return mi.Vector3f(*(cells.own(component)[0] for component in vectors))
 
     def _keep(self, values: list[mi.Float]) -> list[mi.Float]:
         """Values where the correction is kept, 0 elsewhere."""
@@ -118,11 +126,11 @@ class _Step(dr.CustomOp):
         return [dr.select(keep, value, 0) for keep, value in zip(self.kept, values, strict=True)]
 
     def forward(self) -> None:
-        field_tangent, velocity_tangent = self.grad_in("field").array, self.grad_in("velocity")
+        field_tangent, velocity_tangent = self.grad_in("field").array, self.source(self.grad_in("velocity"))
 
         def carried(stencil: Trilinear, cells: Cells, values: mi.Float, tangent: mi.Float, sign: int) -> list[mi.Float]:
             """Derivative of the values interpolated at x + sign · v."""
-            moved = self._components(velocity_tangent, cells) * (sign * dr.rcp(opaque(self.h)))
+            moved = velocity_tangent.at(cells) * (sign * dr.rcp(opaque(self.h)))
             slopes = stencil.gradient(stencil.read(values, self.channels))
             interpolated = stencil.value(stencil.read(tangent, self.channels))
             return [value + dr.dot(slope, moved) for value, slope in zip(interpolated, slopes, strict=True)]
@@ -131,7 +139,7 @@ class _Step(dr.CustomOp):
         departure, _ = self._stencils(cells)
         result = _interleave(carried(departure, cells, self.field, field_tangent, -1))
         dr.eval(result)
-        if not self._idle():
+        if self.corrected:
             cells = Cells.of(self.shape, self.chosen)
             _, arrival = self._stencils(cells)
             b = carried(arrival, cells, self.forward_step, result, 1)
@@ -150,13 +158,12 @@ class _Step(dr.CustomOp):
         on_backward_step: list[mi.Float] = []
         scattered: RepeatableSum | None = None
         cells = Cells.of(self.shape, self.chosen)
-        if not self._idle():
+        if self.corrected:
             _, arrival = self._stencils(cells)
             on_backward_step = [stored(v) for v in self._keep([-0.5 * v for v in cells.own(g, self.channels)])]
             scattered = RepeatableSum(dr.width(self.field), _largest(on_backward_step), 8 * math.prod(self.shape))
             arrival.splat(scattered, on_backward_step)
-        if self.chosen is None or dr.width(self.chosen):
-            self._set_velocity_gradient(g, cells, on_backward_step, scattered)
+        self._set_velocity_gradient(g, cells, on_backward_step, scattered)
         if self.field_varies:
             self._set_field_gradient(g, cells, on_backward_step, scattered)
 
@@ -175,15 +182,10 @@ class _Step(dr.CustomOp):
                 gradient += slope * value
         gradient *= dr.rcp(opaque(self.h))
 
-        once, count = dr.ReduceMode.NoConflicts, math.prod(self.shape)
-        if isinstance(self.velocity, mi.TensorXf):
-            flat = dr.zeros(mi.Float, 3 * count)
-            dr.scatter(flat, gradient, cells.number, mode=once)
-            self.set_grad_in("velocity", mi.TensorXf(flat, tuple(self.velocity.shape)))
-        else:
-            components = dr.zeros(mi.Vector3f, count)
-            dr.scatter(components, gradient, cells.number, mode=once)
-            self.set_grad_in("velocity", components)
+        everywhere = dr.zeros(mi.Vector3f, math.prod(self.shape))
+        dr.scatter(everywhere, gradient, cells.number, mode=dr.ReduceMode.NoConflicts)
+        dr.eval(everywhere)
+        self.set_grad_in("velocity", self.velocity.transpose(everywhere))
 
     def _set_field_gradient(
         self, g: mi.Float, cells: Cells, on_backward_step: list[mi.Float], scattered: RepeatableSum | None
@@ -230,19 +232,22 @@ def _varied(corners: list[list[mi.Float]]) -> mi.Bool:
 
 def step(
     field: mi.TensorXf,
-    velocity: mi.TensorXf | mi.Vector3f,
+    velocity: mi.TensorXf | PotentialVelocity,
     method: str = "maccormack",
     h: float = 1.0,
     outside: str = "zero",
     reverted: mi.TensorXf | None = None,
 ) -> mi.TensorXf:
-    """One advection step of Dr.Jit tensors; the velocity may also come as its components on the field's grid.
+    """One advection step of Dr.Jit tensors, by a velocity (D, H, W, 3) or by that of potentials.
 
     `reverted`, of the field's shape and non-zero where the result is f, fixes the limiter's choice. Finite differences
     need the choice fixed: the limiter is a switch, so a difference across it is no derivative.
     """
-    shape = tuple(field.shape)[:3]
-    return dr.custom(_Step, field, velocity, shape, method, float(h), outside, reverted, bool(dr.grad_enabled(field)))
+    if isinstance(velocity, PotentialVelocity):
+        arrays, source = velocity.potentials, velocity.source
+    else:
+        arrays, source = {"v": velocity}, lambda arrays: _GivenVelocity(arrays["v"])
+    return dr.custom(_Step, field, arrays, source, method, float(h), outside, reverted, bool(dr.grad_enabled(field)))
 
 
 def revert_mask(field: mi.TensorXf, velocity: mi.TensorXf, h: float = 1.0, outside: str = "zero") -> mi.TensorXf:
@@ -292,25 +297,16 @@ def advect(
         raise InputError(f"advect: h {h} given, expected a cell size > 0")
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise InputError(f"advect: steps {steps!r} given, expected a whole number >= 1 or 'auto'")
-    return advect_in_steps(field, v, method, h, outside, steps)
-
-
-def advect_in_steps(
-    field: mi.TensorXf, v: mi.TensorXf | mi.Vector3f, method: str, h: float, outside: str, steps: int | str
-) -> mi.TensorXf:
-    """As `advect`, with arguments that are known to be right; the velocity may also come as its components."""
     count = substeps(v, h) if steps == "auto" else steps
-    part = v if count == 1 else v * dr.rcp(opaque(count))
     for _ in range(count):
-        field = step(field, part, method, h, outside)
+        field = step(field, v, method, h * count, outside)
     return field
 
 
-def substeps(v: mi.TensorXf | mi.Vector3f, h: float) -> int:
+def substeps(v: mi.TensorXf, h: float) -> int:
     """Number of sub-steps that "auto" stands for: ⌈max |v| / h⌉, so that none crosses more than one cell."""
-    v = dr.detach(v)
-    vectors = dr.unravel(mi.Vector3f, v.array) if isinstance(v, mi.TensorXf) else v
-    fastest = dr.max(dr.norm(vectors))[0] if dr.width(vectors) else 0.0
+    values = dr.detach(v.array)
+    fastest = dr.max(dr.norm(dr.unravel(mi.Vector3f, values)))[0] if dr.width(values) else 0.0
     if not fastest / h <= _MOST_SUBSTEPS:
         raise InputError(
             f"advect: the largest displacement is {fastest:g} cells of size {h:g}, expected at most {_MOST_SUBSTEPS} "

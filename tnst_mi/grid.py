@@ -152,10 +152,14 @@ class Trilinear:
         #: For each axis, the coordinate of the lower and the upper cell, and whether each lies in the grid.
         coordinates, inside = [], []
         for axis in range(3):
-            pair = (low[axis], low[axis] + 1)
-            last = cells.size[axis] - 1
-            coordinates.append([dr.clip(i, 0, last) for i in pair])
-            inside.append([(i >= 0) & (i <= last) if outside == "zero" else mi.Bool(True) for i in pair])
+            pair = [low[axis], low[axis] + 1]
+            if outside == "edge":
+                coordinates.append([dr.clip(i, 0, cells.size[axis] - 1) for i in pair])
+                inside.append([mi.Bool(True)] * 2)
+            else:
+                # Negative coordinates are large without their sign.
+                coordinates.append(pair)
+                inside.append([mi.UInt32(i) < mi.UInt32(cells.size[axis]) for i in pair])
         self.corners = [
             (
                 (a, b, c),
@@ -167,49 +171,49 @@ class Trilinear:
             for a in (0, 1)
         ]
 
-    def _weight(self, corner: tuple[int, int, int], skip: int | None = None) -> mi.Float:
-        """Product of the per-axis weights of a corner, leaving out one axis on request."""
-        weight = mi.Float(1)
-        for axis, upper in enumerate(corner):
-            if axis != skip:
-                weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
-        return weight
-
     def read(self, values: mi.Float, channels: int) -> list[list[mi.Float]]:
         """Values of the eight cells: one list of channels per corner."""
         return [gather(values, index, channels, active) for _, index, active in self.corners]
 
     def value(self, corners: list[list[mi.Float]]) -> list[mi.Float]:
         """Interpolated value of every channel, from the corner values."""
-        weights = [self._weight(corner) for corner, _, _ in self.corners]
-        return [_weighted_sum(weights, [c[i] for c in corners]) for i in range(len(corners[0]))]
+        x, y, z = self.fraction
+        return [
+            self._along(z, self._along(y, self._along(x, list(channel))))[0] for channel in zip(*corners, strict=True)
+        ]
 
     def gradient(self, corners: list[list[mi.Float]]) -> list[mi.Vector3f]:
         """Derivative of every channel's interpolated value with respect to the position, per cell."""
+        x, y, z = self.fraction
         result = []
-        weights = [[self._weight(corner, axis) for corner, _, _ in self.corners] for axis in range(3)]
-        for i in range(len(corners[0])):
-            signed = [
-                [c[i] if corner[axis] else -c[i] for (corner, _, _), c in zip(self.corners, corners, strict=True)]
-                for axis in range(3)
-            ]
-            result.append(mi.Vector3f(*(_weighted_sum(weights[axis], signed[axis]) for axis in range(3))))
+        for channel in zip(*corners, strict=True):
+            in_x = self._along(x, list(channel))
+            in_y = self._along(y, in_x)
+            slope_x = self._along(z, self._along(y, self._differences(list(channel))))
+            slope_y = self._along(z, self._differences(in_x))
+            result.append(mi.Vector3f(*slope_x, *slope_y, *self._differences(in_y)))
         return result
 
+    @staticmethod
+    def _differences(values: list[mi.Float]) -> list[mi.Float]:
+        """Upper minus lower value of each pair."""
+        return [upper - lower for lower, upper in zip(values[::2], values[1::2], strict=True)]
+
+    @staticmethod
+    def _along(fraction: mi.Float, values: list[mi.Float]) -> list[mi.Float]:
+        """Linear interpolation of each pair: the corners change fastest along x, then along y."""
+        pairs = zip(values[::2], values[1::2], strict=True)
+        return [dr.fma(fraction, upper - lower, lower) for lower, upper in pairs]
+
     def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
-        """Transpose of `value`: add each channel's weighted value to the eight cells."""
+        """Transpose of `value`: add each channel's weighted value to the eight cells; a value of 0 costs nothing."""
         for corner, index, active in self.corners:
-            weight = self._weight(corner)
+            weight = mi.Float(1)
+            for axis, upper in enumerate(corner):
+                weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
             for c, value in enumerate(values):
                 slot = index if len(values) == 1 else index * len(values) + c
-                target.add(slot, weight * value, active)
-
-
-def _weighted_sum(weights: list[mi.Float], values: list[mi.Float]) -> mi.Float:
-    total = weights[0] * values[0]
-    for weight, value in zip(weights[1:], values[1:], strict=True):
-        total = dr.fma(weight, value, total)
-    return total
+                target.add(slot, weight * value, active & (value != 0))
 
 
 class RepeatableSum:

@@ -12,10 +12,13 @@ import drjit as dr
 import mitsuba as mi
 from mitsuba.ad.integrators.common import RBIntegrator
 
+from tnst_mi.back_projection import BackProjection
 from tnst_mi.boundary import crossing, first_surface
-from tnst_mi.grid import RepeatableSum, Trilinear, opaque
-from tnst_mi.medium import GridMedium, Lattice
+from tnst_mi.grid import RepeatableSum, opaque
+from tnst_mi.medium import GridMedium, Lattice, ParallelRays
+from tnst_mi.occupancy import Occupancy
 from tnst_mi.quadrature import QUADRATURES
+from tnst_mi.stencil import ClampedStencil
 
 
 class EmissionAbsorption(RBIntegrator):
@@ -85,11 +88,16 @@ class EmissionAbsorption(RBIntegrator):
         δL: mi.Spectrum | None,
         state_in: Any,
         active: mi.Bool,
+        parallel: ParallelRays | None = None,
         **kwargs: Any,  # Absorbs unused arguments
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
-        """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`."""
+        """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
+
+        To tell that the rays are `parallel` makes the adjoint faster.
+        """
         medium = self.resolve(scene)
         lattice, background, valid = self._intersect(scene, medium, ray, active)
+        lattice.rays = parallel
         if mode == dr.ADMode.Primal:
             L = self._radiance(medium, lattice, background)
         elif mode == dr.ADMode.Backward:
@@ -133,17 +141,32 @@ class EmissionAbsorption(RBIntegrator):
     # --------------------------------------------------------------------
 
     def _march(self, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
-        """Visit the samples of every ray from the sensor away; `visit(stencil, *state)` returns the next state."""
+        """Visit the samples of every ray from the sensor away; `visit(k, stencil, *state)` returns the next state."""
         k = dr.zeros(mi.UInt32, dr.width(lattice.count))
         result = dr.while_loop(
             state=(k, *state),
             cond=lambda k, *_: k < lattice.count,
-            body=lambda k, *state: (k + 1, *visit(lattice.stencil(k), *state)),
+            body=lambda k, *state: (k + 1, *visit(k, lattice.stencil(k), *state)),
             label=label,
         )
         return result[1:]
 
-    def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: Trilinear) -> Any:
+    def _march_smoke(self, medium: GridMedium, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
+        """As `_march`, with `visit(stencil, *state)`, passing over samples where the extinction is 0."""
+        occupancy = medium.occupancy
+        return self._march(lattice, state, lambda _, *rest: self._in_smoke(occupancy, visit, *rest), label)
+
+    def _in_smoke(self, occupancy: Occupancy, visit: Any, stencil: ClampedStencil, *state: Any) -> tuple:
+        """The state after `visit(stencil, *state)` where there may be smoke; unchanged elsewhere."""
+        return dr.if_stmt(
+            args=state,
+            cond=occupancy.at(stencil.lower),
+            true_fn=lambda *state: visit(stencil, *state),
+            false_fn=lambda *state: state,
+            label="smoke",
+        )
+
+    def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: ClampedStencil) -> Any:
         """Interpolated extinction: `mi.Float` for a grey medium, `mi.Color3f` for a coloured one."""
         value = stencil.value(stencil.read(tensor.array, medium.channels))
         scale = opaque(medium.scale)
@@ -161,19 +184,19 @@ class EmissionAbsorption(RBIntegrator):
 
         if self.quadrature == "paper":
 
-            def visit(stencil: Trilinear, τ: Any, L: Any) -> tuple:
+            def visit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
                 σ = self._extinction(medium, σ_t, stencil)
                 τ = τ + h * σ
                 return τ, L + h * σ * dr.exp(-τ)
 
-            τ, L = self._march(lattice, (zeros, zeros), visit, "emission_absorption")
+            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), visit, "emission_absorption")
             L *= inv_gamma
         else:
             # The segments' transmittances telescope: only the optical depth is needed.
-            def visit(stencil: Trilinear, τ: Any) -> tuple:
+            def visit(stencil: ClampedStencil, τ: Any) -> tuple:
                 return (τ + h * self._extinction(medium, σ_t, stencil),)
 
-            (τ,) = self._march(lattice, (zeros,), visit, "emission_absorption")
+            (τ,) = self._march_smoke(medium, lattice, (zeros,), visit, "emission_absorption")
             L = -_expm1(-τ)
             if self.quadrature == "exact":
                 L *= inv_gamma
@@ -190,48 +213,69 @@ class EmissionAbsorption(RBIntegrator):
         with dr.resume_grad():
             if not dr.grad_enabled(medium.extinction):
                 return
-        σ_t = dr.detach(medium.extinction)
-        inv_gamma = opaque(1 / self.gamma)
-        h = lattice.step
         L = mi.Spectrum(L)
         if medium.channels == 1:
             A, B = dr.sum(δL), dr.sum(δL * L)
         else:
             A, B = mi.Color3f(δL), mi.Color3f(δL * L)
-        zeros = self._zeros(medium, lattice)
 
-        limit = inv_gamma if self.quadrature != "transmittance" else mi.Float(1)
-        scale = opaque(medium.scale)
-        bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * h * dr.abs(scale)
-        size = dr.width(σ_t.array)
-        total = RepeatableSum(size, bound, dr.width(lattice.count) * lattice.longest)
+        if lattice.rays is not None and medium.channels == 1:
+            projection = BackProjection(medium, lattice)
+            self._march_adjoint(medium, lattice, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
+            with dr.resume_grad():
+                # Taken out of the AD graph, whose reference to it would make an addition in place copy the array.
+                total = dr.grad(medium.extinction).array
+                dr.clear_grad(medium.extinction)
+            projection.add_to(total)
+            dr.eval(total)
+        else:
+            limit = self._limit
+            bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * lattice.step * dr.abs(opaque(medium.scale))
+            size, addends = dr.width(medium.extinction.array), dr.width(lattice.count) * lattice.longest
+            sums = RepeatableSum(size, bound, addends)
+            self._march_adjoint(medium, lattice, A, B, lambda _, stencil, adjoint: stencil.splat(sums, adjoint))
+            total = sums.result()
+        with dr.resume_grad():
+            dr.accum_grad(medium.extinction, mi.TensorXf(total, tuple(medium.extinction.shape)))
 
-        def splat(stencil: Trilinear, adjoint: Any) -> None:
-            values = [adjoint] if medium.channels == 1 else [adjoint.x, adjoint.y, adjoint.z]
-            stencil.splat(total, values)
+    def _march_adjoint(self, medium: GridMedium, lattice: Lattice, A: Any, B: Any, deposit: Any) -> None:
+        """Call `deposit(k, stencil, δL ∂L/∂σ_k)` for every sample, given A = δL and B = δL · L."""
+        σ_t = dr.detach(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h, scale = lattice.step, opaque(medium.scale)
+        label = "emission_absorption adjoint"
 
         if self.quadrature == "paper":
+            occupancy = medium.occupancy
 
-            def visit(stencil: Trilinear, τ: Any, S: Any) -> tuple:
+            def absorb(stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
                 σ = self._extinction(medium, σ_t, stencil)
                 τ = τ + h * σ
-                E = dr.exp(-τ)
-                splat(stencil, (A * (E * inv_gamma + S) - B) * h * scale)
-                return τ, S + h * σ * E * inv_gamma
+                T = dr.exp(-τ)
+                return τ, T, S + h * σ * T * inv_gamma
 
-            self._march(lattice, (zeros, zeros), visit, "emission_absorption adjoint")
+            def visit(k: mi.UInt32, stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
+                # Empty space, too, has a derivative: it could emit and absorb.
+                before = S
+                τ, T, S = self._in_smoke(occupancy, absorb, stencil, τ, T, S)
+                deposit(k, stencil, (A * (T * inv_gamma + before) - B) * h * scale)
+                return τ, T, S
+
+            zeros = self._zeros(medium, lattice)
+            self._march(lattice, (zeros, zeros + 1, zeros), visit, label)
         else:
-            constant = (A * limit - B) * h * scale
+            constant = (A * self._limit - B) * h * scale
 
-            def visit(stencil: Trilinear) -> tuple:
-                splat(stencil, constant)
+            def visit(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
+                deposit(k, stencil, constant)
                 return ()
 
-            self._march(lattice, (), visit, "emission_absorption adjoint")
+            self._march(lattice, (), visit, label)
 
-        gradient = mi.TensorXf(total.result(), tuple(medium.extinction.shape))
-        with dr.resume_grad():
-            dr.accum_grad(medium.extinction, gradient)
+    @property
+    def _limit(self) -> mi.Float:
+        """The radiance of opaque smoke."""
+        return opaque(1 / self.gamma if self.quadrature != "transmittance" else 1.0)
 
     def _tangent(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
         """Derivative of the radiance along the tangent of the extinction tensor."""
@@ -241,7 +285,7 @@ class EmissionAbsorption(RBIntegrator):
         h = lattice.step
         zeros = self._zeros(medium, lattice)
 
-        def visit(stencil: Trilinear, τ: Any, τ_dot: Any, L_dot: Any) -> tuple:
+        def visit(_: mi.UInt32, stencil: ClampedStencil, τ: Any, τ_dot: Any, L_dot: Any) -> tuple:
             σ = self._extinction(medium, σ_t, stencil)
             δσ = self._extinction(medium, σ_dot, stencil)
             τ, τ_dot = τ + h * σ, τ_dot + h * δσ

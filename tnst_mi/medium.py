@@ -13,7 +13,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.grid import Cells, Shape, Trilinear, opaque
+from tnst_mi.grid import Shape, opaque
+from tnst_mi.occupancy import Occupancy
+from tnst_mi.stencil import ClampedStencil
 
 
 class _Children(mi.TraversalCallback):
@@ -114,6 +116,8 @@ class GridMedium:
         self.shape = found[0]
         self.medium = self.shape.interior_medium()
         self.volume = _children(self.medium).get("sigma_t")
+        self._parameters = mi.traverse(self.medium)
+        self._occupancy: Occupancy | None = None
         if self.volume is None or "data" not in mi.traverse(self.volume):
             raise RuntimeError("emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t")
         if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
@@ -138,9 +142,8 @@ class GridMedium:
 
     def refresh(self) -> None:
         """Take over the current extinction and scale, which `params.update()` may have replaced."""
-        parameters = mi.traverse(self.medium)
-        self.extinction = parameters["sigma_t.data"]
-        self.scale = float(parameters["scale"])
+        self.extinction = self._parameters["sigma_t.data"]
+        self.scale = float(self._parameters["scale"])
 
     @property
     def channels(self) -> int:
@@ -151,6 +154,29 @@ class GridMedium:
     def grid_shape(self) -> Shape:
         """(D, H, W) of the grid."""
         return tuple(self.extinction.shape[:3])
+
+    @property
+    def occupancy(self) -> Occupancy:
+        """Where the extinction is not 0; found once for each array of values."""
+        values = dr.detach(self.extinction).array
+        # The occupancy keeps its values alive, so that no other array can take over their index.
+        if self._occupancy is None or self._occupancy.values.index != values.index:
+            self._occupancy = Occupancy(values, self.grid_shape, self.channels)
+        return self._occupancy
+
+
+@dataclass(frozen=True)
+class ParallelRays:
+    """Tells that rays are those of one orthographic view, and so their samples a regular lattice.
+
+    Attributes:
+        width, height: the rays go through this many evenly spaced pixels, row by row, of at least two each.
+        direction: of all rays in world space, a unit vector (3,).
+    """
+
+    width: int
+    height: int
+    direction: np.ndarray
 
 
 class Lattice:
@@ -170,7 +196,9 @@ class Lattice:
     Attributes:
         entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
         count: number of samples of each ray.
-        longest: no ray has more samples than this.
+        spacing, step: distance between samples in world units, as a number of the host and of the device.
+        rays: set where the rays are those of one view.
+        first: for each ray, where in the sequence k − (n − 1)/2 (rounded down) its first sample is.
     """
 
     def __init__(
@@ -205,14 +233,20 @@ class Lattice:
         last = dr.floor(end / self.step - phase)
         self.count = mi.UInt32(mi.Int32(dr.select(last >= first, last - first + 1, 0)))
         self.increment = direction * self.step
-        self.origin = origin + (dr.select(last >= first, first, 0) + phase) * self.increment
-        self.longest = math.ceil(medium.transform.diagonal() / step) + 2
-        self.cells = Cells((d, h, w), mi.Vector3i(size), mi.Int32(0), mi.Int32(0), mi.Int32(0))
+        self.first = dr.select(last >= first, first, 0)
+        self.origin = origin + (self.first + phase) * self.increment
+        self.shape, self.spacing, self._diagonal = (d, h, w), step, medium.transform.diagonal
+        self.rays: ParallelRays | None = None
+
+    @property
+    def longest(self) -> int:
+        """No ray has more samples than this."""
+        return math.ceil(self._diagonal() / self.spacing) + 2
 
     def leave_out(self, hidden: mi.Bool) -> None:
         """Take all samples from some of the rays."""
         self.count = dr.select(hidden, 0, self.count)
 
-    def stencil(self, k: mi.UInt32) -> Trilinear:
-        """The eight cells around sample k; inside its box the grid is clamped, as gridvolume does."""
-        return Trilinear(self.cells, dr.fma(self.increment, mi.Float(k), self.origin), "edge")
+    def stencil(self, k: mi.UInt32 | mi.Float) -> ClampedStencil:
+        """The eight cells around sample k, counted from the first of each ray."""
+        return ClampedStencil(self.shape, dr.fma(self.increment, mi.Float(k), self.origin))

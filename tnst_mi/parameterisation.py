@@ -6,9 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.advection import advect_in_steps
-from tnst_mi.grid import Octave, opaque
-from tnst_mi.potentials import velocity, velocity_components
+from tnst_mi.advection import advect, step
+from tnst_mi.grid import Divisor, Octave, opaque, stored
+from tnst_mi.potentials import PotentialVelocity, velocity
 from tnst_mi.pyramid import gaussian, normalise
 from tnst_mi.resample import resample_potential
 
@@ -73,26 +73,36 @@ class Parameterisation:
         """Set each field's step to η · unit step · mask · N(g).
 
         N(g) is the gradient, blurred by `sigma` cells of the octave and with the bands of its Laplacian pyramid
-        normalised, each field by itself.
+        normalised, each field by itself. The gradients are used up: their memory is needed.
         """
         size = opaque(eta * self.unit_step(rows))
         for name, field in self.fields.items():
-            direction = normalise(gaussian(dr.grad(field), sigma), levels)
-            self.steps[name] = size * times(mask, direction)
-        dr.eval(self.steps)
+            direction = normalise(gaussian(_taken_gradient(field), sigma), levels)
+            self.steps[name] = times(size * mask, direction)
+            dr.eval(self.steps[name])
 
     def descend(self) -> None:
         """Take the steps: field ← field − step."""
-        for name, step in self.steps.items():
-            self.fields[name] = dr.detach(self.fields[name]) - step
+        for name, change in self.steps.items():
+            self.fields[name] = dr.detach(self.fields[name]) - change
         dr.eval(self.fields)
+
+
+def _taken_gradient(field: mi.TensorXf) -> mi.TensorXf:
+    """The gradient of a field, which loses it."""
+    gradient = dr.grad(field)
+    dr.clear_grad(field)
+    return gradient
 
 
 def times(weight: mi.TensorXf, field: mi.TensorXf) -> mi.TensorXf:
     """A field (D, H, W) or (D, H, W, 3) with every component multiplied by a scalar one (D, H, W)."""
     if len(field.shape) == 3:
         return weight * field
-    return mi.TensorXf(weight.array, (*weight.shape, 1)) * field
+    cell, _ = Divisor(field.shape[3]).split(dr.arange(mi.UInt32, dr.width(field.array)))
+    product = stored(dr.gather(mi.Float, weight.array, cell) * field.array)
+    dr.eval(product)
+    return mi.TensorXf(product, field.shape)
 
 
 class Transport(Parameterisation):
@@ -120,8 +130,10 @@ class Transport(Parameterisation):
     def density(self, density: mi.TensorXf) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
         h = self.octave.cell_size
-        v = velocity_components(self.fields.get("phi"), self.fields.get("psi"), self.lam, h)
-        return advect_in_steps(density, v, "maccormack", h, "zero", self.substeps)
+        if self.substeps == 1:
+            v = PotentialVelocity(self.fields.get("phi"), self.fields.get("psi"), self.lam, h)
+            return step(density, v, "maccormack", h, "zero")
+        return advect(density, self.velocity(), "maccormack", h, "zero", self.substeps)
 
     def unit_step(self, rows: int) -> float:
         """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""

@@ -6,6 +6,9 @@ commute: the divergence of ∇×Ψ, taken with the same differences, vanishes to
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 
@@ -45,66 +48,101 @@ class _AxisDifference:
         return (below - above + own) * self.scale
 
 
-class _Velocity(dr.CustomOp):
-    """(Φ, Ψ) → v; linear, so that its derivative in forward mode is the map itself."""
+@dataclass(frozen=True)
+class PotentialVelocity:
+    """v at the cells that ask for it, so that it need not be stored, and the transpose of that linear map.
 
-    def eval(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None, shape: Shape, lam: float, h: float) -> mi.Vector3f:
-        self.shape, self.lam, self.h = shape, lam, h
-        self.has_phi, self.has_psi = phi is not None, psi is not None
-        return self._map(phi, psi)
+    Args:
+        phi: Φ (D, H, W), None for an absent one.
+        psi: Ψ (D, H, W, 3), None for an absent one.
+        lam: λ.
+        h: size of a cell in full-resolution cells.
+    """
 
-    def _differences(self) -> list[_AxisDifference]:
-        cells = Cells.of(self.shape)
+    phi: mi.TensorXf | None
+    psi: mi.TensorXf | None
+    lam: float
+    h: float
+
+    @property
+    def potentials(self) -> dict[str, mi.TensorXf]:
+        """Those that are present, by name."""
+        return {name: value for name, value in (("phi", self.phi), ("psi", self.psi)) if value is not None}
+
+    @property
+    def source(self) -> Callable[[dict[str, mi.TensorXf]], PotentialVelocity]:
+        """The map from potentials by name to their velocity."""
+        lam, h = self.lam, self.h
+        return lambda potentials: PotentialVelocity(potentials.get("phi"), potentials.get("psi"), lam, h)
+
+    @property
+    def shape(self) -> Shape:
+        """(D, H, W)."""
+        return tuple(self.phi.shape) if self.phi is not None else tuple(self.psi.shape)[:3]
+
+    def _differences(self, cells: Cells) -> list[_AxisDifference]:
         scale = dr.rcp(opaque(self.h))
         return [_AxisDifference(cells, axis, scale) for axis in range(3)]
 
-    def _map(self, phi: mi.TensorXf | None, psi: mi.TensorXf | None) -> mi.Vector3f:
-        d = self._differences()
+    def at(self, cells: Cells) -> mi.Vector3f:
+        """v in full-resolution cells per frame."""
+        d = self._differences(cells)
         v = mi.Vector3f(0)
-        if phi is not None:
-            v += mi.Vector3f(*(difference.apply(phi.array) for difference in d)) * opaque(self.lam)
-        if psi is not None:
-            p = psi.array
+        if self.phi is not None:
+            v += mi.Vector3f(*(difference.apply(self.phi.array) for difference in d)) * opaque(self.lam)
+        if self.psi is not None:
+            p = self.psi.array
             curl = mi.Vector3f(
                 d[1].apply(p, 3, 2) - d[2].apply(p, 3, 1),
                 d[2].apply(p, 3, 0) - d[0].apply(p, 3, 2),
                 d[0].apply(p, 3, 1) - d[1].apply(p, 3, 0),
             )
             v += curl * opaque(1 - self.lam)
-        components = mi.Vector3f(*(stored(component) for component in v))
-        dr.eval(components)
-        return components
+        return v
 
-    def forward(self) -> None:
-        self.set_grad_out(
-            self._map(self.grad_in("phi") if self.has_phi else None, self.grad_in("psi") if self.has_psi else None)
-        )
-
-    def backward(self) -> None:
-        d = self._differences()
-        g = self.grad_out()
-        if self.has_phi:
+    def transpose(self, g: mi.Vector3f) -> dict[str, mi.TensorXf]:
+        """From ∂L/∂v at all cells, one array in memory for each component, to ∂L/∂Φ and ∂L/∂Ψ, as far as present."""
+        d = self._differences(Cells.of(self.shape))
+        result = {}
+        if self.phi is not None:
             grad_phi = d[0].transpose(g.x) + d[1].transpose(g.y) + d[2].transpose(g.z)
-            self.set_grad_in("phi", mi.TensorXf(stored(grad_phi * opaque(self.lam)), self.shape))
-        if self.has_psi:
+            result["phi"] = mi.TensorXf(stored(grad_phi * opaque(self.lam)), self.shape)
+        if self.psi is not None:
             grad_psi = mi.Vector3f(
                 d[2].transpose(g.y) - d[1].transpose(g.z),
                 d[0].transpose(g.z) - d[2].transpose(g.x),
                 d[1].transpose(g.x) - d[0].transpose(g.y),
             )
-            self.set_grad_in("psi", mi.TensorXf(dr.ravel(grad_psi * opaque(1 - self.lam)), (*self.shape, 3)))
+            result["psi"] = mi.TensorXf(dr.ravel(grad_psi * opaque(1 - self.lam)), (*self.shape, 3))
+        dr.eval(result)
+        return result
+
+
+class _Velocity(dr.CustomOp):
+    """The velocity as a tensor; linear, so that its derivative in forward mode is the map itself."""
+
+    def eval(
+        self,
+        potentials: dict[str, mi.TensorXf],
+        source: Callable[[dict[str, mi.TensorXf]], PotentialVelocity],
+    ) -> mi.TensorXf:
+        self.source, self.velocity = source, source(potentials)
+        return self._tensor(self.velocity)
+
+    @staticmethod
+    def _tensor(velocity: PotentialVelocity) -> mi.TensorXf:
+        return mi.TensorXf(dr.ravel(velocity.at(Cells.of(velocity.shape))), (*velocity.shape, 3))
+
+    def forward(self) -> None:
+        self.set_grad_out(self._tensor(self.source(self.grad_in("potentials"))))
+
+    def backward(self) -> None:
+        g = mi.Vector3f(*(stored(component) for component in dr.unravel(mi.Vector3f, self.grad_out().array)))
+        dr.eval(g)
+        self.set_grad_in("potentials", self.velocity.transpose(g))
 
     def name(self) -> str:
         return "velocity"
-
-
-def velocity_components(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: float) -> mi.Vector3f:
-    """As `velocity`, with arguments that are known to be right: an array for each component, in storage order.
-
-    This is how the velocity is best kept between kernels: a thread's neighbours read what lies next to each other.
-    """
-    shape = tuple(phi.shape) if phi is not None else tuple(psi.shape)[:-1]
-    return dr.custom(_Velocity, phi, psi, shape, float(lam), float(h))
 
 
 @any_array_kind("phi", "psi")
@@ -131,4 +169,5 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         raise InputError(f"velocity: {found} given, expected (D, H, W) and (D, H, W, 3) on the same grid")
     if not 0.0 <= lam <= 1.0 or not h > 0.0:
         raise InputError(f"velocity: lam {lam} and h {h} given, expected 0 <= lam <= 1 and h > 0")
-    return mi.TensorXf(dr.ravel(velocity_components(phi, psi, lam, h)), (*shape, 3))
+    velocity_of = PotentialVelocity(phi, psi, float(lam), float(h))
+    return dr.custom(_Velocity, velocity_of.potentials, velocity_of.source)

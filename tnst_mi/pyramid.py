@@ -23,8 +23,9 @@ FLOOR = 1e-10
 #: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.
 _AXES = (0, 1, 2)
 
-#: Results along the axis of a filter that one thread computes.
-_RUN = 8
+#: Results along the axis that one thread computes of the blur and of the reduction. More share more reads; too many
+#: leave too little of what is read in the cache.
+_BLUR_RUN, _REDUCE_RUN = 8, 4
 
 #: Coarse cells in a row that one thread interpolates between; each becomes two fine cells on every axis.
 _BLOCK = 4
@@ -34,26 +35,29 @@ _ONCE = dr.ReduceMode.NoConflicts
 
 
 class _Runs:
-    """A pass along one axis: each thread reads a part of a line of cells, and writes `_RUN` cells of the result.
+    """A pass along one axis: each thread reads a part of a line of cells, and writes `run` cells of the result.
 
     Args:
         field: (D, H, W) or (D, H, W, C).
         axis: the axis of the pass.
         length: cells of the result along the axis.
+        run: how many of them a thread computes.
         boundary: "nearest", "reflect" or "zero": what is read outside the field, up to `margin` cells from it.
     """
 
-    def __init__(self, field: mi.TensorXf, axis: int, length: int, boundary: str = "nearest", margin: int = 0) -> None:
+    def __init__(
+        self, field: mi.TensorXf, axis: int, length: int, run: int, boundary: str = "nearest", margin: int = 0
+    ) -> None:
         shape = list(field.shape)
         self.source, self.source_length, shape[axis] = field.array, shape[axis], length
         self.shape, self.boundary, self.margin = tuple(shape), boundary, margin
         self.result = dr.empty(mi.Float, math.prod(shape))
 
-        inner, runs = math.prod(shape[axis + 1 :]), -(-length // _RUN)
+        inner, runs = math.prod(shape[axis + 1 :]), -(-length // run)
         row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape[:axis]) * runs * inner))
-        outer, run = Divisor(runs).split(row)
+        outer, number = Divisor(runs).split(row)
         #: Position of the thread's first result along the axis.
-        self.first = mi.Int32(run) * _RUN
+        self.first = mi.Int32(number) * run
         self.length, self.last, self.inner = opaque_int(length), opaque_int(self.source_length - 1), opaque_int(inner)
         self.source_start = mi.Int32(outer) * opaque_int(self.source_length * inner) + mi.Int32(offset)
         self.start = mi.Int32(outer) * opaque_int(length * inner) + mi.Int32(offset)
@@ -97,10 +101,15 @@ def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect") -> mi.
     total = half[0] + 2 * math.fsum(half[1:])
     weights = [opaque(w / total) for w in half]
     for axis in _AXES:
-        runs = _Runs(field, axis, field.shape[axis], boundary, radius)
-        values = [runs.read(runs.first + k) for k in range(-radius, _RUN + radius)]
-        field = runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(_RUN)])
+        field = _blurred(field, axis, weights, boundary)
     return field
+
+
+def _blurred(field: mi.TensorXf, axis: int, weights: list[mi.Float], boundary: str) -> mi.TensorXf:
+    radius = len(weights) - 1
+    runs = _Runs(field, axis, field.shape[axis], _BLUR_RUN, boundary, radius)
+    values = [runs.read(runs.first + k) for k in range(-radius, _BLUR_RUN + radius)]
+    return runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(_BLUR_RUN)])
 
 
 def _weighted(values: list[mi.Float], weights: list[mi.Float]) -> mi.Float:
@@ -114,12 +123,16 @@ def _weighted(values: list[mi.Float], weights: list[mi.Float]) -> mi.Float:
 
 def reduce(field: mi.TensorXf) -> mi.TensorXf:
     """Blur with [1, 4, 6, 4, 1]/16 and keep every second cell, ⌈n/2⌉ of n, on each spatial axis."""
-    weights = [mi.Float(6 / 16), mi.Float(4 / 16), mi.Float(1 / 16)]
     for axis in _AXES:
-        runs = _Runs(field, axis, (field.shape[axis] + 1) // 2)
-        values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * _RUN + 1)]
-        field = runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(_RUN)])
+        field = _reduced(field, axis)
     return field
+
+
+def _reduced(field: mi.TensorXf, axis: int) -> mi.TensorXf:
+    weights = [mi.Float(6 / 16), mi.Float(4 / 16), mi.Float(1 / 16)]
+    runs = _Runs(field, axis, (field.shape[axis] + 1) // 2, _REDUCE_RUN)
+    values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * _REDUCE_RUN + 1)]
+    return runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(_REDUCE_RUN)])
 
 
 def _interpolated(values: list) -> list:

@@ -75,12 +75,27 @@ class ScatteringScene(GridScene):
         """A seed for the next pass, unlike that of any other: primal and adjoint share no random numbers."""
         return int(self._seeds.integers(1 << 32))
 
-    def show(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
-        """Put an extinction (D, H, W) per full-resolution cell and a set of views into the scene."""
-        largest = float(dr.max(dr.detach(extinction), axis=None).array[0])
+    def show(self, density: mi.TensorXf, views: Sequence[View]) -> None:
+        """Put a density (D, H, W) and a set of views into the scene."""
+        largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
         if _LEAST_SLACK * largest > self._majorant:
             self._load(_SLACK * largest)
-        self.place(extinction, views)
+        self.place(density, views)
+
+    def image(self) -> mi.TensorXf:
+        """What the views show, (V, H, W)."""
+        image = self.scene.integrator().render(
+            self.scene, self.sensor, seed=self.next_seed(), spp=self.spp, evaluate=False
+        )
+        return mi.TensorXf(image.array, (self.view_count, *self.shape[1:]))
+
+    def back_project(self, images: mi.TensorXf, image_gradient: mi.TensorXf) -> None:
+        """Accumulate a gradient (V, H, W) with respect to `image` in that of the density, along paths of its own."""
+        _, rows, columns = self.shape
+        gradient = mi.TensorXf(image_gradient.array, (self.view_count * rows, columns, 1))
+        self.scene.integrator().render_backward(
+            self.scene, self.parameters, gradient, self.sensor, seed=self.next_seed(), spp=self.spp
+        )
 
     def _load(self, majorant: float) -> None:
         lighting = self._lighting
@@ -95,7 +110,8 @@ class ScatteringScene(GridScene):
         medium = description["smoke"]["interior"]
         medium["albedo"] = lighting.albedo
         medium["phase"] = {"type": "hg", "g": lighting.anisotropy} if lighting.anisotropy else {"type": "isotropic"}
-        medium["sigma_t"]["max_value"] = majorant
+        # Mitsuba multiplies it by the medium's scale, which is γ.
+        medium["sigma_t"]["max_value"] = majorant / self.gamma
         # Kept: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)
         emitters = {f"light_{index}": emitter for index, emitter in enumerate(self._light.emitters())}

@@ -17,13 +17,14 @@ import numpy as np
 
 from tnst_mi.arrays import any_array_kind
 from tnst_mi.errors import InputError
-from tnst_mi.grid import Shape, opaque
+from tnst_mi.grid import Shape, opaque_int
 from tnst_mi.quadrature import QUADRATURES
 
 #: (azimuth, elevation) in degrees.
 View = tuple[float, float]
 
-_EXTINCTION = "smoke.interior_medium.sigma_t.data"
+_DENSITY = "smoke.interior_medium.sigma_t.data"
+_SCALE = "smoke.interior_medium.scale"
 
 #: Majorant of the medium. This integrator needs none; a fixed one spares Mitsuba from reading the
 #: maximum back to the host after each change of the density.
@@ -119,16 +120,40 @@ class GridScene:
         """Images (V, H, W) of a density (D, H, W), differentiable in the density; row 0 is at the top."""
         return dr.custom(_RenderViews, density, self, tuple(views))
 
-    def show(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
-        """Put an extinction (D, H, W) per full-resolution cell and a set of views into the scene."""
+    def show(self, density: mi.TensorXf, views: Sequence[View]) -> None:
+        """Put a density (D, H, W) and a set of views into the scene."""
         self.scene.integrator().gamma = self.gamma
-        self.place(extinction, views)
+        self.place(density, views)
 
-    def place(self, extinction: mi.TensorXf, views: Sequence[View]) -> None:
+    def place(self, density: mi.TensorXf, views: Sequence[View]) -> None:
         """As `show`, with whatever γ the integrator has."""
         self.sensor.set_views(views)
-        self.parameters[_EXTINCTION] = mi.TensorXf(extinction.array, (*self.shape, 1))
+        # σ_t = γ d without a copy: the medium's scale is γ.
+        self.parameters[_SCALE] = self.gamma
+        self.parameters[_DENSITY] = mi.TensorXf(density.array, (*self.shape, 1))
         self.parameters.update()
+
+    def image(self) -> mi.TensorXf:
+        """What the views show, (V, H, W)."""
+        return mi.TensorXf(self._sample(dr.ADMode.Primal, 0, self.view_count), (self.view_count, *self.shape[1:]))
+
+    def back_project(self, images: mi.TensorXf, image_gradient: mi.TensorXf) -> None:
+        """Accumulate a gradient (V, H, W) with respect to `image`, which gave `images`, in that of the density."""
+        _, rows, columns = self.shape
+        pixels = dr.arange(mi.UInt32, rows * columns)
+        # View by view, since the adjoint of every sample of a view is stored.
+        for view in range(self.view_count):
+            pixel = pixels + mi.UInt32(opaque_int(view * rows * columns))
+            L, δL = (dr.gather(mi.Float, image.array, pixel) for image in (images, image_gradient))
+            parallel = self.sensor.parallel_rays(view)
+            self._sample(dr.ADMode.Backward, view, 1, state_in=L, δL=mi.Spectrum(δL, 0, 0), parallel=parallel)
+
+    def _sample(self, mode: dr.ADMode, first_view: int, count: int, **arguments: object) -> mi.Float:
+        """Call the integrator for the rays through all pixel centres of some views, without the detour of a film."""
+        ray = self.sensor.pixel_rays(first_view, count)
+        arguments = {"state_in": None, "δL": None} | arguments
+        L = self.scene.integrator().sample(mode, self.scene, None, ray, active=mi.Bool(True), **arguments)[0]
+        return L[0]
 
 
 class _RenderViews(dr.CustomOp):
@@ -137,37 +162,33 @@ class _RenderViews(dr.CustomOp):
     def eval(self, density: mi.TensorXf, scene: GridScene, views: tuple[View, ...]) -> mi.TensorXf:
         self.density, self.scene, self.views = density, scene, views
         with dr.suspend_grad():
-            scene.show(density * opaque(scene.gamma), views)
-            image = scene.scene.integrator().render(
-                scene.scene, scene.sensor, seed=scene.next_seed(), spp=scene.spp, evaluate=False
-            )
-        return mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:]))
+            scene.show(density, views)
+            self.images = scene.image()
+        # The adjoint needs them again, and must not have to march for them.
+        dr.eval(self.images)
+        return self.images
 
-    def _attached_extinction(self) -> mi.TensorXf:
-        extinction = self.density * opaque(self.scene.gamma)
-        dr.enable_grad(extinction)
-        self.scene.show(extinction, self.views)
-        return self.scene.parameters[_EXTINCTION]
+    def _attached_density(self) -> mi.TensorXf:
+        density = dr.detach(self.density)
+        dr.enable_grad(density)
+        self.scene.show(density, self.views)
+        return self.scene.parameters[_DENSITY]
 
     def forward(self) -> None:
         scene = self.scene
         with dr.resume_grad():
-            extinction = self._attached_extinction()
-            tangent = self.grad_in("density").array * opaque(scene.gamma)
-            dr.set_grad(extinction, mi.TensorXf(tangent, tuple(extinction.shape)))
+            density = self._attached_density()
+            dr.set_grad(density, mi.TensorXf(self.grad_in("density").array, tuple(density.shape)))
             image = scene.scene.integrator().render_forward(scene.scene, scene.parameters, scene.sensor, spp=1)
         self.set_grad_out(mi.TensorXf(image.array, (scene.view_count, *scene.shape[1:])))
 
     def backward(self) -> None:
-        scene = self.scene
-        _, rows, columns = scene.shape
-        image_gradient = mi.TensorXf(self.grad_out().array, (scene.view_count * rows, columns, 1))
+        scene, image_gradient = self.scene, self.grad_out()
         with dr.resume_grad():
-            extinction = self._attached_extinction()
-            scene.scene.integrator().render_backward(
-                scene.scene, scene.parameters, image_gradient, scene.sensor, seed=scene.next_seed(), spp=scene.spp
-            )
-            gradient = dr.grad(extinction).array * opaque(scene.gamma)
+            density = self._attached_density()
+            with dr.suspend_grad():
+                scene.back_project(self.images, image_gradient)
+            gradient = dr.grad(density).array
         self.set_grad_in("density", mi.TensorXf(gradient, scene.shape))
 
     def name(self) -> str:
