@@ -14,14 +14,14 @@ def window_weights(window: int, kind: str = "uniform") -> np.ndarray:
     Args:
         window: odd number of frames, 2w + 1.
         kind: "uniform", as in the paper's program; "triangle", falling to 0 at the first frame outside; or "gaussian"
-            with a standard deviation of w/3.
+            with a standard deviation of w/4.
     """
     reach = window // 2
     distance = np.arange(reach + 1)
     weights = {
         "uniform": np.ones(reach + 1),
         "triangle": 1 - distance / (reach + 1),
-        "gaussian": np.exp(-0.5 * (3 * distance / max(reach, 1)) ** 2),
+        "gaussian": np.exp(-0.5 * (4 * distance / max(reach, 1)) ** 2),
     }[kind]
     return weights / (weights[0] + 2 * weights[1:].sum())
 
