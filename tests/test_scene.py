@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from pathlib import Path
 
 import drjit as dr
@@ -275,8 +277,63 @@ def test_gradient_has_the_same_bits_in_every_run(quadrature: str) -> None:
 
 
 # --------------------------------------------------------------------
-# Kernels and arguments
+# Empty space
 # --------------------------------------------------------------------
+
+
+def scattered_cells(seed: int) -> np.ndarray:
+    """Few cells that are not 0, some of them on the faces of the blocks that a march passes over as a whole."""
+    rng, density = np.random.default_rng(seed), np.zeros((13, 18, 11), np.float32)
+    for cell in rng.integers(0, density.shape, (12, 3)):
+        density[tuple(cell)] = rng.uniform(0.5, 1)
+    density[3, 4, 7] = density[4, 8, 3] = density[8, 7, 8] = 0.8
+    return density
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_isolated_cell_is_passed_over(seed: int) -> None:
+    density = scattered_cells(seed)
+    for view, image in zip(VIEWS, tnst_mi.render(density, VIEWS, 0.5), strict=True):
+        expected = ray_march.render(density, view, 0.5)
+        np.testing.assert_allclose(image, expected, rtol=0, atol=1e-4 * expected.max(), err_msg=str(view))
+
+
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+def test_empty_space_has_its_gradient(quadrature: str) -> None:
+    """Smoke could appear there: against central differences along changes of empty cells alone."""
+    rng, density = np.random.default_rng(16), scattered_cells(16)
+    weights = smooth_noise(rng, 3, *density.shape[1:])
+
+    def objective(point: np.ndarray) -> float:
+        return float((tnst_mi.render(point, VIEWS[1:4], 0.5, quadrature).astype(np.float64) * weights).sum())
+
+    directions = [smooth_noise(rng, *density.shape) * (density == 0) for _ in range(16)]
+    exact = gradient(density, weights, VIEWS[1:4], 0.5, quadrature)
+    assert directional_error(objective, exact, density, directions, 1e-2) <= 1e-3
+
+
+# --------------------------------------------------------------------
+# Kernels, memory and arguments
+# --------------------------------------------------------------------
+
+
+def test_what_a_view_stores_is_freed_without_garbage_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tnst_mi.back_projection import BackProjection
+
+    stored = []
+    initialise = BackProjection.__init__
+
+    def watched(self: BackProjection, *arguments: object) -> None:
+        stored.append(weakref.ref(self))
+        initialise(self, *arguments)
+
+    monkeypatch.setattr(BackProjection, "__init__", watched)
+    gc.disable()
+    try:
+        gradient(smoke(17, *SHAPE), np.ones((2, *SHAPE[1:]), np.float32), VIEWS[:2], 0.5)
+        assert [reference() for reference in stored] == [None, None]
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("changed", ["density", "views", "gamma", "h"])

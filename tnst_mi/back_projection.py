@@ -7,7 +7,7 @@ reads the samples around it, of which there are about eight as well, and adds th
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
 
 import drjit as dr
 import mitsuba as mi
@@ -93,24 +93,12 @@ class BackProjection:
             value = x * y * dr.gather(mi.Float, self.values, mi.UInt32(index))
             return [dr.fma(larger(1 - dr.abs(distance.z - i), 0), value, total) for i, total in enumerate(sums)]
 
-        def visit_along(axes: tuple[int, ...], position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> Any:
-            """Go through the lattice points along the first of these axes; for each, along the others."""
-            if not axes:
-                return visit(position, index, sums)
-            axis, inner = axes[0], axes[1:]
-
-            def body(i: mi.Int32, position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> tuple:
-                sums = visit_along(inner, position, index, sums)
-                return i + 1, position + self.steps[axis], index + self.strides[axis], sums
-
-            state = (low[axis], position, index, sums)
-            return dr.while_loop(state, lambda i, *_: i <= high[axis], body, label="back-projection")[3]
-
         position, index = self.origin, mi.Int32(0)
         for axis in range(3):
             position = dr.fma(self.steps[axis], mi.Float(low[axis]), position)
             index += low[axis] * self.strides[axis]
-        sums = visit_along((1, 0, 2), position, index, [dr.zeros(mi.Float, dr.width(voxel)) for _ in range(_RUN)])
+        sums = [dr.zeros(mi.Float, dr.width(voxel)) for _ in range(_RUN)]
+        sums = self._visit_box((1, 0, 2), low, high, visit, position, index, sums)
 
         for i, value in enumerate(sums):
             z = runs.z * _RUN + i
@@ -118,3 +106,27 @@ class BackProjection:
             # No voxel is written by two threads.
             mode = dr.ReduceMode.NoConflicts
             dr.scatter_reduce(dr.ReduceOp.Add, total, value, index, z < opaque_int(d), mode)
+        dr.eval(total)
+
+    # A method: a function that recurses into itself would be kept, with all values, until Python's cyclic collection.
+    def _visit_box(
+        self,
+        axes: tuple[int, ...],
+        low: list[mi.Int32],
+        high: list[mi.Int32],
+        visit: Callable[[mi.Vector3f, mi.Int32, list[mi.Float]], list[mi.Float]],
+        position: mi.Vector3f,
+        index: mi.Int32,
+        sums: list[mi.Float],
+    ) -> list[mi.Float]:
+        """Sums after `visit` at all lattice points of a box that starts at `position`: a loop for each of the axes."""
+        if not axes:
+            return visit(position, index, sums)
+        axis, inner = axes[0], axes[1:]
+
+        def body(i: mi.Int32, position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> tuple:
+            sums = self._visit_box(inner, low, high, visit, position, index, sums)
+            return i + 1, position + self.steps[axis], index + self.strides[axis], sums
+
+        state = (low[axis], position, index, sums)
+        return dr.while_loop(state, lambda i, *_: i <= high[axis], body, label="back-projection")[3]

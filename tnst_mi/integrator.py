@@ -227,7 +227,6 @@ class EmissionAbsorption(RBIntegrator):
                 total = dr.grad(medium.extinction).array
                 dr.clear_grad(medium.extinction)
             projection.add_to(total)
-            dr.eval(total)
         else:
             limit = self._limit
             bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * lattice.step * dr.abs(opaque(medium.scale))
