@@ -19,6 +19,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.npz import read_headers
 from tnst_mi.job import Job
+from tnst_mi.measure import working_bytes
 from tnst_mi.outputs import RunFolder, require_writable
 from tnst_mi.recipe import Recipe
 
@@ -367,3 +368,11 @@ def test_where_results_may_not_go(tmp_path: Path) -> None:
     require_writable(source / "out", source)
     require_writable(tmp_path / "a" / "b" / "c", source)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "run"]
+
+
+def test_working_bytes_counts_what_a_cell_needs() -> None:
+    cells = 10 * 20 * 30
+    scalar = working_bytes((10, 20, 30), 8, Recipe(style=("net",)))
+    assert scalar == 1.25 * cells * 8 * (4 + 2 + 4 + 16)
+    both = Recipe.from_dict({"style": ["net"], "lam": {"1": 0.0, "8": 1.0}, "window": 9})
+    assert working_bytes((10, 20, 30), 8, both) == 1.25 * cells * 8 * (4 + 2 + 16 + 16 + 6 + 2 + 8 + 2)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import Recipe
-from tnst_mi.store import FolderStore, MemoryStore, Store, read_ahead, working_bytes
+from tnst_mi.store import FolderStore, MemoryStore, Store, read_ahead
 
 
 @pytest.fixture(params=["memory", "folder"])
@@ -120,11 +119,3 @@ def test_errors_of_reading_ahead_arrive() -> None:
     assert next(items) == 1
     with pytest.raises(InputError, match="damaged"):
         next(items)
-
-
-def test_working_bytes_counts_what_a_cell_needs() -> None:
-    cells = 10 * 20 * 30
-    scalar = working_bytes((10, 20, 30), 8, Recipe(style=("net",)))
-    assert scalar == 1.25 * cells * 8 * (4 + 2 + 4 + 16)
-    both = Recipe.from_dict({"style": ["net"], "lam": {"1": 0.0, "8": 1.0}, "window": 9})
-    assert working_bytes((10, 20, 30), 8, both) == 1.25 * cells * 8 * (4 + 2 + 16 + 16 + 6 + 2 + 8 + 2)

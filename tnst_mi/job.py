@@ -18,7 +18,15 @@ from tnst_mi.backend import activate
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.measure import digests, exposure_of, file_digests, measured, require_coherent, require_same_input
+from tnst_mi.measure import (
+    digests,
+    exposure_of,
+    file_digests,
+    measured,
+    require_coherent,
+    require_same_input,
+    working_bytes,
+)
 from tnst_mi.outputs import (
     RunFolder,
     StoredArrays,
@@ -31,7 +39,7 @@ from tnst_mi.outputs import (
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
 from tnst_mi.sequence_record import sequence_record
-from tnst_mi.store import FolderStore, MemoryStore, working_bytes
+from tnst_mi.store import FolderStore, MemoryStore
 
 if TYPE_CHECKING:
     from tnst_mi.stylized import Stylized

@@ -10,7 +10,6 @@ making what is missing. On disk an item is one safetensors file, read without pi
 from __future__ import annotations
 
 import json
-import math
 import re
 import shutil
 from abc import ABC, abstractmethod
@@ -25,7 +24,6 @@ from safetensors.numpy import save
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.recipe import Recipe
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
@@ -223,16 +221,3 @@ def read_ahead(reads: Iterable[Callable[[], T]]) -> Iterator[T]:
 
 def _single_precision(array: np.ndarray) -> np.ndarray:
     return np.asarray(array, np.float32) if array.dtype == np.float16 else array
-
-
-def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
-    """The most bytes that a run of `count` frames (D, H, W) writes, results included.
-
-    By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
-    (6), the gain (2), the step (2 a component) and the change (2) too; as results a density (4) and a velocity (12), if
-    they compress to nothing less. Coarser octaves add up to less than a quarter.
-    """
-    lams = [value for _, value in recipe.keyframes.get("lam", ((0, recipe.lam),))]
-    components = 1 if recipe.parameterisation == "density" else (max(lams) > 0) + 3 * (min(lams) < 1)
-    by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)
-    return int(1.25 * math.prod(shape) * count * by_cell)
