@@ -93,9 +93,9 @@ class OctaveProblem:
                 f"the loss is {value}, expected a finite number; "
                 f"try a smaller eta ({recipe.eta:g}) or gamma ({recipe.gamma:g})"
             )
+        evaluation = Evaluation(value, terms, dr.detach(stylized))
         # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
         # run, so it is asked to look at the young objects, which costs little.
-        evaluation = Evaluation(value, terms, dr.detach(stylized))
         del loss, images, seen, stylized
         gc.collect(1)
         return evaluation

@@ -104,7 +104,7 @@ class Job:
         # Reading the first frame finds most bad inputs before the network is loaded.
         shape = self.frames[0].density.shape
         self._bar = ProgressBar(progress)
-        self._resume, self._overwrite = resume, overwrite
+        self._overwrite = overwrite
 
         variant = activate(recipe.variant)
         from tnst_mi.goals import objective_of, require_meant
@@ -216,19 +216,23 @@ class Job:
                 yield frame
         self.record["status"] = "interrupted" if optimisation.interrupted else "done"
         self._progressed(started)
-        if folder is not None:
-            if self.record["status"] == "done":
-                names = [measure.name for measure in self._measures]
-                self.record["frames"].sort(key=lambda record: names.index(record["name"]))
-                if len(names) > 1:
-                    densities = StoredArrays(folder.out, "density", names)
-                    self.record["sequence"] = sequence_record(
-                        self.recipe, self.frames, densities, self.record["frames"]
-                    )
-                    folder.write_sequence(self.record, self.recipe.fps)
+        if folder is None:
+            return
+        if optimisation.interrupted:
             folder.write_run(self.record)
-            if self.record["status"] == "done":
-                folder.remove_work()
+        else:
+            self._conclude(folder)
+
+    def _conclude(self, folder: RunFolder) -> None:
+        """Write what there is to say of all frames together, and clean up."""
+        names = [measure.name for measure in self._measures]
+        self.record["frames"].sort(key=lambda record: names.index(record["name"]))
+        if len(names) > 1:
+            densities = StoredArrays(folder.out, "density", names)
+            self.record["sequence"] = sequence_record(self.recipe, self.frames, densities, self.record["frames"])
+            folder.write_sequence(self.record, self.recipe.fps)
+        folder.write_run(self.record)
+        folder.remove_work()
 
     def _progressed(self, started: float) -> dict[str, Any]:
         """The record, with the time and memory used so far."""

@@ -254,9 +254,11 @@ class SequenceOptimisation:
         state, octave = self._state, self._state.reached()
         frame, shot = state.frames[index], state.shots[index]
         if shot.still or state.done(octave, index) < 0:
-            seen = f"renders black at gamma {shot.recipe.gamma:g}" if frame.density.any() else "is empty"
-            note = f"{frame.name} {seen}: nothing to stylize, left unchanged" if shot.still else None
-            return Stylized(frame.density.copy(), np.zeros((*frame.density.shape, 3), np.float32), note=note)
+            result = Stylized(frame.density.copy(), np.zeros((*frame.density.shape, 3), np.float32))
+            if shot.still:
+                seen = f"renders black at gamma {shot.recipe.gamma:g}" if frame.density.any() else "is empty"
+                result.note = f"{frame.name} {seen}: nothing to stylize, left unchanged"
+            return result
         parameters = state.restored(octave, index)
         parameters.enter(state.levels[-1])
         with dr.suspend_grad():

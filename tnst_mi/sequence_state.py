@@ -172,9 +172,14 @@ class SequenceState:
         """Parameters of a frame, without fields yet."""
         if self._recipe.parameterisation == "density":
             return DensityOffset()
-        # All frames have the same fields, also where λ goes from 0 to 1 over the sequence.
+        least, largest = self._lams
+        return Transport(self.shots[index].recipe.lam, self._recipe.steps, largest > 0, least < 1)
+
+    @cached_property
+    def _lams(self) -> tuple[float, float]:
+        """The range of λ: all frames have the same fields, also where it goes from 0 to 1 over the sequence."""
         lams = [shot.recipe.lam for shot in self.shots]
-        return Transport(self.shots[index].recipe.lam, self._recipe.steps, max(lams) > 0, min(lams) < 1)
+        return min(lams), max(lams)
 
     def restored(self, octave: int, index: int) -> Parameterisation:
         """Parameters of a frame with the fields that it has in an octave."""
@@ -195,7 +200,7 @@ class SequenceState:
             yield Current(index, mi.TensorXf(inputs["density"]), mi.TensorXf(inputs["mask"]), parameters)
 
     def averaged_steps(self, octave: int, index: int, names: Sequence[str]) -> dict[str, mi.TensorXf]:
-        """The steps of a frame's window, transported to it (paper Eq. 8), averaged over smoke (Eq. 9), and its gain."""
+        """The steps of a frame's window, transported to it (paper Eq. 8) and averaged over smoke (Eq. 9)."""
         sums = self.windowed_sums(octave, index, f"step.{octave}", names, self._weights)
         gain = mi.TensorXf(self.store.read(f"gain.{octave}", index)["gain"])
         return {name: times(gain, total) for name, total in sums.items()}
