@@ -1,0 +1,117 @@
+"""Where figures get their smoke, how large they are, and the stylizations that they show, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.sequence import load_frames
+from tnst_mi.job import Job
+from tnst_mi.outputs import StoredArrays, holds_run
+from tnst_mi.recipe import STYLES, Recipe
+
+_HERE = Path(__file__).resolve().parents[2]
+
+#: Folders with smoke, pictures and recipes: those bundled, and those that may lie beside the checkout.
+SCENES, ASSETS = _HERE / "scenes", _HERE.parent / "shared"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A stylization that is done: what went in, what came out, and its run.json."""
+
+    frames: Sequence[Frame]
+    densities: Sequence[np.ndarray]
+    velocities: Sequence[np.ndarray]
+    record: dict[str, Any]
+    out: Path
+
+    @property
+    def density(self) -> np.ndarray:
+        """The stylized density of the first frame, (D, H, W)."""
+        return self.densities[0]
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """The velocity of the first frame, (D, H, W, 3) in cells per frame."""
+        return self.velocities[0]
+
+    @property
+    def exposure(self) -> float:
+        """The factor from rendered images to [0, 1] that the run had."""
+        return self.record["exposure"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all figures of one call share.
+
+    Attributes:
+        size: "small" (grids of 64×96×64 that come with the package or beside it) or "paper" (200×300×200, from `data`).
+        out: where pictures, numbers and, in `runs`, stylizations go.
+        data: folder with simulations of one's own (`scripts/simulate.py`), one folder each; None for those at hand.
+        weights: as a recipe's `weights`; None searches for them.
+    """
+
+    size: str
+    out: Path
+    data: Path | None = None
+    weights: str | None = None
+
+    def smoke(self, name: str, first: int, last: int | None = None) -> list[Frame]:
+        """The frames of a simulation from number `first` to `last`, both included; one where `last` is None.
+
+        Raises:
+            InputError: there is no such simulation, or it lacks a frame.
+        """
+        numbers = range(first, (first if last is None else last) + 1)
+        folders = [self.data / name] if self.data is not None else [SCENES / name, ASSETS / "data" / name]
+        for folder in folders:
+            files = [folder / f"frame_{number:04d}.npz" for number in numbers]
+            if all(file.exists() for file in files):
+                return [load_frames(file)[0] for file in files]
+        raise InputError(
+            f"{name}: frames {numbers[0]} to {numbers[-1]} are in none of {', '.join(map(str, folders))}; "
+            f"make them with scripts/simulate.py {name}, and name its folder with --data"
+        )
+
+    def style(self, name: str) -> str | None:
+        """A picture by its name: one that ships with the package, or one beside the checkout; None if neither is."""
+        if (STYLES / f"{name}.png").exists():
+            return name
+        found = [*(ASSETS / "styles").glob(f"{name}.*")]
+        return str(found[0]) if found else None
+
+    def stylized(self, name: str, frames: Frame | Sequence[Frame], recipe: Recipe | None = None, **keys: Any) -> Run:
+        """The stylization of frames by a recipe and some of its keys: made, resumed, or found as it was left.
+
+        Args:
+            name: of its folder below `out/runs`.
+            frames: one frame or a sequence.
+            recipe: the recipe; None for the defaults.
+            keys: keys of the recipe that are replaced.
+        """
+        frames = [frames] if isinstance(frames, Frame) else list(frames)
+        here = Path.cwd()
+        recipe = (recipe or Recipe()).updated({"weights": self.weights, **keys}, f"{name}: ", here)
+        out = self.out / "runs" / name
+        try:
+            job = Job(frames, recipe, out, resume=holds_run(out))
+        except InputError:
+            if not holds_run(out):
+                raise
+            # What is there is of other frames, another recipe or other weights.
+            job = Job(frames, recipe, out, overwrite=True)
+        for _ in job.run():
+            pass
+        if job.record["status"] != "done":
+            raise KeyboardInterrupt
+        names = [record["name"] for record in job.record["frames"]]
+        arrays = (StoredArrays(out, kind, names) for kind in ("density", "velocity"))
+        return Run(job.frames_named(names), *arrays, job.record, out)
