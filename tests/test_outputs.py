@@ -19,7 +19,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.npz import read_headers
 from tnst_mi.job import Job
-from tnst_mi.measure import working_bytes
+from tnst_mi.memory import working_bytes
 from tnst_mi.outputs import RunFolder, require_writable
 from tnst_mi.recipe import Recipe
 

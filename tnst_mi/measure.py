@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,16 +123,3 @@ def file_digests(recipe: Recipe) -> dict[str, str]:
     """The SHA-256 of the pictures and the light that a recipe names, by their paths."""
     paths = [*recipe.style, *recipe.content, recipe.light]
     return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}
-
-
-def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
-    """The most bytes that a run of `count` frames (D, H, W) writes, results included.
-
-    By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
-    (6), the gain (2), the step (2 a component) and the change (2) too; as results a density (4) and a velocity (12), if
-    they compress to nothing less. Coarser octaves add up to less than a quarter.
-    """
-    lams = [value for _, value in recipe.keyframes.get("lam", ((0, recipe.lam),))]
-    components = 1 if recipe.parameterisation == "density" else (max(lams) > 0) + 3 * (min(lams) < 1)
-    by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)
-    return int(1.25 * math.prod(shape) * count * by_cell)

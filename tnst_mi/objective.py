@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from numbers import Real
 from typing import NamedTuple
 
@@ -19,6 +20,9 @@ from tnst_mi.errors import InputError
 from tnst_mi.googlenet import GoogLeNet
 
 SMALLEST_SCALE = 1e-12
+
+#: Bytes of feature maps that a GPU keeps at once, unless those of one view are more.
+LARGEST_BATCH = 1 << 30
 """A term whose gradient is smaller is not amplified beyond this: it is zero but for rounding."""
 
 Features = Mapping[str, Tensor]
@@ -160,9 +164,31 @@ class BoundObjective:
         """Which views the network sees at once.
 
         On a CPU one by one: the feature maps of one fit its caches better, and take up no more memory than they must.
+        On a GPU in equal parts whose feature maps stay below `LARGEST_BATCH`, which depends on nothing but the images
+        and the network: the same views give the same bits.
         """
-        at_once = 1 if images.device.type == "cpu" else len(images)
+        on_cpu = images.device.type == "cpu"
+        at_once = 1 if on_cpu else views_at_once(len(images), self.saved_bytes)
         return (slice(first, first + at_once) for first in range(0, len(images), at_once))
+
+    @cached_property
+    def saved_bytes(self) -> int:
+        """Bytes that autograd keeps of the evaluation of one view, until its derivative is found."""
+        blocks: dict[int, int] = {}
+
+        def record(tensor: Tensor) -> Tensor:
+            block = tensor.untyped_storage()
+            blocks[block.data_ptr()] = block.nbytes()
+            return tensor
+
+        weight = next(self._net.parameters())
+        view = torch.zeros(1, *self._size, dtype=weight.dtype, device=weight.device)
+        with torch.autograd.graph.saved_tensors_hooks(record, lambda tensor: tensor):
+            kept = self._losses(view, True)
+        for weight in self._net.parameters():
+            blocks.pop(weight.untyped_storage().data_ptr(), None)
+        del kept
+        return sum(blocks.values())
 
     def _sum(self, losses: Mapping[str, Tensor]) -> Tensor:
         return torch.stack([(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]).sum()
@@ -212,6 +238,12 @@ class _ViewByView(torch.autograd.Function):
     def backward(ctx: FunctionCtx, factor: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
         return gradient * factor, None
+
+
+def views_at_once(count: int, saved_bytes: float) -> int:
+    """How many of `count` views a network on a GPU sees at once: the fewest equal parts below `LARGEST_BATCH`."""
+    fitting = max(1, int(LARGEST_BATCH // saved_bytes))
+    return math.ceil(count / math.ceil(count / fitting))
 
 
 def rms_scales(sums: Iterable[Mapping[str, tuple[float, int]]]) -> dict[str, float]:

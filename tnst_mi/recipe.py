@@ -180,6 +180,14 @@ class Recipe(Resources, Method, Goals):
         return sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0
 
     @property
+    def components(self) -> int:
+        """Numbers that are optimised at a cell: 1 of Φ where λ > 0 and 3 of Ψ where λ < 1, in any frame."""
+        if self.parameterisation == "density":
+            return 1
+        lams = [value for _, value in self.keyframes.get("lam", ((0, self.lam),))]
+        return (max(lams) > 0) + 3 * (min(lams) < 1)
+
+    @property
     def frame_range(self) -> tuple[int, int] | None:
         """First and last frame number, both included, or None for all frames."""
         if self.frames is None:

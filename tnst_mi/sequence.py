@@ -131,6 +131,8 @@ class SequenceOptimisation:
     def _enter(self, octave: int) -> None:
         """Bring every frame to an octave, and forget the ones before."""
         state = self._state
+        # Dr.Jit keeps the blocks of the octave before, which are too small for this one.
+        dr.flush_malloc_cache()
         # Neighbours are transported through unchanged frames too.
         for index in range(len(state.shots)) if state.window > 1 else state.alive:
             self._stop_here()
@@ -259,6 +261,7 @@ class SequenceOptimisation:
                 seen = f"renders black at gamma {shot.recipe.gamma:g}" if frame.density.any() else "is empty"
                 result.note = f"{frame.name} {seen}: nothing to stylize, left unchanged"
             return result
+        dr.flush_malloc_cache()
         parameters = state.restored(octave, index)
         parameters.enter(state.levels[-1])
         with dr.suspend_grad():
