@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import os
 import signal
 import time
@@ -166,6 +167,20 @@ def test_nothing_changes_where_the_mask_is_zero(network: GoogLeNet) -> None:
     assert result.potential[0][~obstacle].any()
 
 
+@pytest.mark.parametrize("changes", [{"lam": 0.5, "steps": 2}, {"parameterisation": "density"}])
+def test_nothing_is_pushed_into_an_obstacle(changes: dict, network: GoogLeNet, smoke: Frame) -> None:
+    """What is in the solid stays as it is, and the transport by the velocity that is written is the result."""
+    obstacle = np.zeros(SHAPE, bool)
+    obstacle[4:12, 8:16, 8:] = True
+    density = np.where(obstacle, np.float32(0.1), smoke.density)
+    result = optimise(Frame(density, obstacle=obstacle), recipe(eta=0.05, **changes), network)
+    np.testing.assert_array_equal(result.density[obstacle], density[obstacle])
+    assert not result.velocity[obstacle].any() and np.abs(result.density - density).max() > 0.01
+    if "steps" in changes:
+        carried = tnst_mi.advect(density, result.velocity, steps=changes["steps"])
+        np.testing.assert_array_equal(result.density, np.maximum(carried, 0))
+
+
 def test_interruption_keeps_what_was_reached(network: GoogLeNet, smoke: Frame) -> None:
     """Ctrl-C in the second iteration of the coarse octave: its potentials, brought to full resolution."""
 
@@ -256,6 +271,24 @@ def test_no_kernel_is_compiled_after_the_first_iteration_of_an_octave(network: G
         optimise(smoke, recipe(iterations=5, views=3), network, on_iteration=count)
     assert len(compiled) == 10
     assert not any(compiled[1:5]) and not any(compiled[6:])
+
+
+def test_iterations_leave_nothing_in_memory(network: GoogLeNet, smoke: Frame) -> None:
+    """`dr.wrap` ties torch's graph into cycles: without the collector's help, every iteration's would be kept."""
+    alive: list[tuple[int, int]] = []
+
+    def count(_: Progress) -> None:
+        tensors = [thing for thing in gc.get_objects() if issubclass(type(thing), torch.Tensor)]
+        # Dr.Jit lists its variables line by line.
+        alive.append((len(tensors), len(dr.whos(as_string=True).splitlines())))
+
+    threshold = gc.get_threshold()
+    gc.set_threshold(1_000_000)  # as in a process that makes few Python objects
+    try:
+        optimise(smoke, recipe(octaves=1, iterations=30), network, on_iteration=count)
+    finally:
+        gc.set_threshold(*threshold)
+    assert len(set(alive[5:])) == 1, alive
 
 
 # --------------------------------------------------------------------
