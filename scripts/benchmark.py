@@ -1,11 +1,14 @@
 """Times what an iteration consists of, ours against PyTorch and against plain Dr.Jit, and how it all grows.
 
-    python scripts/benchmark.py [--size 128] [--weights FILE] [--out FOLDER] [--only parts,iteration,scaling,frame]
+    python scripts/benchmark.py [--size 128] [--weights FILE] [--out FOLDER] [--only SECTION,SECTION…]
 
 parts      transport, rendering and both together, forward and backward, for one view; smoothing, normalising and
            stepping; the network, forward and backward
 iteration  a whole iteration of a style recipe with 9 views, ours and PyTorch's
-scaling    transport and rendering against the number of cells, views and threads, with the fitted exponents
+scaling    transport and rendering against the number of cells, views and threads, and an iteration of a sequence
+           against its window, with the fitted exponents
+floor      the least that each part can take: bytes that must move, or operations that must be done, by what this
+           machine moves and does in a second
 frame      a whole frame of the paper's size: 200×300×200 cells, semantic recipe, 3 octaves × 20 iterations × 9 views
 
 All sides are measured in one run, in turns; times are medians, and what counts is their ratio. The smoke is the bundled
@@ -20,6 +23,7 @@ import tnst_mi  # first: it lets torch's idle threads sleep
 import argparse
 import json
 import statistics
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,6 +35,7 @@ import numpy as np
 import torch
 from peers import drjit_peer, torch_peer
 
+from tnst_mi.backend import torch_device
 from tnst_mi.environment import device, peak_memory, versions
 from tnst_mi.goals import objective_of
 from tnst_mi.googlenet import GoogLeNet
@@ -266,8 +271,8 @@ def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
     return found
 
 
-def scaling(repeat: int) -> dict[str, list[dict[str, float]]]:
-    """Transport and rendering, forward and backward, against cells, views and threads."""
+def scaling(weights: str | None, repeat: int) -> dict[str, list[dict[str, float]]]:
+    """Transport and rendering against cells, views and threads, and iterations of a sequence against its window."""
     found: dict[str, list[dict[str, float]]] = {"cells": [], "views": [], "threads": []}
     for size in (32, 48, 64, 96, 128, 160):
         density = bundled_density(size)
@@ -282,6 +287,7 @@ def scaling(repeat: int) -> dict[str, list[dict[str, float]]]:
         task = Ours(bundled_density(96), [(8.0, 3.0)])._both_backward
         found["threads"].append({"threads": threads, "seconds": medians({"ours": task}, repeat)["ours"]})
     dr.set_thread_count(everything)
+    found["window"] = [windowed(window, weights) for window in (1, 3, 5, 9)]
     for name, rows in found.items():
         for row in rows:
             each = 1e9 * row["seconds"] / row[name]
@@ -291,10 +297,76 @@ def scaling(repeat: int) -> dict[str, list[dict[str, float]]]:
     return found
 
 
+def windowed(window: int, weights: str | None) -> dict[str, float]:
+    """Seconds that an iteration of one frame takes, in a sequence of nine with a window."""
+    density = bundled_density(48)
+    rising = np.zeros((*density.shape, 3), np.float32)
+    rising[..., 1] = 0.4
+    frames = [tnst_mi.Frame(density, velocity=rising, name=f"frame_{i}", number=i) for i in range(9)]
+    recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": 3, "iterations": 4, "window": window, "weights": weights})
+    history = []
+    with tempfile.TemporaryDirectory() as folder:
+        since = time.perf_counter()
+        for number in (1, 2):
+            # The first run compiles what there is to compile.
+            since = time.perf_counter()
+            history = tnst_mi.stylize(frames, recipe, Path(folder) / str(number), progress=False).history
+        seconds = time.perf_counter() - since
+    return {"window": window, "seconds": seconds / sum(map(len, history))}
+
+
+def memory() -> dict[str, int | None]:
+    """The most bytes held by the process, by Dr.Jit and by torch on a GPU."""
+    on_gpu = mi.variant().startswith("cuda")
+    backend = dr.JitBackend.CUDA if on_gpu else dr.JitBackend.LLVM
+    torch_peak = torch.cuda.max_memory_allocated() if on_gpu else None
+    return {"process": peak_memory(), "drjit": dr.detail.malloc_watermark(backend), "torch_on_gpu": torch_peak}
+
+
 def exponent(name: str, rows: list[dict[str, float]]) -> float:
     """Slope of log seconds over log size, without the smallest."""
     sizes, seconds = ([np.log(row[key]) for row in rows[1:]] for key in (name, "seconds"))
     return float(np.polyfit(sizes, seconds, 1)[0])
+
+
+#: Bytes by cell that must be read or written, if every array is touched once: the inputs and results of a part.
+BYTES = {
+    "transport, forward": 12,  # Φ, d → d*
+    "transport, forward + backward": 12 + 16,  # and Φ, d, ∂L/∂d* → ∂L/∂Φ
+    "rendering, forward": 4,  # d
+    "rendering, forward + backward": 4 + 8,  # and d → ∂L/∂d
+    "transport + rendering, forward + backward": 12 + 16 + 4 + 8,
+    "smooth, normalise, step": 8 + 16,  # g → bands, of which the RMS must be known; bands, mask, Φ → Φ
+}
+
+
+def floor(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
+    """What this machine moves and multiplies in a second, and the seconds that every part cannot go below."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    density = bundled_density(size)
+    device = torch_device()
+    source, target = torch.ones(2, 1 << 26, device=device)
+    matrix = torch.ones(2048, 2048, device=device)
+    network = GoogLeNet.load(weights).to(device)
+    bound = objective_of(tnst_mi.Recipe.from_dict(STYLE)).bind(network, *density.shape[1:])
+    view = torch.zeros(1, *density.shape[1:], device=device, requires_grad=True)
+    tasks = {
+        "copy": lambda: target.copy_(source),
+        "multiply": lambda: matrix @ matrix,
+        "network": lambda: torch.autograd.grad(bound(view), view),
+    }
+    seconds = medians(tasks, repeat)
+    with FlopCounterMode(display=False) as counter:
+        tasks["network"]()
+    bandwidth, rate = 2 * source.nbytes / seconds["copy"], 2 * 2048**3 / seconds["multiply"]
+    print(f"  {bandwidth / 1e9:.1f} GB/s, {rate / 1e9:.0f} GFLOP/s in float32")
+    found = {name: density.size * count / bandwidth for name, count in BYTES.items()}
+    found["network, one view, forward + backward"] = counter.get_total_flops() / rate
+    for name, value in found.items():
+        print(f"  {name:44s} {1e3 * value:8.2f} ms at least")
+    print(f"  the network takes {1e3 * seconds['network']:.0f} ms")
+    return {"bandwidth": bandwidth, "operations": rate, "seconds": found, "network_seconds": seconds["network"]}
 
 
 def frame(weights: str | None) -> dict[str, Any]:
@@ -304,7 +376,7 @@ def frame(weights: str | None) -> dict[str, Any]:
     since = time.perf_counter()
     result = optimise(tnst_mi.Frame(density), tnst_mi.Recipe.from_dict(PAPER), network)
     seconds = time.perf_counter() - since
-    found = {"seconds": seconds, "timings": result.timings, "peak_memory_bytes": peak_memory()}
+    found = {"seconds": seconds, "timings": result.timings, "peak_memory_bytes": memory()}
     found["losses"] = [entry["loss"] for entry in result.history]
     print(f"  whole frame {PAPER_SHAPE}: {seconds:.0f} s, peak memory {(peak_memory() or 0) / 1e9:.2f} GB")
     return found
@@ -321,8 +393,8 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3), layout="constrained")
-    for axes, (name, rows) in zip(figure.subplots(1, 3), found.items(), strict=True):
+    figure = Figure(figsize=(12, 3), layout="constrained")
+    for axes, (name, rows) in zip(figure.subplots(1, len(found)), found.items(), strict=True):
         axes.loglog([row[name] for row in rows], [row["seconds"] for row in rows], marker="o")
         axes.set(xlabel=name, ylabel="seconds")
         axes.grid(which="both", alpha=0.3)
@@ -333,8 +405,8 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
 def chosen(only: str) -> Iterator[str]:
     """The sections asked for."""
     for name in only.split(","):
-        if name not in ("parts", "iteration", "scaling", "frame"):
-            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling or frame")
+        if name not in ("parts", "iteration", "scaling", "floor", "frame"):
+            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling, floor or frame")
         yield name
 
 
@@ -344,7 +416,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128, help="cells along x; H is 3/2 of it (default 128)")
     parser.add_argument("--repeat", type=int, default=7, help="timed calls of each part (default 7)")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
-    parser.add_argument("--only", default="parts,iteration,scaling", help="default: parts,iteration,scaling")
+    parser.add_argument("--only", default="parts,iteration,scaling,floor", help="default: all but frame")
     parser.add_argument("--out", type=Path, help="folder for benchmark.json and scaling.png")
     arguments = parser.parse_args()
     variant = tnst_mi.activate()
@@ -355,9 +427,11 @@ def main() -> None:
         results[name] = {
             "parts": lambda: parts(arguments.size, arguments.repeat),
             "iteration": lambda: iteration(arguments.size, arguments.weights, max(1, arguments.repeat // 3)),
-            "scaling": lambda: scaling(arguments.repeat),
+            "scaling": lambda: scaling(arguments.weights, arguments.repeat),
+            "floor": lambda: floor(arguments.size, arguments.weights, arguments.repeat),
             "frame": lambda: frame(arguments.weights),
         }[name]()
+    results["peak_memory_bytes"] = memory()
     if arguments.out is not None:
         with written_whole(arguments.out / "benchmark.json") as temporary:
             temporary.write_text(json.dumps(results, indent=1) + "\n", "utf-8")

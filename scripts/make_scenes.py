@@ -1,11 +1,13 @@
-"""Make the sample frames of the two bundled scenes from our full simulations.
+"""Make the sample frames of the bundled scenes from our full simulations.
 
     python scripts/make_scenes.py SOURCE [FOLDER]
 
-SOURCE holds suzanne/frame_0010.npz and smokejet/frame_0057.npz to frame_0065.npz with their meta.json, as
-simulated on 64 x 96 x 64 cells (`density` float32, `velocity` float16 in cells per frame). Suzanne is kept as
-it is; the jet is averaged down to 48 x 72 x 48 cells and rounded so that its nine frames stay small. scenes/
-is written into FOLDER, by default the checkout.
+SOURCE holds some of suzanne/frame_0010.npz, smokejet/frame_0057.npz to frame_0065.npz and obstacle/frame_0056.npz with
+their meta.json, as simulated on 64 x 96 x 64 cells (`density` float32, `velocity` float16 in cells per frame). Suzanne
+is kept as it is; the jet is averaged down to 48 x 72 x 48 cells and rounded so that its nine frames stay small; the
+frame with the obstacle is rounded. scenes/ is written into FOLDER, by default the checkout.
+
+The frame with the obstacle is simulated by `python scripts/simulate.py obstacle --frames 56 --out SOURCE/obstacle`.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ SMOKEJET_SCALE = 0.75
 # The jet is rounded to multiples of these: invisible in density, and the spacing of float16 between 2 and 4.
 DENSITY_STEP = 2.0**-12
 VELOCITY_STEP = 2.0**-9
+OBSTACLE_FRAME = 56
+OBSTACLE_VELOCITY_STEP = 2.0**-6
 
 
 def averaging_matrix(cells: int, coarse_cells: int) -> np.ndarray:
@@ -107,14 +111,38 @@ def make_smokejet(source: Path, folder: Path) -> None:
     write_meta(folder, meta, SMOKEJET_FRAMES, density.shape, processing)
 
 
+def make_obstacle(source: Path, folder: Path) -> None:
+    """Round one frame of the jet that meets a sphere."""
+    name = f"frame_{OBSTACLE_FRAME:04d}.npz"
+    with np.load(source / name, allow_pickle=False) as arrays:
+        density, velocity, obstacle = (arrays[key] for key in ("density", "velocity", "obstacle"))
+    velocity = OBSTACLE_VELOCITY_STEP * np.round(np.float32(velocity) / OBSTACLE_VELOCITY_STEP)
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(folder / name, density=np.float16(density), velocity=np.float16(velocity), obstacle=obstacle)
+    meta = json.loads((source / "meta.json").read_text(encoding="utf-8"))
+    meta |= {
+        "licence": "MIT; simulated for this project",
+        "processing": "density less than 1e-6 set to 0, and rounded to float16; "
+        f"velocity rounded to multiples of {OBSTACLE_VELOCITY_STEP:g}",
+        "frames": [OBSTACLE_FRAME],
+    }
+    (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+MAKERS = {"suzanne": make_suzanne, "smokejet": make_smokejet, "obstacle": make_obstacle}
+
+
 def main() -> None:
-    """Make both scenes from the folder given on the command line."""
+    """Make the scenes that are in the folder given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path, help="folder with the simulations suzanne/ and smokejet/")
+    parser.add_argument("source", type=Path, help="folder with simulations suzanne/, smokejet/ and obstacle/")
     parser.add_argument("folder", nargs="?", type=Path, default=CHECKOUT, help="default: the checkout")
     arguments = parser.parse_args()
-    make_suzanne(arguments.source / "suzanne", arguments.folder / "scenes" / "suzanne")
-    make_smokejet(arguments.source / "smokejet", arguments.folder / "scenes" / "smokejet")
+    found = [name for name in MAKERS if (arguments.source / name).is_dir()]
+    if not found:
+        raise SystemExit(f"{arguments.source}: has none of the folders {', '.join(MAKERS)}")
+    for name in found:
+        MAKERS[name](arguments.source / name, arguments.folder / "scenes" / name)
 
 
 if __name__ == "__main__":
