@@ -53,7 +53,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
     ("line", "message"),
     [
         ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
-        ("frobnicate", "expected one of demo, stylize, render, compare, info, weights, doctor"),
+        ("frobnicate", "expected one of demo, stylize, render, compare, convert, atlas, info, weights, doctor"),
         ("stylize", "Missing from tnst-mi stylize: INPUT .* --out FOLDER"),
         ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),
         ("stylize a --out", "Missing value for argument .*--out"),
@@ -137,14 +137,14 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[1:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
-    assert ran.errors[0] == "network: bvlc, none"
+    assert (ran.code, ran.errors[2:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    assert ran.errors[0] == "network: bvlc, none" and ran.errors[1].startswith("memory: about ")
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[1].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[2].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 2
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 3
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
@@ -183,7 +183,7 @@ def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, mo
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tnst_mi.io.sequence._read_frame", interrupt)
+    monkeypatch.setattr("tnst_mi.io.sequence.read_stored", interrupt)
     for arguments in (("info", smoke), ("render", smoke, "--out", tmp_path / "out")):
         ran = run(*arguments)
         assert (ran.code, ran.errors) == (3, ["tnst-mi: interrupted"])

@@ -22,7 +22,7 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.exr import write_exr
 from tnst_mi.io.npz import read_arrays, write_arrays
 from tnst_mi.io.png import write_png
-from tnst_mi.io.sequence import centred_velocity
+from tnst_mi.io.staggered import centred_velocity
 
 SHAPE = (3, 5, 4)
 
@@ -247,16 +247,16 @@ def test_frames_of_a_sequence_have_one_shape(tmp_path: Path) -> None:
 
 
 def test_unknown_formats_name_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a.vdb: no such file or folder"):
-        load_frames(tmp_path / "a.vdb")
-    with pytest.raises(InputError, match=r"unknown format '.vdb', expected one of .npz"):
-        save_frames(tmp_path / "a.vdb", random_frame())
+    with pytest.raises(InputError, match=r"a.abc: no such file or folder"):
+        load_frames(tmp_path / "a.abc")
+    with pytest.raises(InputError, match=r"unknown format '.abc', expected one of .npz, .vol, .uni, .vdb"):
+        save_frames(tmp_path / "a.abc", random_frame())
     with pytest.raises(InputError, match="holds one frame and there are 2"):
         save_frames(tmp_path / "a.npz", [random_frame(), random_frame()])
     assert list(tmp_path.iterdir()) == []
-    (tmp_path / "a.vdb").touch()
-    with pytest.raises(InputError, match=r"unknown format '.vdb', expected one of .npz"):
-        load_frames(tmp_path / "a.vdb")
+    (tmp_path / "a.abc").touch()
+    with pytest.raises(InputError, match=r"unknown format '.abc', expected one of .npz, .vol, .uni, .vdb"):
+        load_frames(tmp_path / "a.abc")
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fields import blob
 
 from tnst_mi.mask import SIGMA, soft_mask
 
@@ -32,3 +33,17 @@ def test_mask_is_zero_inside_an_obstacle() -> None:
     obstacle[2:5, 2:5, 2:5] = True
     mask = soft_mask(np.ones((8, 8, 8), np.float32), obstacle)
     assert (mask[obstacle] == 0).all() and (mask[~obstacle] > 0.1).all()
+
+
+def test_strength_is_a_power_of_the_mask() -> None:
+    density, obstacle = blob((9, 9, 9), (4, 4, 4), 2.0), np.zeros((9, 9, 9), bool)
+    obstacle[4, 4, 4] = True
+    once, square, none = (soft_mask(density, obstacle, strength) for strength in (1, 2, 0))
+    np.testing.assert_allclose(square, once**2, rtol=1e-5)
+    assert (none[~obstacle] == 1).all() and none[4, 4, 4] == 0
+
+
+def test_a_plane_is_masked_as_smoke_that_goes_on_along_z() -> None:
+    """A grid with D = 1 has the mask of the middle of many equal planes."""
+    plane = blob((1, 12, 10), (4, 6, 0), 2.0)
+    np.testing.assert_allclose(soft_mask(plane)[0], soft_mask(np.repeat(plane, 15, 0))[7], atol=1e-6)

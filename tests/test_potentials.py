@@ -47,6 +47,15 @@ def test_curl_has_no_divergence() -> None:
     assert np.abs(terms).max() > 0.5
 
 
+@pytest.mark.parametrize(("shape", "axis"), [((1, 8, 5), 2), ((8, 1, 5), 1), ((5, 8, 1), 0)])
+def test_nothing_leaves_a_plane(shape: tuple[int, int, int], axis: int) -> None:
+    """Along an axis of one cell there is no velocity, and what is left of ∇×Ψ has no divergence."""
+    v = tnst_mi.velocity(None, smooth_noise(np.random.default_rng(7), *shape, 3), 0.0).astype(np.float64)
+    assert not v[..., axis].any() and np.abs(v).max() > 0.05
+    divergence = sum(difference(v[..., c], 2 - c) for c in range(3) if c != axis)
+    assert np.abs(divergence).max() < 1e-6
+
+
 def test_gradient_has_no_curl_for_lambda_one() -> None:
     rng = np.random.default_rng(3)
     v = tnst_mi.velocity(smooth_noise(rng, *SHAPE), None, 1.0)

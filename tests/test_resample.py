@@ -7,7 +7,7 @@ import pytest
 from fields import blob, smooth_noise
 
 from tnst_mi.grid import octaves
-from tnst_mi.resample import cubic_matrix, resample_density, resample_potential
+from tnst_mi.resample import cubic_matrix, resample_density, resample_mask, resample_potential
 
 FULL = (40, 64, 48)
 
@@ -69,3 +69,12 @@ def test_the_full_octave_is_the_field_itself() -> None:
     field = smooth_noise(np.random.default_rng(2), 5, 6, 7)
     np.testing.assert_array_equal(resample_potential(field, 1.0, (5, 6, 7), 1.0), field)
     np.testing.assert_array_equal(resample_density(np.abs(field), 1.0, (5, 6, 7), 1.0), np.abs(field))
+
+
+def test_a_plane_of_smoke_keeps_its_brightness_and_its_mask() -> None:
+    """D = 1: the integral along z, cell size times density, stays; so does a mask, along which nothing varies."""
+    coarse = octaves((1, 64, 48), 3)[0]
+    field = np.ones((1, 64, 48), np.float32)
+    density, mask = (f(field, 1.0, coarse.shape, coarse.cell_size) for f in (resample_density, resample_mask))
+    np.testing.assert_allclose(coarse.cell_size * density, mask, rtol=1e-5)
+    assert mask[0, coarse.shape[1] // 2, coarse.shape[2] // 2] == pytest.approx(1, abs=1e-3)

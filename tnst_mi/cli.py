@@ -19,8 +19,10 @@ from typing import Annotated
 
 import tyro
 
+from tnst_mi.commands.atlas import Atlas
 from tnst_mi.commands.base import Command
 from tnst_mi.commands.compare import Compare
+from tnst_mi.commands.convert import Convert
 from tnst_mi.commands.demo import Demo
 from tnst_mi.commands.doctor import Doctor
 from tnst_mi.commands.info import Info
@@ -34,6 +36,8 @@ COMMANDS: dict[str, type[Command]] = {
     "stylize": Stylize,
     "render": Render,
     "compare": Compare,
+    "convert": Convert,
+    "atlas": Atlas,
     "info": Info,
     "weights": Weights,
     "doctor": Doctor,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.placement import Placement
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,7 @@ class Frame:
         obstacle: (D, H, W) bool, True inside solid objects, or None.
         name: names the output files.
         number: the frame's number in its sequence, or None.
+        placement: where the grid lies in the scene it came from, or None if that is not known.
 
     Raises:
         InputError: an array has another shape, is empty, or holds values that no simulation produces.
@@ -31,6 +33,7 @@ class Frame:
     obstacle: np.ndarray | None = None
     name: str = "frame"
     number: int | None = None
+    placement: Placement | None = None
 
     def __post_init__(self) -> None:
         """Check the arrays and convert them to the types of the attributes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -17,7 +18,8 @@ from tnst_mi import environment
 from tnst_mi.backend import activate
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
-from tnst_mi.io.sequence import open_frames
+from tnst_mi.io.formats import FORMATS
+from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.measure import (
     digests,
     exposure_of,
@@ -25,8 +27,8 @@ from tnst_mi.measure import (
     measured,
     require_coherent,
     require_same_input,
-    working_bytes,
 )
+from tnst_mi.memory import free_bytes, needed, require_memory, working_bytes
 from tnst_mi.outputs import (
     RunFolder,
     StoredArrays,
@@ -116,7 +118,10 @@ class Job:
         self._fallback = weights.fallback
         self._network = GoogLeNet.from_file(weights.path)
         require_meant(recipe, self._network, weights.fallback)
-        objective_of(recipe).bind(self._network, _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1])))
+        trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))
+        trial = objective_of(recipe).bind(self._network, *trial_size)
+        need = needed(shape, recipe, len(self.frames), trial.saved_bytes / math.prod(trial_size), self.out is not None)
+        self._memory = require_memory(need, free_bytes())
         self._measures = measured(self.frames, recipe)
         require_coherent(self._measures, recipe)
         self.record = {
@@ -136,7 +141,9 @@ class Job:
             "exposure": self.exposure,
             "frames": [],
         }
-        earlier = resumable_run(self.out, recipe, self.record["weights"]) if resume and self.out is not None else None
+        earlier = None
+        if resume and self.out is not None:
+            earlier = resumable_run(self.out, recipe, self.record["weights"], self.suffix)
         if earlier is not None:
             require_same_input(self._measures, recipe, earlier, self.out)
             kept = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
@@ -156,7 +163,7 @@ class Job:
             self.record["status"] = "done"
             if self.out is not None:
                 # It may have been killed before it had cleaned up.
-                folder = RunFolder(self.out, self.recipe)
+                folder = RunFolder(self.out, self.recipe, suffix=self.suffix)
                 folder.write_run(self.record)
                 folder.remove_work()
             return
@@ -178,10 +185,11 @@ class Job:
         started = time.perf_counter() - self.record.get("seconds", 0.0)
         folder, store = None, MemoryStore()
         if self.out is not None:
-            folder = RunFolder(self.out, self.recipe, self._overwrite)
+            folder = RunFolder(self.out, self.recipe, self._overwrite, self.suffix)
             folder.write_run(self.record)
             store = FolderStore(folder.work)
         self._bar.say(f"network: {self._network.flavour}, {self._network.source}")
+        self._bar.say(self._memory)
         if self._fallback:
             announce_fallback()
         if self.recipe.coherence > 0 and (self.recipe.window == 1 or len(self.frames) == 1):
@@ -228,7 +236,7 @@ class Job:
         names = [measure.name for measure in self._measures]
         self.record["frames"].sort(key=lambda record: names.index(record["name"]))
         if len(names) > 1:
-            densities = StoredArrays(folder.out, "density", names)
+            densities = StoredArrays(folder.out, "density", names, self.suffix)
             self.record["sequence"] = sequence_record(self.recipe, self.frames, densities, self.record["frames"])
             folder.write_sequence(self.record, self.recipe.fps)
         folder.write_run(self.record)
@@ -241,6 +249,13 @@ class Job:
             environment.peak_memory() or 0, self.record.get("peak_memory_bytes") or 0
         )
         return self.record
+
+    @property
+    def suffix(self) -> str:
+        """How the names of the files of the results end: in the recipe's format, or else the input's."""
+        if self.recipe.format is not None:
+            return f".{self.recipe.format}"
+        return self.frames.suffix if isinstance(self.frames, FrameFiles) else FORMATS[0]
 
     @property
     def exposure(self) -> float:
@@ -265,7 +280,7 @@ class Job:
             "quadrature": recipe.quadrature,
             "exposure": self.exposure,
         }
-        folder.write_arrays(source.name, frame.stylized.density, frame.stylized.velocity)
+        folder.write_arrays(source.name, frame.stylized.density, frame.stylized.velocity, source.placement)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
         # Whole runs keep every frame; the largest arrays are not part of the result.
@@ -281,7 +296,7 @@ def _record_of(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str,
         "note": stylized.note,
         "mass_before": frame.mass,
         "mass_after": float(stylized.density.sum(dtype=np.float64)),
-        "largest_displacement": float(np.linalg.norm(stylized.velocity, axis=-1).max()),
+        "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
         "step_scale": step_scale,
         "loss_before": stylized.loss_before,
         "loss_after": stylized.loss_after,

@@ -11,15 +11,18 @@ from tnst_mi.pyramid import gaussian
 SIGMA = 1.2
 
 
-def soft_mask(density: np.ndarray, obstacle: np.ndarray | None = None) -> np.ndarray:
-    """The blurred density, clipped to [0, 1] (paper section 4.2): (D, H, W) float32 at full resolution.
+def soft_mask(density: np.ndarray, obstacle: np.ndarray | None = None, strength: float = 1.0) -> np.ndarray:
+    """The blurred density, clipped to [0, 1] (paper section 4.2), to a power: (D, H, W) float32 at full resolution.
 
     Args:
-        density: (D, H, W) density of the unstylized frame, ≥ 0; it counts as 0 outside the grid.
+        density: (D, H, W) density of the unstylized frame, ≥ 0; it counts as 0 outside the grid, except along an axis
+            of one cell, along which nothing varies.
         obstacle: (D, H, W) bool; the mask is 0 inside.
+        strength: the power, ≥ 0; 0 makes the mask 1 everywhere but in the obstacle.
     """
-    blurred = gaussian(mi.TensorXf(np.ascontiguousarray(density, np.float32)), SIGMA, boundary="zero").numpy()
-    mask = np.clip(blurred, 0, 1)
+    axes = [axis for axis in range(3) if density.shape[axis] > 1]
+    density = mi.TensorXf(np.ascontiguousarray(density, np.float32))
+    mask = np.clip(gaussian(density, SIGMA, "zero", axes).numpy(), 0, 1) ** np.float32(strength)
     if obstacle is not None:
         mask[obstacle] = 0
     return mask

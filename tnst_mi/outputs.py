@@ -1,6 +1,7 @@
 """The folder of a run: what is written where, how a finished frame is recognised, what may be overwritten.
 
     density/NAME.npz     stylized density               velocity/NAME.npz    the velocity v* that transports
+                         (.vol, .uni or .vdb in place of .npz where that is the format of the results)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
     recipe.toml          the recipe as run              run.json             what was done, with which numbers
     metrics.jsonl        one line per iteration
@@ -23,15 +24,16 @@ import numpy as np
 from tnst_mi.before_after import side_by_side
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import remove_unfinished, written_whole
+from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.exr import read_exr, write_exr
-from tnst_mi.io.npz import read_arrays, write_arrays
+from tnst_mi.io.formats import FORMATS, read_stored, write_frame
 from tnst_mi.io.png import write_png
+from tnst_mi.placement import Placement
 from tnst_mi.recipe import KINDS, Recipe
 
 #: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
 _FRAME_FILES = (
-    "density/{}.npz",
-    "velocity/{}.npz",
+    *(f"{kind}/{{}}{suffix}" for kind in ("density", "velocity") for suffix in FORMATS),
     *(f"images/{{}}_{state}.{format}" for state in ("before", "after") for format in ("png", "exr")),
     "images/{}_comparison.png",
     "images/{}_loss.png",
@@ -133,8 +135,16 @@ def is_file_name(name: str) -> bool:
     return bool(name) and not any(character in name for character in "/\\\0")
 
 
-def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[str, Any] | None:
+def resumable_run(
+    out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
+) -> dict[str, Any] | None:
     """The record of the run to be resumed, with the frames that it has finished; None where it has not begun.
+
+    Args:
+        out: the folder of the run.
+        recipe: what it is to be resumed with.
+        weights: likewise, as run.json tells them.
+        suffix: how the names of the files of its results end.
 
     Raises:
         InputError: the folder holds something else, or a run with another recipe or other weights.
@@ -145,7 +155,9 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
         raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
-        run["frames"] = [frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"])]
+        run["frames"] = [
+            frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"], suffix)
+        ]
         run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
         earlier_weights = run["weights"]["sha256"]
     except _DAMAGE:
@@ -168,9 +180,9 @@ def resumable_run(out: Path, recipe: Recipe, weights: dict[str, Any]) -> dict[st
 class RunFolder:
     """Writes the results of a run."""
 
-    def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False) -> None:
+    def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False, suffix: str = FORMATS[0]) -> None:
         """Make the folder ready, removing the results of an earlier run if they are to be overwritten."""
-        self.out, self.work = out, out / _WORK
+        self.out, self.work, self._suffix = out, out / _WORK, suffix
         if overwrite:
             _remove_results(out, frame_names(out))
         for folder in (out, *(out / name for name in _FOLDERS)):
@@ -178,10 +190,12 @@ class RunFolder:
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
 
-    def write_arrays(self, name: str, density: np.ndarray, velocity: np.ndarray) -> None:
-        """Write the stylized density and the velocity that made it."""
-        write_arrays(self.out / "density" / f"{name}.npz", {"density": density})
-        write_arrays(self.out / "velocity" / f"{name}.npz", {"velocity": velocity})
+    def write_arrays(
+        self, name: str, density: np.ndarray, velocity: np.ndarray, placement: Placement | None = None
+    ) -> None:
+        """Write the stylized density and the velocity that made it, at the place that the frame came from."""
+        write_frame(self.out / "density" / f"{name}{self._suffix}", density, placement=placement)
+        write_frame(self.out / "velocity" / f"{name}{self._suffix}", None, velocity, placement=placement)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, exposed alike; `attributes` go into the EXR headers."""
@@ -232,9 +246,9 @@ class RunFolder:
 class StoredArrays(Sequence[np.ndarray]):
     """The arrays that a run wrote, in the order of their names; each access reads a file."""
 
-    def __init__(self, out: Path, kind: str, names: Sequence[str]) -> None:
-        """Take the "density" or "velocity" of the named frames."""
-        self._out, self._kind, self._names = out, kind, names
+    def __init__(self, out: Path, kind: str, names: Sequence[str], suffix: str = FORMATS[0]) -> None:
+        """Take the "density" or "velocity" of the named frames, in files whose names end in `suffix`."""
+        self._out, self._kind, self._names, self._suffix = out, kind, names, suffix
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -247,8 +261,12 @@ class StoredArrays(Sequence[np.ndarray]):
     def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
         """Read one array, or select several."""
         if isinstance(index, slice):
-            return StoredArrays(self._out, self._kind, self._names[index])
-        return read_arrays(self._out / self._kind / f"{self._names[index]}.npz", (self._kind,))[self._kind]
+            return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
+        name, as_told = self._names[index], Conventions()
+        stored = read_stored(self._out / self._kind / f"{name}{self._suffix}")
+        if self._kind == "velocity":
+            return stored.centred_velocity(as_told)
+        return stored.frame(as_told, name, None).density
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
@@ -282,9 +300,9 @@ def _just_begun(out: Path) -> bool:
     )
 
 
-def _results_of(out: Path, name: str) -> bool:
+def _results_of(out: Path, name: str, suffix: str) -> bool:
     """Whether the arrays of a frame are there."""
-    return is_file_name(name) and all((out / kind / f"{name}.npz").is_file() for kind in ("density", "velocity"))
+    return is_file_name(name) and all((out / kind / f"{name}{suffix}").is_file() for kind in ("density", "velocity"))
 
 
 def _existing(out: Path) -> Path:

@@ -2,6 +2,9 @@
 
 Derivatives are central differences, one-sided in the two end cells of every axis. Being one linear map per axis, they
 commute: the divergence of ∇×Ψ, taken with the same differences, vanishes to rounding at every cell.
+
+A grid of one cell along an axis is a plane: nothing varies along that axis, and v has no component along it, which
+would carry the smoke out of the grid.
 """
 
 from __future__ import annotations
@@ -80,6 +83,11 @@ class PotentialVelocity:
         """(D, H, W)."""
         return tuple(self.phi.shape) if self.phi is not None else tuple(self.psi.shape)[:3]
 
+    def _in_plane(self, v: mi.Vector3f) -> mi.Vector3f:
+        """A vector without its components along axes of one cell; being a projection, its own transpose."""
+        still = dr.zeros(mi.Float, dr.width(v))
+        return mi.Vector3f(*(x if n > 1 else still for x, n in zip(v, reversed(self.shape), strict=True)))
+
     def _differences(self, cells: Cells) -> list[_AxisDifference]:
         scale = dr.rcp(opaque(self.h))
         return [_AxisDifference(cells, axis, scale) for axis in range(3)]
@@ -98,11 +106,11 @@ class PotentialVelocity:
                 d[0].apply(p, 3, 1) - d[1].apply(p, 3, 0),
             )
             v += curl * opaque(1 - self.lam)
-        return v
+        return self._in_plane(v)
 
     def transpose(self, g: mi.Vector3f) -> dict[str, mi.TensorXf]:
         """From ∂L/∂v at all cells, one array in memory for each component, to ∂L/∂Φ and ∂L/∂Ψ, as far as present."""
-        d = self._differences(Cells.of(self.shape))
+        d, g = self._differences(Cells.of(self.shape)), self._in_plane(g)
         result = {}
         if self.phi is not None:
             grad_phi = d[0].transpose(g.x) + d[1].transpose(g.y) + d[2].transpose(g.z)
@@ -156,7 +164,8 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         h: size of a cell in full-resolution cells, > 0.
 
     Returns:
-        Velocity (D, H, W, 3), components (x, y, z), in full-resolution cells per frame, in the array kind given.
+        Velocity (D, H, W, 3), components (x, y, z), in full-resolution cells per frame, in the array kind given; 0 along
+        an axis of one cell.
 
     Raises:
         InputError: both potentials are absent, their shapes disagree, or λ or h is out of range.

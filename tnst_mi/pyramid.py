@@ -10,7 +10,7 @@ of cells and reads each neighbour once. No derivatives are taken of this.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import drjit as dr
 import mitsuba as mi
@@ -86,13 +86,14 @@ class _Runs:
         return mi.TensorXf(self.result, self.shape)
 
 
-def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect") -> mi.TensorXf:
+def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect", axes: Sequence[int] = _AXES) -> mi.TensorXf:
     """Gaussian blur along z, y and x, truncated at 4 σ and normalised; channels are blurred separately.
 
     Args:
         field: (D, H, W) or (D, H, W, C).
         sigma: standard deviation in cells; 0 returns the field.
         boundary: "reflect" (the border cell is duplicated), "nearest", or "zero".
+        axes: which of the axes 0, 1 and 2 to blur along.
     """
     if sigma <= 0:
         return field
@@ -100,7 +101,7 @@ def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect") -> mi.
     half = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(radius + 1)]
     total = half[0] + 2 * math.fsum(half[1:])
     weights = [opaque(w / total) for w in half]
-    for axis in _AXES:
+    for axis in axes:
         field = _blurred(field, axis, weights, boundary)
     return field
 

@@ -79,6 +79,9 @@ class Method:
     cells of size h, where the normalised gradient is 1."""
     pyramid_levels: Annotated[int, Integer(0, 16)] = 3
     """Bands of the Laplacian pyramid that normalises the gradient, 0 or more."""
+    mask_strength: Annotated[float, Number(low=0.0, high=100.0)] = 1.0
+    """Power of the mask that keeps changes to the smoke, from 0 (changes everywhere but in obstacles) to 100; 1 is the
+    paper's, more keeps changes to the dense inside."""
     window: Annotated[int, Integer(1, 99, odd=True)] = 1
     """Frames over which the stylization is kept coherent in time, odd; 1 is none. Needs their velocities."""
     window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
@@ -129,7 +132,7 @@ class Resources:
         str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
     ] = None
     """Mitsuba variant: GPU or CPU; the GPU where not set and one answers."""
-    format: Annotated[str | None, Text("npz", "npz", "npz")] = None
+    format: Annotated[str | None, Text("npz|vol|uni|vdb", "npz, vol, uni or vdb", "npz|vol|uni|vdb")] = None
     """File format of the results; the input's where not set."""
     fps: Annotated[float, Number(above=0.0, high=240.0)] = 24.0
     """Frames per second of a sequence's preview video, above 0."""

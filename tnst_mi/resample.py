@@ -66,16 +66,29 @@ def _apply(field: np.ndarray, matrices: list[np.ndarray]) -> np.ndarray:
     return np.ascontiguousarray(field, np.float32)
 
 
-def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
-    """Resample a density or mask (D, H, W) to another octave: Gaussian prefilter, then linear, clamped to ≥ 0.
+def resample_mask(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear, clamped to ≥ 0.
 
-    The field reads 0 outside its grid. Cell sizes are in full-resolution cells.
+    The field reads 0 outside its grid, except along an axis of one cell, along which nothing varies. Cell sizes are in
+    full-resolution cells.
     """
     if tuple(field.shape) == tuple(shape) and h_from == h_to:
         return np.ascontiguousarray(field, np.float32)
-    pairs = list(zip(field.shape, shape, strict=True))
-    matrices = [linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to) for n, m in pairs]
+    matrices = [
+        np.eye(1) if n == m == 1 else linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
+        for n, m in zip(field.shape, shape, strict=True)
+    ]
     return np.maximum(_apply(field, matrices), 0)
+
+
+def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a density (D, H, W) to another octave, as a mask.
+
+    Smoke of one cell along an axis is as thick as a cell, so that it has to thin out where cells grow: images then keep
+    their brightness.
+    """
+    flat = sum(n == m == 1 for n, m in zip(field.shape, shape, strict=True))
+    return resample_mask(field, h_from, shape, h_to) * np.float32((h_from / h_to) ** flat)
 
 
 def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi import coherence
+from tnst_mi.advection import advect
 from tnst_mi.backend import torch_device
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -270,6 +271,12 @@ class SequenceOptimisation:
                 velocity, fields = parameters.velocity().numpy(), parameters.arrays()
             else:
                 velocity, fields = np.zeros((*frame.density.shape, 3), np.float32), {}
+            if frame.obstacle is not None and isinstance(parameters, Transport):
+                # Potentials do not change in a solid, but those around it have velocities a cell inside.
+                velocity = np.where(frame.obstacle[..., None], np.float32(0), velocity)
+                density = np.maximum(advect(frame.density, velocity, steps=shot.recipe.steps), 0)
+        if frame.obstacle is not None:
+            density = np.where(frame.obstacle, frame.density, density)
         blend = shot.recipe.blend
         result = Stylized(np.float32((1.0 - blend) * frame.density + blend * density), velocity)
         result.potential = fields.get("phi"), fields.get("psi")

@@ -24,7 +24,7 @@ from tnst_mi.grid import Octave, octaves
 from tnst_mi.mask import soft_mask
 from tnst_mi.parameterisation import DensityOffset, Parameterisation, Transport, times
 from tnst_mi.recipe import Recipe
-from tnst_mi.resample import resample_density, resample_velocity
+from tnst_mi.resample import resample_density, resample_mask, resample_velocity
 from tnst_mi.store import Arrays, Store, read_ahead
 from tnst_mi.window import reading_order, window_of, window_weights
 
@@ -117,10 +117,10 @@ class SequenceState:
         if self.store.generation(group, index) >= 0:
             return
         frame = self.frames[index]
-        mask = soft_mask(frame.density, frame.obstacle)
+        mask = soft_mask(frame.density, frame.obstacle, self._recipe.mask_strength)
         arrays = {
             "density": resample_density(frame.density, 1.0, grid.shape, grid.cell_size),
-            "mask": resample_density(mask, 1.0, grid.shape, grid.cell_size).astype(np.float16),
+            "mask": resample_mask(mask, 1.0, grid.shape, grid.cell_size).astype(np.float16),
         }
         if self.window > 1 and index + 1 < len(self.shots):
             if frame.velocity is None:

@@ -76,8 +76,8 @@ def stylize(
             velocities.append(frame.stylized.velocity)
     names = [record["name"] for record in job.record["frames"]]
     if job.out is not None:
-        densities = StoredArrays(job.out, "density", names)
-        velocities = StoredArrays(job.out, "velocity", names)
+        densities = StoredArrays(job.out, "density", names, job.suffix)
+        velocities = StoredArrays(job.out, "velocity", names, job.suffix)
     elif len(densities) == len(job.frames) > 1:
         job.record["sequence"] = sequence_record(job.recipe, job.frames, densities, job.record["frames"])
     return Result(densities, velocities, job.frames_named(names), history, job.record, job.out)

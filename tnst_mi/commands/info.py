@@ -15,11 +15,12 @@ if TYPE_CHECKING:
     import numpy as np
 
     from tnst_mi.frame import Frame
+    from tnst_mi.io.sequence import FrameFiles
 
 
 @dataclass(kw_only=True)
 class Info(Command):
-    """Describe files or folders of frames: arrays, shapes, ranges, mass, empty cells, largest velocity.
+    """Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest velocity.
 
     Of a file without a density, such as the velocities of a run, what is there is described.
     """
@@ -30,21 +31,31 @@ class Info(Command):
     def run(self) -> int:
         """Print a paragraph for every file."""
         from tnst_mi.io import open_frames
-        from tnst_mi.io.npz import read_arrays, read_headers
+        from tnst_mi.io.formats import describe
 
         if not self.files:
             raise InputError("info: expected one or more files or folders")
         for path in self.files:
             frames = open_frames(path)
             for index, file in enumerate(frames.files):
-                headers = read_headers(file)
-                lines = [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers.items()]
-                if "density" in headers or "x" in headers:
-                    lines += describe_frame(frames[index])
-                elif "velocity" in headers:
-                    lines += describe_velocity(read_arrays(file, ("velocity",))["velocity"])
-                print("\n".join([str(file), *lines]))
+                print("\n".join([str(file), *describe(file), *_describe_contents(frames, index)]))
         return 0
+
+
+def _describe_contents(frames: FrameFiles, index: int) -> list[str]:
+    """How a file of a sequence is read, and what comes out."""
+    from tnst_mi.io.conventions import Conventions
+
+    stored = frames.stored(index)
+    reading = [] if frames.suffix == ".npz" else [f"  read as: {stored.reading(Conventions())}"]
+    if stored.density is not None:
+        frame = frames.frame_of(index, stored)
+        shape = [] if frames.suffix == ".npz" else [f"  shape (z, y, x): {frame.density.shape}"]
+        return reading + shape + describe_frame(frame)
+    velocity = stored.velocity
+    if velocity is None or velocity.ndim != 4 or velocity.shape[-1] != 3 or velocity.size == 0:
+        return []
+    return reading + describe_velocity(stored.centred_velocity(Conventions()))
 
 
 def describe_frame(frame: Frame) -> list[str]:
@@ -60,9 +71,7 @@ def describe_frame(frame: Frame) -> list[str]:
 
 
 def describe_velocity(velocity: np.ndarray) -> list[str]:
-    """The largest velocity of a grid (D, H, W, 3); nothing for arrays of another shape."""
+    """The largest velocity of a grid (D, H, W, 3), a line."""
     import numpy as np
 
-    if velocity.ndim != 4 or velocity.shape[-1] != 3 or velocity.size == 0:
-        return []
     return [f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"]

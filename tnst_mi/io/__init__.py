@@ -1,4 +1,4 @@
-"""Files in and out: npz frames, EXR and PNG pictures."""
+"""Files in and out: frames as npz, .vol, .uni and .vdb, EXR and PNG pictures, videos."""
 
 from __future__ import annotations
 

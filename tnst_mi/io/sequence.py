@@ -1,38 +1,47 @@
 """Frames on disk: single files, numbered folders, and the layout of the paper's authors.
 
-A file holds `density` (D, H, W) and may hold `velocity` (D, H, W, 3) in cells per frame and `obstacle`
-(D, H, W). The authors' files hold one array `x` each: densities in a folder `d`, velocities in a folder `v`
-beside it. Theirs are on the faces of the cells (MAC), in cells per time unit, with 0.5 time units per frame:
-reading averages the two faces of each cell (the last cell has only one) and multiplies by 0.5.
+An npz file holds `density` (D, H, W) and may hold `velocity` (D, H, W, 3) in cells per frame and `obstacle`
+(D, H, W); docs/formats.md tells of the other formats. The authors' files hold one array `x` each: densities in a
+folder `d`, velocities in a folder `v` beside it. Theirs are on the faces of the cells (MAC), in cells per time unit,
+with 0.5 time units per frame: reading averages the two faces of each cell (the last cell has only one) and multiplies
+by 0.5.
 """
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import overload
-
-import numpy as np
+from typing import Any, overload
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.npz import read_arrays, read_headers, write_arrays
-
-#: File name endings of the formats that can be read and written.
-FORMATS = (".npz",)
-
-#: Time units per frame in the authors' data.
-AUTHORS_TIME_STEP = 0.5
+from tnst_mi.io.companions import densities
+from tnst_mi.io.conventions import Conventions, StoredFrame
+from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, require_format, sequence_context, write_frame
 
 
 class FrameFiles(Sequence[Frame]):
     """The frames of a file or folder, in the order of their numbers; each access reads the file anew."""
 
-    def __init__(self, files: list[Path], velocities: Path | None = None) -> None:
-        """Take the files of the frames, and in the authors' layout the folder of their velocities."""
+    def __init__(
+        self,
+        files: list[Path],
+        velocities: Path | None = None,
+        given: Conventions | None = None,
+        context: Callable[[], Any] = lambda: None,
+    ) -> None:
+        """Take the files of the frames, and how to read them.
+
+        Args:
+            files: those of the densities.
+            velocities: in the authors' layout, the folder of the velocities.
+            given: what the user says of the files.
+            context: gives what reading one frame takes of all, see `tnst_mi.io.formats.sequence_context`.
+        """
         self.files = files
-        self._velocities = velocities
+        self._velocities, self._given, self._context = velocities, given or Conventions(), context
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -45,11 +54,38 @@ class FrameFiles(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> Frame | FrameFiles:
         """Read one frame, or select several."""
         if isinstance(index, slice):
-            return FrameFiles(self.files[index], self._velocities)
-        return _read_frame(self.files[index], self._velocities)
+            return FrameFiles(self.files[index], self._velocities, self._given, self._context)
+        return self.frame_of(index, self.stored(index))
+
+    @property
+    def suffix(self) -> str:
+        """The ending of the files' names, which tells their format."""
+        return self.files[0].suffix.lower()
+
+    def stored(self, index: int) -> StoredFrame:
+        """Read one frame as it is stored, which may have no density.
+
+        Raises:
+            InputError: a file cannot be used.
+        """
+        return read_stored(self.files[index], self._velocities, self._context())
+
+    def frame_of(self, index: int, stored: StoredFrame) -> Frame:
+        """The frame of what has been read with `stored`.
+
+        Raises:
+            InputError: it has no density, or its arrays cannot be used.
+        """
+        file = self.files[index]
+        try:
+            return stored.frame(self._given, file.stem, _number(file))
+        except InputError as error:
+            raise InputError(f"{file}: {str(error).removeprefix(f'{file.stem}: ')}") from None
 
 
-def open_frames(path: str | Path, numbers: tuple[int, int] | None = None) -> FrameFiles:
+def open_frames(
+    path: str | Path, numbers: tuple[int, int] | None = None, given: Conventions | None = None
+) -> FrameFiles:
     """List the frames of a file, a folder or the authors' layout (a folder with `d`) without reading them.
 
     The frames of a folder are the files whose names end in a number, in the order of the numbers; other files
@@ -58,6 +94,7 @@ def open_frames(path: str | Path, numbers: tuple[int, int] | None = None) -> Fra
     Args:
         path: the file or folder.
         numbers: the first and the last frame to take, both included; None takes all.
+        given: what the user says of the files, in place of what they say or their format implies.
 
     Raises:
         InputError: nothing is there, the format is unknown, or numbers are missing or double.
@@ -65,12 +102,17 @@ def open_frames(path: str | Path, numbers: tuple[int, int] | None = None) -> Fra
     path = Path(path)
     if path.is_dir():
         authors = (path / "d").is_dir()
-        files = _numbered_files(path / "d" if authors else path, numbers)
-        return FrameFiles(files, path / "v" if authors else None)
+        folder = path / "d" if authors else path
+        files = _frame_files(folder)
+        chosen = _selected(files, numbers)
+        _require_complete(folder, chosen)
+        # Whichever frames are taken, they are read alike.
+        context = functools.cache(lambda: sequence_context(files))
+        return FrameFiles(chosen, path / "v" if authors else None, given, context)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    _require_format(path)
-    return FrameFiles(_selected([path], numbers))
+    require_format(path)
+    return FrameFiles(_selected([path], numbers), given=given)
 
 
 def load_frames(path: str | Path) -> list[Frame]:
@@ -94,11 +136,16 @@ def checked_shapes(frames: Iterable[Frame]) -> Iterable[Frame]:
         yield frame
 
 
-def save_frames(path: str | Path, frames: Frame | Sequence[Frame]) -> None:
+def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str = "npz") -> None:
     """Write one frame to a file, or any number to a folder by their names.
 
-    The path is that of a file if it ends like one (.npz) and is no folder. One frame by itself also takes any
-    other extension for that of a file, and refuses it as unknown.
+    The path is that of a file if it ends like one (.npz, .vol, .uni, .vdb) and is no folder. One frame by itself also
+    takes any other extension for that of a file, and refuses it as unknown.
+
+    Args:
+        path: the file or folder.
+        frames: what to write.
+        format: of the files in a folder: npz, vol, uni or vdb.
 
     Raises:
         InputError: the format is unknown, several frames are to go into one file, or they are no frames.
@@ -110,34 +157,26 @@ def save_frames(path: str | Path, frames: Frame | Sequence[Frame]) -> None:
         raise InputError(f"{path}: got a {type(frames).__name__} to write, expected one or more frames (tnst_mi.Frame)")
     if path.is_dir() or not path.suffix or (several and path.suffix.lower() not in FORMATS):
         for frame in frames:
-            _write_frame(path / f"{frame.name}{FORMATS[0]}", frame)
+            save_frame(path / f"{frame.name}.{format}", frame)
         return
-    _require_format(path)
+    require_format(path)
     if len(frames) != 1:
         raise InputError(f"{path}: a file holds one frame and there are {len(frames)}; give a folder")
-    _write_frame(path, frames[0])
+    save_frame(path, frames[0])
 
 
-def centred_velocity(faces: np.ndarray) -> np.ndarray:
-    """Average a velocity on cell faces (component c at the lower face along its axis) to the cell centres.
+def save_frame(path: Path, frame: Frame) -> None:
+    """Write one frame; the format goes by the ending of the path.
 
-    (D, H, W, 3) to the same shape. The last cell's upper face is not stored: it takes the lower one's value.
+    Raises:
+        InputError: the format is unknown.
     """
-    centres = faces.astype(np.float32)
-    for component, axis in enumerate((2, 1, 0)):
-        values = np.moveaxis(centres[..., component], axis, 0)
-        values[:-1] = 0.5 * (values[:-1] + values[1:])
-    return centres
+    write_frame(path, frame.density, frame.velocity, frame.obstacle, frame.placement)
 
 
 def _number(file: Path) -> int | None:
     match = re.search(r"(\d+)$", file.stem)
     return int(match[1]) if match else None
-
-
-def _require_format(path: Path) -> None:
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(FORMATS)}")
 
 
 def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
@@ -155,18 +194,29 @@ def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
     return chosen
 
 
-def _numbered_files(folder: Path, selection: tuple[int, int] | None) -> list[Path]:
+def _frame_files(folder: Path) -> list[Path]:
+    """The files of a folder that are frames, in the order of their numbers."""
     # Hidden files are none of ours, or what a killed run was writing.
     visible = (file for file in folder.iterdir() if not file.name.startswith("."))
     files = sorted(file for file in visible if file.suffix.lower() in FORMATS and file.is_file())
+    for suffix in GRID_FORMATS:
+        grids = [file for file in files if file.suffix.lower() == suffix]
+        others = set(grids) - set(densities(grids))
+        files = [file for file in files if file not in others]
     if not files:
         raise InputError(f"{folder}: no frames in this folder, expected files {', '.join(FORMATS)}")
     if len(files) == 1:
-        return _selected(files, selection)
+        return files
     files = sorted((file for file in files if _number(file) is not None), key=_number)
     if not files:
         raise InputError(f"{folder}: no file name ends in a frame number (such as frame_0012.npz)")
-    files = _selected(files, selection)
+    return files
+
+
+def _require_complete(folder: Path, files: list[Path]) -> None:
+    """Check that numbered files are one frame each, and that none is missing between them."""
+    if len(files) == 1:
+        return
     numbers = [_number(file) for file in files]
     if len(set(numbers)) < len(numbers):
         double = next(number for number in numbers if numbers.count(number) > 1)
@@ -176,27 +226,3 @@ def _numbered_files(folder: Path, selection: tuple[int, int] | None) -> list[Pat
         missing = sorted(set(range(numbers[0], numbers[-1] + 1)[:100_000]) - set(numbers))
         shown = ", ".join(map(str, missing[:10])) + (", …" if len(missing) > 10 else "")
         raise InputError(f"{folder}: frames are missing between {numbers[0]} and {numbers[-1]}: {shown}")
-    return files
-
-
-def _read_frame(file: Path, velocities: Path | None) -> Frame:
-    arrays = read_arrays(file, ("density", "velocity", "obstacle", "x"))
-    density = arrays.get("density", arrays.get("x"))
-    if density is None:
-        found = ", ".join(read_headers(file)) or "none"
-        raise InputError(f"{file}: no array 'density' (or 'x'), the arrays found are: {found}")
-    velocity = arrays.get("velocity")
-    if velocities is not None and (velocities / file.name).exists():
-        faces = read_arrays(velocities / file.name, ("x",)).get("x")
-        if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
-            raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
-        velocity = centred_velocity(faces) * np.float32(AUTHORS_TIME_STEP)
-    try:
-        return Frame(density, velocity, arrays.get("obstacle"), file.stem, _number(file))
-    except InputError as error:
-        raise InputError(f"{file}: {str(error).removeprefix(f'{file.stem}: ')}") from None
-
-
-def _write_frame(path: Path, frame: Frame) -> None:
-    arrays = {"density": frame.density, "velocity": frame.velocity, "obstacle": frame.obstacle}
-    write_arrays(path, {key: array for key, array in arrays.items() if array is not None})

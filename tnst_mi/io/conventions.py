@@ -1,0 +1,147 @@
+"""What files leave open: which axis is up, in what unit velocities are, how long a frame lasts, how large a cell is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.orientation import from_z_up, mirrored
+from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.placement import Placement
+
+#: Velocities in files: cells per frame; cells, or units of length of the scene, per unit of time.
+CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"
+VELOCITY_UNITS = (CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME)
+
+#: Time units per frame where neither file nor user tell: of Mantaflow in Blender at 25 frames per second; seconds.
+MANTAFLOW_TIME_STEP, SECONDS_PER_FRAME = 0.1, 1.0 / 24.0
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What the user says of files, in place of what they say or what their format implies; None leaves it to them.
+
+    Attributes:
+        up: the axis that points up, "y" or "z".
+        flip: our axes to be mirrored, any of "x", "y" and "z".
+        velocity_units: one of VELOCITY_UNITS.
+        dt: duration of a frame, in the unit of time of the velocities.
+        voxel_size: edge of a cell, in the unit of length of the scene.
+    """
+
+    up: str | None = None
+    flip: str = ""
+    velocity_units: str | None = None
+    dt: float | None = None
+    voxel_size: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredFrame:
+    """The arrays of a frame as its file holds them, and what it says of them.
+
+    Attributes:
+        density: (D, H, W) in the axes of the file, or None.
+        velocity: (D, H, W, 3), or None.
+        obstacle: (D, H, W), or None.
+        staggered: whether component c of the velocity lies on the lower face of each cell along axis c.
+        known: (D, H, W) bool, the cells whose velocities are stored; None for all.
+        up: the axis that points up in the file.
+        scene_up: the one of the scene, where the file does not decide it.
+        velocity_units: one of VELOCITY_UNITS.
+        dt: duration of a frame in the velocity's unit of time; None where the unit has none.
+        voxel_size: edge of a cell in the scene, or None if the file does not tell.
+        corner: lowest corner of the grid in the scene.
+        lacking: what to say where there is no density.
+    """
+
+    density: np.ndarray | None
+    velocity: np.ndarray | None = None
+    obstacle: np.ndarray | None = None
+    staggered: bool = False
+    known: np.ndarray | None = None
+    up: str = "y"
+    scene_up: str | None = None
+    velocity_units: str = CELLS_PER_FRAME
+    dt: float | None = None
+    voxel_size: float | None = None
+    corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lacking: str = "no density"
+
+    def frame(self, given: Conventions, name: str, number: int | None) -> Frame:
+        """The frame in our axes and units.
+
+        Raises:
+            InputError: there is no density, an array cannot be used, or the size of a cell is needed and not known.
+        """
+        if self.density is None:
+            raise InputError(self.lacking)
+        density, obstacle = (self._turned(array, given) for array in (self.density, self.obstacle))
+        return Frame(density, self.centred_velocity(given), obstacle, name, number, self._placement(given))
+
+    def centred_velocity(self, given: Conventions) -> np.ndarray | None:
+        """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None where there is none.
+
+        Raises:
+            InputError: it has another shape, or the size of a cell is needed and not known, or a duration is given
+                that its unit does not need.
+        """
+        if self.velocity is None:
+            return None
+        if self.velocity.ndim != 4 or self.velocity.shape[-1] != 3:
+            expected = "(D, H, W, 3)" if self.density is None else (*self.density.shape, 3)
+            raise InputError(f"velocity has shape {self.velocity.shape}, expected {expected}")
+        factor = self._cells_per_frame(given)
+        centres = centred_velocity(self.velocity, self.known) if self.staggered else self.velocity
+        return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
+
+    def reading(self, given: Conventions) -> str:
+        """How the file is read, in words."""
+        words = [f"{given.up or self.up} up"]
+        if self.velocity is not None:
+            units, dt = self._units(given)
+            words.append(f"velocity {'on faces' if self.staggered else 'at centres'} in {units}")
+            words += [] if dt is None else [f"{dt:g} time units per frame"]
+        size = given.voxel_size or self.voxel_size
+        return ", ".join([*words, *([] if size is None else [f"voxel size {size:g}"])])
+
+    def _turned(self, array: np.ndarray | None, given: Conventions) -> np.ndarray | None:
+        if array is None or array.ndim < 3:  # of another shape: the frame tells
+            return array
+        if (given.up or self.up) == "z":
+            array = from_z_up(array)
+        return mirrored(array, given.flip) if given.flip else array
+
+    def _units(self, given: Conventions) -> tuple[str, float | None]:
+        """The unit of the velocity, and the duration of a frame in its unit of time, where it has one."""
+        units = given.velocity_units or self.velocity_units
+        if units == CELLS_PER_FRAME:
+            if given.dt is not None:
+                raise InputError(f"velocity is in {units}, which --dt does not change; give --velocity-units too")
+            return units, None
+        if given.dt is not None:
+            return units, given.dt
+        if units == self.velocity_units:
+            return units, self.dt
+        return units, MANTAFLOW_TIME_STEP if units == CELLS_PER_TIME else SECONDS_PER_FRAME
+
+    def _cells_per_frame(self, given: Conventions) -> float:
+        """What the stored velocity is to be multiplied with."""
+        units, dt = self._units(given)
+        if dt is None:
+            return 1.0
+        if units == CELLS_PER_TIME:
+            return dt
+        size = given.voxel_size or self.voxel_size
+        if size is None:
+            raise InputError(f"velocity in {units} needs the size of a cell, which the file lacks; give --voxel-size")
+        return dt / size
+
+    def _placement(self, given: Conventions) -> Placement | None:
+        size = given.voxel_size or self.voxel_size
+        if size is None:
+            return None
+        return Placement(size, self.corner, given.up or self.scene_up or self.up)

@@ -1,0 +1,212 @@
+"""One frame in a file of each format: npz, Mitsuba's .vol, Mantaflow's .uni, OpenVDB's .vdb.
+
+Only npz and .vdb hold whole frames; .vol and .uni have further files beside that of the density
+(`tnst_mi.io.companions`). All are written with velocities at the cell centres in cells per frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io import companions
+from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
+from tnst_mi.io.npz import read_arrays, read_headers, write_arrays
+from tnst_mi.io.orientation import to_z_up
+from tnst_mi.io.uni import FLAGS, INTEGER, OBSTACLE, REAL, VECTOR, read_uni, read_uni_header, write_uni
+from tnst_mi.io.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
+from tnst_mi.io.vol import read_vol, read_vol_shape, write_vol
+from tnst_mi.placement import Placement
+
+#: File name endings of the formats that can be read and written.
+FORMATS = (".npz", ".vol", ".uni", ".vdb")
+
+#: Formats with one grid in a file.
+GRID_FORMATS = (".vol", ".uni")
+
+#: Time units per frame in the authors' data.
+AUTHORS_TIME_STEP = 0.5
+
+# Our .uni files say so, in the place for what wrote them.
+_OURS, _Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
+
+_VECTORS = "holds vectors, expected a density"
+
+
+def require_format(path: Path) -> str:
+    """The ending of a path, lower-case.
+
+    Raises:
+        InputError: it is not one of FORMATS.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(FORMATS)}")
+    return suffix
+
+
+def sequence_context(files: Sequence[Path]) -> Any:
+    """What reading any frame of a sequence takes of all its files: the box of voxels of .vdb files, else None.
+
+    Raises:
+        InputError: the files cannot be used.
+    """
+    return box_of_all([file for file in files if file.suffix.lower() == ".vdb"])
+
+
+def read_stored(file: Path, velocities: Path | None = None, context: Any = None) -> StoredFrame:
+    """Read a frame as it is stored.
+
+    Args:
+        file: the file of its density.
+        velocities: in the layout of the paper's authors the folder of the velocities, which are in npz files of the
+            same names.
+        context: of `sequence_context`; None for a file by itself.
+
+    Raises:
+        InputError: a file cannot be used.
+    """
+    match require_format(file):
+        case ".npz":
+            return _read_npz(file, velocities)
+        case ".vol":
+            return _read_vol(file)
+        case ".uni":
+            return _read_uni(file)
+        case _:
+            return read_vdb_frame(file, context)
+
+
+def write_frame(
+    path: Path,
+    density: np.ndarray | None,
+    velocity: np.ndarray | None = None,
+    obstacle: np.ndarray | None = None,
+    placement: Placement | None = None,
+) -> None:
+    """Write the grids of a frame, or a velocity by itself; the format goes by the ending of the path.
+
+    Args:
+        path: the file.
+        density: (D, H, W), or None.
+        velocity: (D, H, W, 3), cells per frame, or None.
+        obstacle: (D, H, W), or None.
+        placement: where the grid came from; only .vdb files tell it, and .uni files which axis was up.
+
+    Raises:
+        InputError: the format is unknown.
+    """
+    match require_format(path):
+        case ".npz":
+            arrays = {"density": density, "velocity": velocity, "obstacle": obstacle}
+            write_arrays(path, {key: array for key, array in arrays.items() if array is not None})
+        case ".vol":
+            for file, array in _files_of(path, density, velocity, obstacle):
+                write_vol(file, array)
+        case ".uni":
+            for file, array in _files_of(path, density, velocity, obstacle):
+                _write_uni(file, array, placement)
+        case _:
+            write_vdb_frame(path, density, velocity, obstacle, placement)
+
+
+def describe(file: Path) -> list[str]:
+    """What arrays or grids are in a file, and beside it, a line each.
+
+    Raises:
+        InputError: a file cannot be used.
+    """
+    suffix = require_format(file)
+    if suffix == ".npz":
+        headers = read_headers(file).items()
+        return [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers]
+    if suffix == ".vdb":
+        return describe_vdb(file)
+    found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
+    lines = []
+    for path in (file, *(path for path in found if path is not None)):
+        if suffix == ".vol":
+            lines.append(f"  {path.name}: shape {read_vol_shape(path)}")
+        else:
+            header = read_uni_header(path)
+            shape = header.shape if header.components == 1 else (*header.shape, header.components)
+            faces = ", on faces" if header.staggered else ""
+            lines.append(f"  {path.name}: {header.dtype}, shape {shape} in its own axes{faces}")
+    return lines
+
+
+def _read_npz(file: Path, velocities: Path | None) -> StoredFrame:
+    arrays = read_arrays(file, ("density", "velocity", "obstacle", "x"))
+    density = arrays.get("density", arrays.get("x"))
+    found = ", ".join(read_headers(file)) or "none"
+    common = {"scene_up": "z", "lacking": f"no array 'density' (or 'x'), the arrays found are: {found}"}
+    if velocities is None or not (velocities / file.name).exists():
+        return StoredFrame(density=density, velocity=arrays.get("velocity"), obstacle=arrays.get("obstacle"), **common)
+    faces = read_arrays(velocities / file.name, ("x",)).get("x")
+    if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
+        raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
+    return StoredFrame(
+        density=density,
+        velocity=faces,
+        staggered=True,
+        velocity_units=CELLS_PER_TIME,
+        dt=AUTHORS_TIME_STEP,
+        **common,
+    )
+
+
+def _read_vol(file: Path) -> StoredFrame:
+    grid = read_vol(file)
+    if grid.ndim == 4:
+        return StoredFrame(density=None, velocity=grid, scene_up="z", lacking=_VECTORS)
+    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
+    return StoredFrame(
+        density=grid,
+        velocity=None if velocity is None else read_vol(velocity),
+        obstacle=None if obstacle is None else read_vol(obstacle),
+        scene_up="z",
+    )
+
+
+def _read_uni(file: Path) -> StoredFrame:
+    header, grid = read_uni(file)
+    common = {"up": "y" if header.build.startswith(_OURS + _Y_UP) else "z"}
+    velocity = file if header.components == 3 else companions.found_companion(file, companions.VELOCITY)
+    if velocity is not None:
+        header, vectors = (header, grid) if velocity is file else read_uni(velocity)
+        common |= {"velocity": vectors, "staggered": header.staggered}
+        if not header.build.startswith(_OURS):
+            common |= {"velocity_units": CELLS_PER_TIME, "dt": MANTAFLOW_TIME_STEP}
+    if velocity is file:
+        return StoredFrame(density=None, lacking=_VECTORS, **common)
+    obstacle = companions.found_companion(file, companions.OBSTACLE)
+    if obstacle is not None:
+        header, flags = read_uni(obstacle)
+        common["obstacle"] = (flags & OBSTACLE) != 0 if flags.dtype.kind == "i" else flags > 0
+    return StoredFrame(density=grid, **common)
+
+
+def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:
+    y_up = placement is not None and placement.up == "y"
+    stored = array if y_up else to_z_up(array)
+    kind = VECTOR if stored.ndim == 4 else REAL
+    if stored.dtype == bool:
+        stored, kind = stored.astype(np.int32) * OBSTACLE, INTEGER | FLAGS
+    write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
+
+
+def _files_of(
+    path: Path, density: np.ndarray | None, velocity: np.ndarray | None, obstacle: np.ndarray | None
+) -> list[tuple[Path, np.ndarray]]:
+    """The files of the grids of a frame; a velocity by itself takes the place of the density."""
+    if density is None:
+        return [] if velocity is None else [(path, velocity)]
+    files = [(path, density)]
+    for array, words in ((velocity, companions.VELOCITY), (obstacle, companions.OBSTACLE)):
+        if array is not None:
+            files.append((companions.companion(path, words[0]), array))
+    return files

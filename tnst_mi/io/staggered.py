@@ -1,0 +1,29 @@
+"""Velocities on the faces of cells (marker-and-cell, MAC) brought to the cell centres."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def centred_velocity(faces: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+    """Average a velocity on cell faces (component c at the lower face along its axis) to the cell centres.
+
+    (D, H, W, 3) to the same shape. The last cell's upper face is not stored: it takes the lower one's value.
+
+    Args:
+        faces: velocities on the faces.
+        known: (D, H, W) bool, the cells whose lower faces the file stores; None for all. A cell with one known face
+            takes its value, one with none is 0.
+    """
+    centres = faces.astype(np.float32)
+    for component, axis in enumerate((2, 1, 0)):
+        values = np.moveaxis(centres[..., component], axis, 0)
+        if known is None:
+            values[:-1] = 0.5 * (values[:-1] + values[1:])
+            continue
+        weights = np.moveaxis(known, axis, 0).astype(np.float32)
+        values *= weights
+        values[:-1] += values[1:]
+        weights[:-1] += weights[1:]
+        values /= np.maximum(weights, 1.0)
+    return centres

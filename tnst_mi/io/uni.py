@@ -1,0 +1,171 @@
+"""Mantaflow's .uni files: one grid each, gzip around a header and the values, x running fastest.
+
+Sources: `fileio/iogrids.cpp` and `grid.h` of Mantaflow. A velocity grid with the MAC bit holds component c on the lower
+face of each cell along axis c; one without it holds values at the cell centres.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import written_whole
+
+# Bits of the type of a grid (Mantaflow's GridBase::GridType).
+REAL, INTEGER, VECTOR, MAC, FLAGS = 1, 2, 4, 8, 32
+
+#: Bit of a cell in a grid of flags that marks it as solid (Mantaflow's FlagGrid::TypeObstacle).
+OBSTACLE = 2
+
+#: Longest edge of a grid that is believed, in cells.
+LARGEST_EXTENT = 1 << 14
+
+#: Largest grid that is read, in bytes.
+LARGEST_GRID = 1 << 34
+
+_MAGIC = b"MNT3"
+_SIZES = struct.Struct("<6i")
+_BUILD_BYTES = 252
+_TAIL = struct.Struct("<iQ")  # fourth dimension, time stamp
+
+# What follows the six sizes: nothing; 256 bytes of build information and a time stamp; as in _TAIL.
+_HEADER_BYTES = {b"MNT1": 24, b"MNT2": 288, b"MNT3": 288}
+
+# By element type and bytes per element.
+_ELEMENTS = {
+    (0, 4): ("<i4", 1),
+    (1, 4): ("<f4", 1),
+    (1, 8): ("<f8", 1),
+    (2, 12): ("<f4", 3),
+    (2, 24): ("<f8", 3),
+}
+_CHUNK = 1 << 24
+
+# Deflate shrinks data by at most this factor.
+_LARGEST_RATIO = 1032
+
+
+@dataclass(frozen=True)
+class UniHeader:
+    """What a .uni file says before its values.
+
+    Attributes:
+        shape: extents of the grid in the file's own axes, slowest first: (Z, Y, X).
+        grid_type: Mantaflow's bits, such as REAL, or VECTOR | MAC for velocities on faces.
+        dtype: type of the stored numbers.
+        components: 1, or 3 for vectors.
+        build: what wrote the file.
+    """
+
+    shape: tuple[int, int, int]
+    grid_type: int
+    dtype: np.dtype
+    components: int
+    build: str
+
+    @property
+    def staggered(self) -> bool:
+        """Whether the components of the vectors lie on the faces of the cells."""
+        return self.components == 3 and bool(self.grid_type & MAC)
+
+
+def read_uni_header(path: Path) -> UniHeader:
+    """Read what a .uni file says of its grid.
+
+    Raises:
+        InputError: the file is missing, damaged, or of an unknown kind.
+    """
+    return _read(path, values=False)[0]
+
+
+def read_uni(path: Path) -> tuple[UniHeader, np.ndarray]:
+    """Read a .uni file: its header, and its values (Z, Y, X) or (Z, Y, X, 3) in the axes and units of the file.
+
+    Raises:
+        InputError: as `read_uni_header`; or the values are truncated or more than the header says.
+    """
+    return _read(path, values=True)
+
+
+def write_uni(path: Path, values: np.ndarray, grid_type: int, build: str = "tnst_mi") -> None:
+    """Write a grid as Mantaflow's newest kind of .uni file (MNT3).
+
+    Args:
+        path: the file.
+        values: (Z, Y, X) or (Z, Y, X, 3) in the axes and units of the file; float32, or int32 for flags.
+        grid_type: REAL, VECTOR, VECTOR | MAC, or INTEGER | FLAGS.
+        build: a note of at most 251 bytes that readers show.
+    """
+    components = 3 if values.ndim == 4 else 1
+    element = 0 if grid_type & INTEGER else 2 if components == 3 else 1
+    dtype = np.dtype("<i4" if element == 0 else "<f4")
+    depth, height, width = values.shape[:3]
+    note = build.encode("utf-8")[: _BUILD_BYTES - 1].ljust(_BUILD_BYTES, b"\0")
+    sizes = _SIZES.pack(width, height, depth, grid_type, element, components * dtype.itemsize)
+    with written_whole(path) as temporary, temporary.open("wb") as raw:
+        # Without a time stamp equal grids give equal files.
+        with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=1, mtime=0) as file:
+            file.write(_MAGIC + sizes + note + _TAIL.pack(0, 0))
+            file.write(np.ascontiguousarray(values, dtype=dtype).data)
+
+
+def _read(path: Path, values: bool) -> tuple[UniHeader, np.ndarray]:
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected a .uni file")
+    try:
+        with gzip.open(path, "rb") as file:
+            header = _read_header(path, file)
+            return header, _read_values(path, file, header) if values else np.empty(0)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except PermissionError:
+        raise InputError(f"{path}: cannot be read (no permission)") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: not a .uni file, truncated, or damaged ({error})") from None
+
+
+def _read_header(path: Path, file: BinaryIO) -> UniHeader:
+    magic = file.read(4)
+    if magic not in _HEADER_BYTES:
+        known = ", ".join(key.decode() for key in _HEADER_BYTES)
+        raise InputError(f"{path}: starts with {magic!r}, expected a Mantaflow grid ({known})")
+    data = file.read(_HEADER_BYTES[magic])
+    if len(data) < _HEADER_BYTES[magic]:
+        raise InputError(f"{path}: truncated in its header")
+    width, height, depth, grid_type, element, size = _SIZES.unpack_from(data)
+    if not all(1 <= extent <= LARGEST_EXTENT for extent in (width, height, depth)):
+        raise InputError(f"{path}: claims {width} x {height} x {depth} cells, expected 1 to {LARGEST_EXTENT} each")
+    if (element, size) not in _ELEMENTS:
+        raise InputError(f"{path}: elements of type {element} with {size} bytes, expected ints, reals or vectors")
+    dtype, components = _ELEMENTS[element, size]
+    build = data[_SIZES.size :][:_BUILD_BYTES].split(b"\0")[0].decode("utf-8", "replace")
+    return UniHeader((depth, height, width), grid_type, np.dtype(dtype), components, build)
+
+
+def _read_values(path: Path, file: BinaryIO, header: UniHeader) -> np.ndarray:
+    """Read the values, growing into memory only as data really come out of the file."""
+    shape = header.shape if header.components == 1 else (*header.shape, header.components)
+    size = math.prod(shape) * header.dtype.itemsize
+    if size > LARGEST_GRID:
+        raise InputError(f"{path}: claims {size} bytes, expected at most {LARGEST_GRID}")
+    if size > _LARGEST_RATIO * path.stat().st_size:
+        raise InputError(f"{path}: claims {size} bytes for a {header.shape} grid, more than it holds")
+    values = np.empty(math.prod(shape), header.dtype)
+    buffer = memoryview(values.view(np.uint8))
+    filled = 0
+    while filled < size:
+        count = file.readinto(buffer[filled : filled + _CHUNK])
+        if not count:
+            raise InputError(f"{path}: truncated: {filled} of the {size} bytes of its {header.shape} grid")
+        filled += count
+    if file.read(1):
+        raise InputError(f"{path}: has more data than its {header.shape} grid needs")
+    return values.reshape(shape)

@@ -1,0 +1,251 @@
+"""OpenVDB's sparse trees of 32³, 16³ and 8³ branches: read from a file, and unfolded into dense grids.
+
+Source: `openvdb/tree/RootNode.h`, `InternalNode.h`, `LeafNode.h`, `io/Compression.h`. Everywhere in here coordinates
+are (X, Y, Z) in voxels, and the eight voxels along an edge of a leaf run with Z fastest.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.vdb.cursor import Cursor
+from tnst_mi.io.vdb.values import ACTIVE_MASK, ValueType, read_run
+
+#: Voxels along an edge of a leaf, and in it.
+LEAF_EDGE, LEAF_VOXELS = 8, 512
+
+#: Largest dense grid that is made of a tree, in cells.
+LARGEST_BOX = 1 << 28
+
+#: Lowest and highest voxel (X, Y, Z) of a box, both inside.
+Box = tuple[np.ndarray, np.ndarray]
+
+# Branches along an edge, and voxels along the edge of what a branch leads to, from the root down.
+_LEVELS = ((32, 128), (16, 8))
+_ROOT_EDGE = 4096
+
+# What a node says of its inactive values: all are the background, all its negative, all one other value; one of two
+# by a mask: negative or background, another value or background, two others; or all values are there.
+_BACKGROUND, _NEGATIVE, _ONE, _MASK_NEGATIVE, _MASK_ONE, _MASK_TWO, _ALL = range(7)
+
+_INTEGER = struct.Struct("<i")
+_COUNTS = struct.Struct("<2I")
+_COORDINATE = struct.Struct("<3i")
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A sparse grid: leaves of 8³ voxels, constant tiles, and one value everywhere else.
+
+    Attributes:
+        background: the value everywhere else, () or (3,).
+        leaf_origins: (N, 3) lowest voxel of each leaf.
+        leaf_active: (N, 512) bool, which voxels of the leaves are active.
+        leaf_values: (N, 512) or (N, 512, 3).
+        tile_origins: (T, 3) lowest voxel of each tile.
+        tile_edges: (T) voxels along the edge of each tile: 8, 128 or 4096.
+        tile_active: (T) bool.
+        tile_values: (T) or (T, 3).
+    """
+
+    background: np.ndarray
+    leaf_origins: np.ndarray
+    leaf_active: np.ndarray
+    leaf_values: np.ndarray
+    tile_origins: np.ndarray
+    tile_edges: np.ndarray
+    tile_active: np.ndarray
+    tile_values: np.ndarray
+
+    @property
+    def active_voxels(self) -> int:
+        """Number of active voxels, those in tiles counted."""
+        return int(self.leaf_active.sum()) + sum(int(edge) ** 3 for edge in self.tile_edges[self.tile_active])
+
+    def active_box(self) -> Box | None:
+        """The smallest box around all active voxels; None where there are none."""
+        lowest, highest = [self.tile_origins[self.tile_active]], []
+        highest.append(lowest[0] + self.tile_edges[self.tile_active, None] - 1)
+        occupied = self.leaf_active.any(axis=1)
+        voxels = self.leaf_active[occupied].reshape(-1, *(LEAF_EDGE,) * 3)
+        along = np.stack([voxels.any(axis=axes) for axes in ((2, 3), (1, 3), (1, 2))], axis=1)
+        lowest.append(self.leaf_origins[occupied] + along.argmax(axis=-1))
+        highest.append(self.leaf_origins[occupied] + LEAF_EDGE - 1 - along[..., ::-1].argmax(axis=-1))
+        if not sum(map(len, lowest)):
+            return None
+        return np.concatenate(lowest).min(axis=0), np.concatenate(highest).max(axis=0)
+
+    def values_in(self, box: Box) -> np.ndarray:
+        """The values of all voxels of a box, active or not, as a dense grid (Z, Y, X) or (Z, Y, X, 3)."""
+        return self._dense(box, self.background, self.tile_values, self.leaf_values)
+
+    def active_in(self, box: Box) -> np.ndarray:
+        """Which voxels of a box are active, (Z, Y, X) bool."""
+        return self._dense(box, np.array(False), self.tile_active, self.leaf_active)
+
+    def _dense(self, box: Box, background: np.ndarray, tiles: np.ndarray, leaves: np.ndarray) -> np.ndarray:
+        first, last = (corner // LEAF_EDGE for corner in box)
+        counts = last - first + 1
+        shape = background.shape
+        blocks = np.empty((*counts, *(LEAF_EDGE,) * 3, *shape), background.dtype)
+        blocks[...] = background
+        starts = self.tile_origins // LEAF_EDGE - first
+        ends = np.minimum(starts + self.tile_edges[:, None] // LEAF_EDGE, counts)
+        starts = np.maximum(starts, 0)
+        # Larger tiles never lie inside smaller ones, so the order does not matter.
+        for index in np.flatnonzero((starts < ends).all(axis=1)):
+            blocks[tuple(map(slice, starts[index], ends[index]))] = tiles[index]
+        places = self.leaf_origins // LEAF_EDGE - first
+        inside = ((places >= 0) & (places < counts)).all(axis=1)
+        blocks[tuple(places[inside].T)] = leaves[inside].reshape(-1, *(LEAF_EDGE,) * 3, *shape)
+        # (bX, bY, bZ, X, Y, Z) to (bZ, Z, bY, Y, bX, X).
+        axes = (2, 5, 1, 4, 0, 3, *range(6, blocks.ndim))
+        dense = blocks.transpose(axes).reshape(*(counts[::-1] * LEAF_EDGE), *shape)
+        margin = box[0] - first * LEAF_EDGE
+        window = zip(margin[::-1], (margin + box[1] - box[0] + 1)[::-1], strict=True)
+        return np.ascontiguousarray(dense[tuple(itertools.starmap(slice, window))])
+
+
+def require_small(path: Path, box: Box) -> None:
+    """Check that a box of a file's grids can be made a dense grid.
+
+    Raises:
+        InputError: it has too many cells.
+    """
+    extents = [int(extent) for extent in box[1] - box[0] + 1]
+    if math.prod(extents) > LARGEST_BOX:
+        size = " x ".join(map(str, extents))
+        raise InputError(f"{path}: its voxels span {size} cells, expected at most {LARGEST_BOX} in all; crop the grid")
+
+
+class TreeReader:
+    """Reads one tree; the whole shape of it comes first in a file, then the values of the leaves."""
+
+    def __init__(self, cursor: Cursor, kind: ValueType, compression: int) -> None:
+        """Take where to read, the kind of values, and the bits of their compression."""
+        self._cursor, self._kind, self._compression = cursor, kind, compression
+        self._background = np.zeros(kind.shape, kind.dtype)
+        self._tiles: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._leaf_origins: list[np.ndarray] = []
+        self._leaf_masks: list[np.ndarray] = []
+
+    def read(self, values: bool = True) -> Tree:
+        """Read the tree; without the values of its leaves if only their places matter.
+
+        Raises:
+            InputError: the data are truncated or damaged.
+        """
+        self._read_root()
+        origins = np.concatenate([np.empty((0, 3), np.int64), *self._leaf_origins])
+        active = np.concatenate([np.empty((0, LEAF_VOXELS), bool), *self._leaf_masks])
+        leaves = self._read_leaves(active) if values else np.empty((0, LEAF_VOXELS, *self._kind.shape))
+        none = (
+            np.empty((0, 3), np.int64),
+            np.empty(0, np.int64),
+            np.empty(0, bool),
+            np.empty((0, *self._kind.shape), self._kind.dtype),
+        )
+        tiles = [np.concatenate(columns) for columns in zip(none, *self._tiles, strict=True)]
+        return Tree(self._background, origins, active, leaves, *tiles)
+
+    def _read_root(self) -> None:
+        cursor, kind = self._cursor, self._kind
+        (buffers,) = cursor.unpack(_INTEGER)
+        if buffers != 1:
+            raise InputError(f"{cursor.path}: damaged: a tree with {buffers} buffers, expected 1")
+        self._background = kind.one(cursor.take(kind.itemsize))
+        tiles, children = cursor.unpack(_COUNTS)
+        layout = np.dtype([("origin", "<i4", 3), ("value", kind.dtype, kind.shape), ("active", "u1")])
+        stored = np.frombuffer(cursor.take(tiles * layout.itemsize), layout)
+        self._add_tiles(stored["origin"].astype(np.int64), _ROOT_EDGE, stored["active"] != 0, stored["value"])
+        for _ in range(children):
+            self._read_branches(np.array(cursor.unpack(_COORDINATE), np.int64), 0)
+
+    def _read_branches(self, origin: np.ndarray, level: int) -> None:
+        """Read a node inside the tree: its tiles, then what its branches lead to."""
+        count, edge = _LEVELS[level]
+        branches, active = self._mask(count**3), self._mask(count**3)
+        values = self._read_node(active)
+        places = np.stack(np.unravel_index(np.arange(count**3), (count,) * 3), axis=1) * edge + origin
+        told = active | (values != self._background).reshape(count**3, -1).any(axis=1)
+        tiles = told & ~branches
+        self._add_tiles(places[tiles], edge, active[tiles], values[tiles])
+        below = places[branches]
+        if level + 1 < len(_LEVELS):
+            for place in below:
+                self._read_branches(place, level + 1)
+        elif len(below):
+            self._leaf_origins.append(below)
+            masks = np.frombuffer(self._cursor.take(len(below) * LEAF_VOXELS // 8), np.uint8)
+            self._leaf_masks.append(_unpacked(masks).reshape(-1, LEAF_VOXELS))
+
+    def _add_tiles(self, origins: np.ndarray, edge: int, active: np.ndarray, values: np.ndarray) -> None:
+        if len(origins):
+            self._tiles.append((origins, np.full(len(origins), edge, np.int64), active, values))
+
+    def _read_leaves(self, active: np.ndarray) -> np.ndarray:
+        """Read the values of all leaves, which are put in their places at once."""
+        values = np.empty((*active.shape, *self._kind.shape), self._kind.dtype)
+        values[...] = self._background
+        stored = active.copy()
+        runs = []
+        for index, count in enumerate(active.sum(axis=1).tolist()):
+            self._cursor.take(LEAF_VOXELS // 8)  # the mask of active voxels once more
+            run, complete, inactive = self._read_run(count, LEAF_VOXELS)
+            runs.append(run)
+            if complete:
+                stored[index] = True
+            elif inactive is not None:
+                values[index] = inactive
+        values[stored] = self._kind.run(b"".join(runs))
+        return values
+
+    def _read_node(self, active: np.ndarray) -> np.ndarray:
+        """Read the values of one node."""
+        run, complete, inactive = self._read_run(int(active.sum()), len(active))
+        if complete:
+            return self._kind.run(bytes(run))
+        values = np.empty((len(active), *self._kind.shape), self._kind.dtype)
+        values[...] = self._background if inactive is None else inactive
+        values[active] = self._kind.run(bytes(run))
+        return values
+
+    def _read_run(self, active: int, size: int) -> tuple[bytes | memoryview, bool, np.ndarray | None]:
+        """Read the values of a node of `size`: all of them, or the active ones and what the inactive ones are."""
+        (state,) = self._cursor.take(1)
+        if state > _ALL:
+            raise InputError(f"{self._cursor.path}: damaged: a node of unknown kind {state}")
+        inactive = self._read_inactive(state, size)
+        complete = state == _ALL or not self._compression & ACTIVE_MASK
+        count = size if complete else active
+        if self._kind.half and count == 0:  # OpenVDB leaves out the size of such a run, unlike at full precision
+            return b"", complete, inactive
+        return read_run(self._cursor, count * self._kind.run_itemsize, self._compression), complete, inactive
+
+    def _read_inactive(self, state: int, size: int) -> np.ndarray | None:
+        """The inactive values of a node, one or for each of its voxels; None where they are the background."""
+        if state in (_BACKGROUND, _ALL):
+            return None
+        first, second = -self._background, self._background
+        if state in (_ONE, _MASK_ONE, _MASK_TWO):
+            first = self._kind.one(self._cursor.take(self._kind.itemsize))
+        if state == _MASK_TWO:
+            second = self._kind.one(self._cursor.take(self._kind.itemsize))
+        if state in (_NEGATIVE, _ONE):
+            return first
+        chosen = self._mask(size).reshape(-1, *(1 for _ in self._kind.shape))
+        return np.where(chosen, second, first)
+
+    def _mask(self, size: int) -> np.ndarray:
+        return _unpacked(np.frombuffer(self._cursor.take(size // 8), np.uint8))
+
+
+def _unpacked(masks: np.ndarray) -> np.ndarray:
+    return np.unpackbits(masks, bitorder="little").view(bool)
