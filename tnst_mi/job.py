@@ -40,7 +40,7 @@ from tnst_mi.outputs import (
 )
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
-from tnst_mi.sequence_record import sequence_record
+from tnst_mi.records import frame_record, sequence_record
 from tnst_mi.store import FolderStore, MemoryStore
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class Job:
                 frame = StylizedFrame(
                     source := self.frames[index],
                     stylized,
-                    _record_of(source, step_scales[index], stylized),
+                    frame_record(source, step_scales[index], stylized),
                 )
                 self.record["frames"].append(frame.record)
                 if folder is not None:
@@ -287,26 +287,6 @@ class Job:
         frame.stylized.potential = (None, None)
 
 
-def _record_of(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
-    """What run.json says of a frame."""
-    return {
-        "name": frame.name,
-        "number": frame.number,
-        "complete": not stylized.interrupted,
-        "note": stylized.note,
-        "mass_before": frame.mass,
-        "mass_after": float(stylized.density.sum(dtype=np.float64)),
-        "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
-        "step_scale": step_scale,
-        "loss_before": stylized.loss_before,
-        "loss_after": stylized.loss_after,
-        "terms_before": stylized.terms_before,
-        "terms_after": stylized.terms_after,
-        "losses": _losses_by_octave(stylized.history),
-        "timings": stylized.timings,
-    }
-
-
 def _remedy(out: Path) -> str:
     if holds_run(out):
         return "continue its run with --resume, or replace it with --overwrite"
@@ -325,10 +305,3 @@ def _sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
     if not isinstance(frames, Sequence) or not frames or not all(isinstance(frame, Frame) for frame in frames):
         raise InputError("frames: expected a path, a density grid, or frames (tnst_mi.Frame)")
     return frames
-
-
-def _losses_by_octave(history: list[dict[str, Any]]) -> list[list[float]]:
-    octaves: dict[int, list[float]] = {}
-    for entry in history:
-        octaves.setdefault(entry["octave"], []).append(entry["loss"])
-    return [octaves[octave] for octave in sorted(octaves)]

@@ -14,7 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.job import Frames, Job
 from tnst_mi.outputs import StoredArrays
 from tnst_mi.recipe import Recipe
-from tnst_mi.sequence_record import sequence_record
+from tnst_mi.records import sequence_record
 
 
 @dataclass(frozen=True)

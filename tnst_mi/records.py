@@ -1,4 +1,4 @@
-"""What run.json says of a sequence as a whole: how steady it is, and what that cost."""
+"""What run.json says of a frame, and of a sequence as a whole: how steady it is, and what that cost."""
 
 from __future__ import annotations
 
@@ -9,6 +9,33 @@ import numpy as np
 
 from tnst_mi.frame import Frame
 from tnst_mi.recipe import Recipe
+from tnst_mi.stylized import Stylized
+
+
+def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
+    """What a run has made of a frame.
+
+    Args:
+        frame: as it came in.
+        step_scale: its factor of η.
+        stylized: what the optimisation gave.
+    """
+    return {
+        "name": frame.name,
+        "number": frame.number,
+        "complete": not stylized.interrupted,
+        "note": stylized.note,
+        "mass_before": frame.mass,
+        "mass_after": float(stylized.density.sum(dtype=np.float64)),
+        "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
+        "step_scale": step_scale,
+        "loss_before": stylized.loss_before,
+        "loss_after": stylized.loss_after,
+        "terms_before": stylized.terms_before,
+        "terms_after": stylized.terms_after,
+        "losses": _losses_by_octave(stylized.history),
+        "timings": stylized.timings,
+    }
 
 
 def sequence_record(
@@ -57,3 +84,10 @@ def _mean_terms(terms: Sequence[dict[str, float]]) -> dict[str, float | None]:
 def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
+
+
+def _losses_by_octave(history: list[dict[str, Any]]) -> list[list[float]]:
+    octaves: dict[int, list[float]] = {}
+    for entry in history:
+        octaves.setdefault(entry["octave"], []).append(entry["loss"])
+    return [octaves[octave] for octave in sorted(octaves)]
