@@ -34,15 +34,17 @@ def main() -> int:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--weights")
     options = parser.parse_args()
-    if options.figures == ["page"]:
-        from figures.page import write_page
-
-        write_page(options.out, Path(__file__).resolve().parents[1] / "docs")
-        return 0
+    if "page" in options.figures and options.figures != ["page"]:
+        parser.error("page: expected by itself, once the figures are made")
     if options.size == "paper" and options.data is None:
         parser.error("--size paper: expected --data, a folder of simulations made with scripts/simulate.py")
     names = list(MODULES) if "all" in options.figures else options.figures
     try:
+        if options.figures == ["page"]:
+            from figures.page import write_page
+
+            write_page(options.out, Path(__file__).resolve().parents[1] / "docs")
+            return 0
         missed = [name for name in names if not reproduce(name, options)]
     except InputError as error:
         print(f"reproduce: {error}", file=sys.stderr)
@@ -63,12 +65,12 @@ def reproduce(name: str, options: argparse.Namespace) -> bool:
     from figures.setting import Setting
 
     since = time.perf_counter()
-    figure = figure_named(name)
-    made = figure.make(Setting(options.size, options.out, options.data, options.weights))
+    figure, setting = figure_named(name), Setting(options.size, options.out, options.data, options.weights)
+    made = figure.make(setting)
     run = {
         "command": f"python scripts/reproduce.py {name}" + (" --size paper" if options.size == "paper" else ""),
         "size": options.size,
-        "seconds": time.perf_counter() - since,
+        "seconds": time.perf_counter() - since + sum(setting.earlier.values()),
         "device": environment.device(variant),
         "versions": environment.versions(),
     }

@@ -164,8 +164,8 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         h: size of a cell in full-resolution cells, > 0.
 
     Returns:
-        Velocity (D, H, W, 3), components (x, y, z), in full-resolution cells per frame, in the array kind given; it is 0
-        along an axis of one cell.
+        Velocity (D, H, W, 3), components (x, y, z), in full-resolution cells per frame, 0 along an axis of one cell, in
+        the array kind given.
 
     Raises:
         InputError: both potentials are absent, their shapes disagree, or λ or h is out of range.

@@ -18,8 +18,9 @@ from tnst_mi.io.atomic import written_whole
 if TYPE_CHECKING:
     from figures.setting import Setting
 
-#: Height of a picture on the page, and room for the text below all of them, in inches.
-_PANEL, _CAPTION_LINE = 2.2, 0.19
+#: In inches: the height of a picture, of the title, of a line of text, the space around a picture, and what the ticks
+#: and the name of an axis take of a plot, on the left and below.
+_PANEL, _TITLE, _LINE, _SPACE, _TICKS = 2.2, 0.35, 0.17, 0.1, (0.55, 0.4)
 _DOTS_PER_INCH = 110
 
 
@@ -87,25 +88,28 @@ class Figure:
 
 def draw(path: Path, title: str, made: Made) -> None:
     """Write the picture of a figure as PNG: its rows, and its claims below."""
-    columns = max(len(row) for row in made.rows)
-    aspects = [_aspect(row[i]) for i in range(columns) for row in made.rows[:1] if i < len(row)]
-    aspects += [1.0] * (columns - len(aspects))
-    width = max(_PANEL * sum(aspects), 5.0)
-    characters = int(width * 14)
+    columns = [
+        _PANEL * max(_aspect(row[i]) for row in made.rows if i < len(row))
+        for i in range(max(len(row) for row in made.rows))
+    ]
+    labels = [_LINE * max(panel.label.count("\n") + 1 for panel in row) for row in made.rows]
+    width = max(sum(columns) + _SPACE * (len(columns) + 1), 5.0)
+    characters = int(width * 15)
     lines = [line for claim in made.claims for line in textwrap.wrap(_verdict(claim), characters)]
-    height = (_PANEL + 0.35) * len(made.rows) + 0.45
-    caption = _CAPTION_LINE * (len(lines) + 1)
-    canvas = Canvas(figsize=(width, height + caption), dpi=_DOTS_PER_INCH)
-    pictures, text = canvas.subfigures(2, 1, height_ratios=[height, caption])
-    pictures.suptitle(title, fontsize=11)
-    axes = pictures.subplots(len(made.rows), columns, squeeze=False, width_ratios=aspects)
-    pictures.subplots_adjust(left=0.02, right=0.98, bottom=0.06, top=1 - 0.4 / height, wspace=0.06, hspace=0.2)
-    for row, panels in zip(axes, made.rows, strict=True):
-        for place in row[len(panels) :]:
-            place.axis("off")
-        for place, panel in zip(row, panels, strict=False):
-            _show(place, panel)
-    text.text(0.02, 0.95, "\n".join(lines), va="top", fontsize=8)
+    caption = _LINE * (len(lines) + 1)
+    height = _TITLE + sum(_PANEL + label + _SPACE for label in labels) + caption
+    canvas = Canvas(figsize=(width, height), dpi=_DOTS_PER_INCH)
+    canvas.text(0.5, 1 - 0.5 * _TITLE / height, title, ha="center", va="center", fontsize=11)
+    top = height - _TITLE
+    for row, label in zip(made.rows, labels, strict=True):
+        left = (width - sum(columns) - _SPACE * (len(columns) - 1)) / 2
+        for panel, column in zip(row, columns, strict=False):
+            right, up = _TICKS if isinstance(panel, Plot) else (0.0, 0.0)
+            box = (left + right, top - _PANEL + up, column - right, _PANEL - up)
+            _show(canvas.add_axes([box[0] / width, box[1] / height, box[2] / width, box[3] / height]), panel)
+            left += column + _SPACE
+        top -= _PANEL + label + _SPACE
+    canvas.text(_SPACE / width, (caption - 0.5 * _LINE) / height, "\n".join(lines), va="top", fontsize=8)
     with written_whole(path) as temporary:
         FigureCanvasAgg(canvas).print_png(str(temporary))
 
@@ -138,7 +142,10 @@ def _show(axes: Any, panel: Panel | Plot) -> None:
             axes.plot(x, y, marker=".", label=name)
         if panel.logarithmic:
             axes.set(xscale="log", yscale="log")
-        axes.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.label)
+        axes.set_xlabel(panel.x_label, fontsize=8)
+        axes.set_ylabel(panel.y_label, fontsize=8)
+        axes.set_title(panel.label, fontsize=8)
+        axes.tick_params(labelsize=7)
         axes.legend(fontsize=7)
         return
     axes.imshow(np.clip(panel.image, 0.0, 1.0), cmap="gray", vmin=0.0, vmax=1.0, interpolation="lanczos")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,16 @@ from tnst_mi.io.sequence import load_frames
 from tnst_mi.job import Job
 from tnst_mi.outputs import StoredArrays, holds_run
 from tnst_mi.recipe import STYLES, Recipe
+from tnst_mi.resample import resample_potential
 
 _HERE = Path(__file__).resolve().parents[2]
 
 #: Folders with smoke, pictures and recipes: those bundled, and those that may lie beside the checkout.
 SCENES, ASSETS = _HERE / "scenes", _HERE.parent / "shared"
+
+
+#: Cells left around the smoke of a close-up, which stylization may move out a little.
+_ROOM = 6
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,11 @@ class Run:
         return self.velocities[0]
 
     @property
+    def recipe(self) -> Recipe:
+        """The recipe as run."""
+        return Recipe.from_toml(self.out / "recipe.toml")
+
+    @property
     def exposure(self) -> float:
         """The factor from rendered images to [0, 1] that the run had."""
         return self.record["exposure"]
@@ -57,12 +67,14 @@ class Setting:
         out: where pictures, numbers and, in `runs`, stylizations go.
         data: folder with simulations of one's own (`scripts/simulate.py`), one folder each; None for those at hand.
         weights: as a recipe's `weights`; None searches for them.
+        earlier: seconds that went into each stylization before this call, by its name; 0 for those made now.
     """
 
     size: str
     out: Path
     data: Path | None = None
     weights: str | None = None
+    earlier: dict[str, float] = field(default_factory=dict)
 
     def smoke(self, name: str, first: int, last: int | None = None) -> list[Frame]:
         """The frames of a simulation from number `first` to `last`, both included; one where `last` is None.
@@ -80,6 +92,22 @@ class Setting:
             f"{name}: frames {numbers[0]} to {numbers[-1]} are in none of {', '.join(map(str, folders))}; "
             f"make them with scripts/simulate.py {name}, and name its folder with --data"
         )
+
+    def close_up(self, frame: Frame, finer: float = 1.5) -> Frame:
+        """The smoke of a frame cut out of its grid and resampled on finer cells, without its velocity.
+
+        Small grids have much room and few cells for the smoke; it then fills them. At paper size the frame as it is.
+        """
+        if self.size == "paper":
+            return frame
+        box = []
+        for axis in range(3):
+            cells = np.flatnonzero(frame.density.sum(axis=tuple({0, 1, 2} - {axis})) > 1.0)
+            box.append(slice(max(int(cells[0]) - _ROOM, 0), int(cells[-1]) + 1 + _ROOM))
+        part = frame.density[tuple(box)]
+        shape = tuple(int(finer * size) for size in part.shape)
+        density = np.maximum(resample_potential(part, 1.0, shape, 1 / finer), 0)
+        return Frame(density, name=frame.name, number=frame.number)
 
     def style(self, name: str) -> str | None:
         """A picture by its name: one that ships with the package, or one beside the checkout; None if neither is."""
@@ -108,6 +136,7 @@ class Setting:
                 raise
             # What is there is of other frames, another recipe or other weights.
             job = Job(frames, recipe, out, overwrite=True)
+        self.earlier.setdefault(name, job.record.get("seconds", 0.0))
         for _ in job.run():
             pass
         if job.record["status"] != "done":
