@@ -1,0 +1,84 @@
+"""Table 2: its four recipes, with our times beside the paper's."""
+
+from __future__ import annotations
+
+import math
+import os
+
+from figures.figure import Claim, Figure, Made, Panel
+from figures.seen import before_and_after, smoke_box
+from figures.setting import SCENES, Run, Setting
+from tnst_mi.grid import octaves
+from tnst_mi.recipe import Recipe
+
+#: Minutes a frame in the paper, and the grid, (D, H, W).
+_PAPER = {
+    "semantic": (13.47, (200, 300, 200)),
+    "style": (12.68, (200, 300, 200)),
+    "volcano": (12.97, (200, 300, 200)),
+    "sato": (11.97, (192, 256, 192)),
+}
+
+
+def make(setting: Setting) -> Made:
+    """Stylize one frame by each recipe of scenes/paper, and compare times."""
+    frame = setting.smoke("smokejet", 61)[0]
+    recipes = {name: Recipe.from_toml(SCENES / "paper" / f"{name}.toml") for name in _PAPER}
+    runs = {name: setting.stylized(f"table2-{name}", frame, recipe, window=1) for name, recipe in recipes.items()}
+    seconds = {name: _seconds(run) for name, run in runs.items()}
+    ours = {name: _work(frame.density.shape, recipes[name]) / seconds[name] / 1e6 for name in runs}
+    paper = {name: _work(shape, recipes[name]) / (60 * minutes) / 1e6 for name, (minutes, shape) in _PAPER.items()}
+    records = {name: run.record["frames"][0] for name, run in runs.items()}
+    losses = {name: (record["loss_before"], record["loss_after"]) for name, record in records.items()}
+    pictures = {name: before_and_after(run) for name, run in runs.items()}
+    panels = [
+        [Panel(pictures[name][i][smoke_box(pictures[name])], label) for name, label in labels.items()]
+        for i, labels in enumerate(
+            ({name: f"{name}: input" for name in runs}, {name: f"{name}: {seconds[name]:.0f} s" for name in runs})
+        )
+    ]
+    depth, height, width = frame.density.shape
+    busy, cores = os.getloadavg()[0], os.cpu_count() or 1
+    return Made(
+        panels,
+        [
+            Claim(
+                f"{name}: {seconds[name]:.0f} s for a frame of {width}×{height}×{depth} cells, {ours[name]:.2f} "
+                f"million cells × views × iterations a second; the paper: {minutes:.2f} min for "
+                f"{shape[2]}×{shape[1]}×{shape[0]}, {paper[name]:.2f} million. The loss goes from "
+                f"{losses[name][0]:.4g} to {losses[name][1]:.4g}",
+                losses[name][1] < losses[name][0],
+            )
+            for name, (minutes, shape) in _PAPER.items()
+        ],
+        {
+            "seconds": seconds,
+            "million_cells_views_iterations_per_second": ours,
+            "the_same_of_the_paper": paper,
+            "loss_before_and_after": losses,
+        },
+        [f"While this ran, {busy:.0f} processes shared {cores} cores."] if busy > 1.5 * cores else [],
+    )
+
+
+def _seconds(run: Run) -> float:
+    """Seconds of all iterations of the first frame."""
+    return run.record["frames"][0]["timings"]["total"]
+
+
+def _work(shape: tuple[int, int, int], recipe: Recipe) -> int:
+    """Cells times views times iterations, over all octaves."""
+    cells = sum(math.prod(octave.shape) for octave in octaves(shape, recipe.octaves, recipe.scale_factor))
+    return cells * recipe.views * recipe.iterations
+
+
+FIGURE = Figure(
+    "Table 2: four recipes and their times",
+    "A frame takes 12 to 13.5 minutes on a TITAN Xp: 540 view gradients for three scales of 200×300×200 cells, 360 for "
+    "two.",
+    make,
+    "Times are for one frame without its window, on a CPU that others use, too; fixed costs weigh more on small grids. "
+    "On two quiet cores a frame of the paper's size takes 193 s by the semantic recipe (docs/performance.md), 13.4 "
+    "million cells × views × iterations a second. Channels and pictures are ours; scenes/paper says which numbers are "
+    "the paper's.",
+)
