@@ -11,12 +11,11 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from tnst_mi import coherence
-from tnst_mi.advection import advect
 from tnst_mi.backend import torch_device
 from tnst_mi.errors import InputError
+from tnst_mi.finish import stylized_frame
 from tnst_mi.frame import Frame
 from tnst_mi.frame_gradient import OctaveProblem
 from tnst_mi.goals import objective_of
@@ -24,7 +23,6 @@ from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import opaque
 from tnst_mi.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.objective import Objective, rms_scales
-from tnst_mi.parameterisation import Transport
 from tnst_mi.recipe import Recipe
 from tnst_mi.sequence_state import Current, SequenceState, Shot
 from tnst_mi.store import Store
@@ -253,40 +251,13 @@ class SequenceOptimisation:
     # ---------------------------------------------------------------- results
 
     def _finish(self, index: int) -> Stylized:
-        """Apply the fields that were reached to the unstylized frame at full resolution."""
-        state, octave = self._state, self._state.reached()
+        """The result of a frame as far as it got, with its losses before and after."""
+        state, last = self._state, self._recipe.octaves - 1
         frame, shot = state.frames[index], state.shots[index]
-        if shot.still or state.done(octave, index) < 0:
-            result = Stylized(frame.density.copy(), np.zeros((*frame.density.shape, 3), np.float32))
-            if shot.still:
-                seen = f"renders black at gamma {shot.recipe.gamma:g}" if frame.density.any() else "is empty"
-                result.note = f"{frame.name} {seen}: nothing to stylize, left unchanged"
-            return result
+        # The blocks that Dr.Jit keeps for the iterations are not needed any more.
         dr.flush_malloc_cache()
-        parameters = state.restored(octave, index)
-        parameters.enter(state.levels[-1])
-        with dr.suspend_grad():
-            density = np.maximum(parameters.density(mi.TensorXf(frame.density)).numpy(), 0)
-            if isinstance(parameters, Transport):
-                velocity, fields = parameters.velocity().numpy(), parameters.arrays()
-            else:
-                velocity, fields = np.zeros((*frame.density.shape, 3), np.float32), {}
-            if frame.obstacle is not None and isinstance(parameters, Transport):
-                # Potentials do not change in a solid, but those around it have velocities a cell inside.
-                velocity = np.where(frame.obstacle[..., None], np.float32(0), velocity)
-                density = np.maximum(advect(frame.density, velocity, steps=shot.recipe.steps), 0)
-        if frame.obstacle is not None:
-            density = np.where(frame.obstacle, frame.density, density)
-        blend = shot.recipe.blend
-        result = Stylized(np.float32((1.0 - blend) * frame.density + blend * density), velocity)
-        result.potential = fields.get("phi"), fields.get("psi")
-        result.history = state.history(shot.name)
-        for entry in result.history:
-            name = f"octave {entry['octave']}"
-            result.timings[name] = result.timings.get(name, 0.0) + entry["seconds"]
-        result.timings["total"] = sum(result.timings.values())
-        last = self._recipe.octaves - 1
-        if state.store.numbers(f"scales.{last}") is not None:
+        result = stylized_frame(state, index, frame)
+        if result.history and state.store.numbers(f"scales.{last}") is not None:
             problem = self._octave_problem(last)
             self._weigh(problem, shot)
             result.loss_before, result.terms_before = problem.judge(frame.density, shot.recipe)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from figures.figure import Claim, Figure, Made, Panel
-from figures.measures import visible_share
+from figures.measures import depth_of_change, visible_share
 from figures.seen import FRONT, JUDGED, images_of, losses_of
 from figures.setting import Setting
 from tnst_mi.looks import LOOKS
@@ -30,6 +30,7 @@ def make(setting: Setting) -> Made:
     }
     thin, thick = _GAMMAS
     seen = {gamma: visible_share(frame.density, run.density - frame.density, thick) for gamma, run in runs.items()}
+    depths = {gamma: depth_of_change(frame.density, run.density - frame.density) for gamma, run in runs.items()}
     style = Style(runs[thin].recipe.style[0], runs[thin].recipe.style_layers)
     distances = {
         judged: {
@@ -65,6 +66,7 @@ def make(setting: Setting) -> Made:
         ],
         {
             "share_of_change_seen": {f"{gamma:g}": share for gamma, share in seen.items()},
+            "depth_of_change": {f"{gamma:g}": depth for gamma, depth in depths.items()},
             "style_distance_by_gamma_seen_with_and_optimised": {
                 f"{judged:g}": {f"{gamma:g}": value for gamma, value in row.items()}
                 for judged, row in distances.items()

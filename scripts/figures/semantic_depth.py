@@ -70,9 +70,9 @@ def make(setting: Setting) -> Made:
             "mean_in_smoke": in_smoke,
         },
         [
-            "Nor do structures grow at every step, by the same measure, in the pictures that excite the channels without "
-            f"any smoke: {_sizes(_means([found['picture']]))}. Motifs of deep layers extend further, but are made of "
-            "fine parts, which decide the centroid."
+            "By the same measure, the pictures that excite the channels without any smoke have structures of "
+            f"{_sizes(_means([found['picture']]))}: motifs of deep layers extend further, but are made of fine parts, "
+            "which decide the centroid."
         ],
     )
 

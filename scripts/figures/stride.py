@@ -12,6 +12,7 @@ from figures.setting import Setting
 from tnst_mi import GoogLeNet, Recipe, render, sample_views
 from tnst_mi.backend import torch_device
 from tnst_mi.goals import objective_of
+from tnst_mi.objective import BoundObjective
 from tnst_mi.optimise import optimise
 
 #: Of the checkerboard, in pixels: two strides of 2, those of the first convolution and of the maximum after it.
@@ -27,7 +28,8 @@ def make(setting: Setting) -> Made:
     # Over many views, what comes from the smoke averages out, and what comes from the lattice of pixels does not.
     views = [tuple(view) for view in sample_views(8, (-90.0, 90.0), (-20.0, 20.0))]
     images = np.asarray(render(frame.density, views, recipe.gamma))
-    images /= images[0].max()
+    exposure = 1 / images[0].max()
+    images = images * exposure
     box = smoke_box(images[:1])
     pictures, numbers = [Panel(images[0][box], "input")], {}
     for stride in (2, 1):
@@ -35,7 +37,7 @@ def make(setting: Setting) -> Made:
         gradients = _gradients(objective_of(recipe).bind(network, *images.shape[1:]), images)
         energy = by_phase(gradients, _PERIOD)
         density = optimise(frame, recipe, network).density
-        after = np.asarray(render(density, views, recipe.gamma)) / np.asarray(render(frame.density, gamma=0.1)).max()
+        after = np.asarray(render(density, views, recipe.gamma)) * exposure
         numbers[stride] = {"gradient": unevenness(energy), "change": unevenness(by_phase(after - images, _PERIOD))}
         pictures += [
             Panel(gradients[0][box] / 6 + 0.5, f"stride {stride}: gradient"),
@@ -59,7 +61,7 @@ def make(setting: Setting) -> Made:
     )
 
 
-def _gradients(loss: object, images: np.ndarray) -> np.ndarray:
+def _gradients(loss: BoundObjective, images: np.ndarray) -> np.ndarray:
     """Derivatives of a loss with respect to images (V, H, W), each with standard deviation 1."""
     gradients = []
     for image in images:

@@ -17,6 +17,8 @@ _KINDS = {
     "net": "pattern",
     "cells": "pattern",
 }
+#: Pictures of unknown terms, which a figure must not show.
+_TERMS_UNKNOWN = {"erupting_volcano"}
 _KEYS = {"small": {"octaves": 2, "iterations": 20, "views": 3}, "paper": {"octaves": 2, "iterations": 20, "views": 9}}
 
 
@@ -55,7 +57,9 @@ def make(setting: Setting) -> Made:
     box = smoke_box([images[0] for images in seen.values()])
     size = seen["input"][0].shape
     pictures = [
-        Panel(term.picture.fitted(*size).grey, f"{name.replace('_', ' ')} ({_KINDS[name]})")
+        Panel(np.ones(size), f"{name.replace('_', ' ')} ({_KINDS[name]}),\nterms unknown: not shown")
+        if name in _TERMS_UNKNOWN
+        else Panel(term.picture.fitted(*size).grey, f"{name.replace('_', ' ')} ({_KINDS[name]})")
         for name, term in terms.items()
     ]
     results = [Panel(seen[name][0][box], f"distance {distances[name][name]:.2f}") for name in runs]

@@ -57,5 +57,5 @@ FIGURE = Figure(
     make,
     "From the medium to the high layer, structures do not grow by this measure. Neither more cells (8.9, 10.2 and 9.3 "
     "px with cells of half the size) nor gradients normalised as a whole instead of by bands (7.4, 9.8 and 8.2 px) "
-    "change that. The figure of semantic transfer shows why: motifs of deep layers are made of fine parts.",
+    "change that. The figure of semantic transfer suggests why: motifs of deep layers are made of fine parts.",
 )
