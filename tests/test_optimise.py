@@ -288,7 +288,9 @@ def test_iterations_leave_nothing_in_memory(network: GoogLeNet, smoke: Frame) ->
         optimise(smoke, recipe(octaves=1, iterations=30), network, on_iteration=count)
     finally:
         gc.set_threshold(*threshold)
-    assert len(set(alive[5:])) == 1, alive
+    early, late = (np.min(alive[first : first + 10], axis=0) for first in (5, 20))
+    # Kept, 15 iterations would be 45 tensors and as many variables; what is just being freed in a thread may be seen.
+    assert np.all(late - early <= 6), alive
 
 
 # --------------------------------------------------------------------
