@@ -48,6 +48,16 @@ def test_spectral_centroid_of_a_wave_is_its_frequency() -> None:
     assert measures.spectral_centroid(np.full((8, 8), 0.3)) == 0.0
 
 
+def test_spread_is_the_standard_deviation_in_the_plane() -> None:
+    rows, columns = np.indices((60, 80))
+    for sigma in (2.0, 5.0):
+        bell = np.exp(-((rows - 28) ** 2 + (columns - 41) ** 2) / (2 * sigma**2))
+        assert measures.spread(bell) == pytest.approx(np.sqrt(2) * sigma, rel=1e-4)
+    two = np.zeros((9, 9))
+    two[4, 1] = two[4, 7] = 0.3
+    assert measures.spread(two) == pytest.approx(3)
+
+
 def test_radial_spectrum_has_a_wave_in_its_ring_and_shares_that_add_up() -> None:
     x = np.arange(64)
     wave = np.cos(2 * np.pi * x / 8) + np.zeros((64, 1))

@@ -21,6 +21,14 @@ def spectral_centroid(image: np.ndarray) -> float:
     return float((frequencies(image.shape) * energy).sum() / total) if total > 0 else 0.0
 
 
+def spread(energy: np.ndarray) -> float:
+    """Root of the mean squared distance from its centre, in pixels, of an energy (H, W) of 0 or more."""
+    rows, columns = np.indices(energy.shape)
+    total = energy.sum(dtype=np.float64)
+    centre = [(axis * energy).sum() / total for axis in (rows, columns)]
+    return float(np.sqrt((((rows - centre[0]) ** 2 + (columns - centre[1]) ** 2) * energy).sum() / total))
+
+
 def power_spectrum(image: np.ndarray) -> np.ndarray:
     """|F|² of an image (H, W) without its mean, in the layout of `numpy.fft.fft2`."""
     return np.abs(np.fft.fft2(image - image.mean(dtype=np.float64))) ** 2

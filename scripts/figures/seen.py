@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from figures.measures import spread
 from figures.setting import Run, Setting
 from tnst_mi import GoogLeNet, render
 from tnst_mi.backend import torch_device
@@ -47,6 +48,23 @@ def losses_of(setting: Setting, objective: Objective, images: np.ndarray) -> dic
 def network(weights: str | None) -> GoogLeNet:
     """The network of `Setting.weights`, loaded once."""
     return GoogLeNet.load(weights).to(torch_device())
+
+
+def motif_radius(setting: Setting, layer: str, channels: Sequence[int], image: np.ndarray) -> float:
+    """How far what a channel responds to in an image (H, W) extends, in pixels, mean over those that respond at all.
+
+    This is the spread of the squared derivative, with respect to the pixels, of the channel at the place where it
+    responds most: of the part of the image that made it respond.
+    """
+    net = network(setting.weights)
+    pixels = torch.as_tensor(np.float32(image)).to(torch_device())[None, None].requires_grad_()
+    responses = net(pixels.expand(-1, 3, -1, -1), layers=[layer])[layer][0]
+    radii = []
+    for channel in channels:
+        (gradient,) = torch.autograd.grad(responses[channel].max(), pixels, retain_graph=True)
+        if gradient.any():
+            radii.append(spread(gradient[0, 0].double().square().cpu().numpy()))
+    return float(np.mean(radii))
 
 
 def smoke_box(images: Sequence[np.ndarray], margin: int = 4, aspect: float = 2 / 3) -> tuple[slice, slice]:

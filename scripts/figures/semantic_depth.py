@@ -8,7 +8,7 @@ import numpy as np
 
 from figures.figure import Claim, Figure, Made, Panel
 from figures.measures import spectral_centroid
-from figures.seen import before_and_after, network, smoke_box
+from figures.seen import before_and_after, motif_radius, network, smoke_box
 from figures.setting import Setting
 from tnst_mi.excitation import Ascent, excite
 
@@ -35,7 +35,7 @@ def make(setting: Setting) -> Made:
     }
     rows = [[Panel(picture, f"{layer}\nchannel {channel}") for (layer, channel), picture in pictures.items()]]
     found = {"picture": {key: spectral_centroid(picture) for key, picture in pictures.items()}}
-    rose = []
+    rose, radii = [], {layer: [] for layer in _CHANNELS}
     for smoke, (number, gamma) in _SMOKE.items():
         frame = setting.close_up(setting.smoke(smoke, number)[0])
         found[smoke], seen = {}, []
@@ -45,21 +45,25 @@ def make(setting: Setting) -> Made:
             before, after = before_and_after(run)
             seen.append(after)
             found[smoke][layer, channel] = spectral_centroid(after - before)
+            radii[layer].append(motif_radius(setting, layer, [channel], after))
             record = run.record["frames"][0]
             rose.append(sum(record["terms_after"].values()) < sum(record["terms_before"].values()))
         box = smoke_box([before, *seen])
         motifs = [motif for channels in _CHANNELS.values() for motif in channels.values()]
         rows.append([Panel(image[box], motif) for image, motif in zip(seen, motifs, strict=True)])
         rows[-1].append(Panel(before[box], "input"))
-    in_smoke = _means([centroids for name, centroids in found.items() if name != "picture"])
+    means = {
+        "motif radius": {layer: float(np.mean(values)) for layer, values in radii.items()},
+        "centroid": _means([centroids for name, centroids in found.items() if name != "picture"]),
+    }
     return Made(
         rows,
         [
             Claim(f"{sum(rose)} of {len(rose)} stylizations make their channel fire more", all(rose)),
             Claim(
-                "Structures, by the spectral centroid of the change, mean over channels and smoke, grow with depth: "
-                + _sizes(in_smoke),
-                all(shallow > deep for shallow, deep in pairwise(in_smoke.values())),
+                "What the channels respond to in the stylized smoke extends farther the deeper they are: its radius is "
+                + ", ".join(f"{radius:.1f} px ({layer})" for layer, radius in means["motif radius"].items()),
+                all(shallow < deep for shallow, deep in pairwise(means["motif radius"].values())),
             ),
         ],
         {
@@ -67,12 +71,14 @@ def make(setting: Setting) -> Made:
                 name: {f"{layer}:{channel}": value for (layer, channel), value in centroids.items()}
                 for name, centroids in found.items()
             },
-            "mean_in_smoke": in_smoke,
+            "means": means,
         },
         [
-            "By the same measure, the pictures that excite the channels without any smoke have structures of "
-            f"{_sizes(_means([found['picture']]))}: motifs of deep layers extend further, but are made of fine parts, "
-            "which decide the centroid."
+            "The spectral centroid of the change does not show it: structures by it are of "
+            f"{_sizes(means['centroid'])}, and of {_sizes(_means([found['picture']]))} in the pictures that excite the "
+            "channels without any smoke. It cannot: derivatives of all layers pass through the first ones, and have "
+            "about the same spectrum (3.3 to 3.7 px from conv2 to 5a on the jet), which the Laplacian pyramid evens "
+            "out. What depth changes is how far the parts of a motif belong together."
         ],
     )
 

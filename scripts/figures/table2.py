@@ -78,7 +78,7 @@ FIGURE = Figure(
     "two.",
     make,
     "Times are for one frame without its window, on a CPU that others use, too; fixed costs weigh more on small grids. "
-    "On two quiet cores a frame of the paper's size takes 193 s by the semantic recipe (docs/performance.md), 13.4 "
+    "On two quiet cores a frame of the paper's size takes 135 s by the semantic recipe (docs/performance.md), 19.1 "
     "million cells × views × iterations a second. Channels and pictures are ours; scenes/paper says which numbers are "
     "the paper's.",
 )
