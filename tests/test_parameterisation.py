@@ -11,6 +11,7 @@ from fields import blob, smooth_noise
 import tnst_mi
 from tnst_mi.grid import Octave, octaves
 from tnst_mi.parameterisation import DensityOffset, Transport
+from tnst_mi.resample import resample_density
 
 SHAPE = (16, 24, 20)
 
@@ -85,6 +86,19 @@ def test_step_of_a_vector_potential_is_masked_in_every_component() -> None:
     psi = transport.fields["psi"].numpy()
     assert not psi[mask == 0].any()
     assert (np.abs(psi[mask == 1]).max(0) > 1e-4).all()
+
+
+@pytest.mark.parametrize("shape", [(12, 36, 24), (1, 36, 24)], ids=["a grid", "a plane"])
+def test_density_offset_is_the_same_share_of_the_density_in_the_next_octave(shape: tuple[int, int, int]) -> None:
+    coarse, fine = octaves(shape, 2, 2.0)
+    full = np.ones(shape, np.float32)
+    offset = DensityOffset()
+    offset.enter(coarse)
+    density = resample_density(full, 1.0, coarse.shape, coarse.cell_size)
+    offset.fields["offset"] = mi.TensorXf(0.5 * density)
+    offset.enter(fine)
+    middle = tuple(n // 2 for n in shape)
+    assert offset.density(mi.TensorXf(full)).numpy()[middle] == pytest.approx(1.5, abs=1e-5)
 
 
 def test_density_offset_is_clamped_and_steps_by_eta() -> None:

@@ -123,14 +123,6 @@ def test_frames_round_trip_where_they_came_from(placement: Placement | None, tmp
     assert (loaded.name, loaded.number) == ("frame_0007", 7)
 
 
-def test_a_place_in_a_scene_with_another_axis_up() -> None:
-    place = Placement(0.5, (1.0, 2.0, 3.0), "z")
-    turned = place.with_up("y", (4, 9, 9))
-    # z = −Y: 4 cells of 0.5 from Y = 2 to 4 lie from z = −4 to −2.
-    assert (turned.corner, turned.up) == ((1.0, 3.0, -4.0), "y")
-    assert turned.with_up("z", (4, 9, 9)) == place
-
-
 def test_blenders_cache_is_read_as_mantaflow_means_it(tmp_path: Path) -> None:
     path = unpacked("blender_half_zip", tmp_path)
     (frame,) = load_frames(path)

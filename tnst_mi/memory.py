@@ -116,10 +116,14 @@ def require_memory(need: Need, free: int | None) -> str:
 
 
 def free_bytes() -> int | None:
-    """What is free where the active variant computes, in bytes; None where that cannot be told."""
+    """What a run can have where the active variant computes, in bytes; None where that cannot be told."""
     import torch
 
     from tnst_mi.backend import torch_device
 
     device = torch_device()
-    return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else environment.free_memory()
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    free, held = environment.free_memory(), environment.resident_memory()
+    # Of what a run needs, the process holds a part already.
+    return None if free is None else free + min(held or 0, PROCESS)

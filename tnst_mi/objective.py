@@ -19,11 +19,11 @@ from torch.autograd.function import FunctionCtx
 from tnst_mi.errors import InputError
 from tnst_mi.googlenet import GoogLeNet
 
+#: A term whose gradient is smaller is not amplified beyond this: it is zero but for rounding.
 SMALLEST_SCALE = 1e-12
 
 #: Bytes of feature maps that a GPU keeps at once, unless those of one view are more.
 LARGEST_BATCH = 1 << 30
-"""A term whose gradient is smaller is not amplified beyond this: it is zero but for rounding."""
 
 Features = Mapping[str, Tensor]
 

@@ -145,6 +145,14 @@ class DensityOffset(Parameterisation):
 
     channels = {"offset": 1}  # noqa: RUF012
 
+    def enter(self, octave: Octave) -> None:
+        """Carry the offset over to another octave; in a plane, it thins out as the density does."""
+        before = self.octave
+        super().enter(octave)
+        if before is not None:
+            flat = sum(n == m == 1 for n, m in zip(before.shape, octave.shape, strict=True))
+            self.fields["offset"] *= opaque((before.cell_size / octave.cell_size) ** flat)
+
     def density(self, density: mi.TensorXf) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""
         return mi.TensorXf(dr.maximum((density + self.fields["offset"]).array, mi.Float(0)), tuple(density.shape))
