@@ -42,6 +42,7 @@ _SECTION = """
 ![{title}](images/figures/{name}.png)
 
 {claims}
+
 {differs}Made in {seconds:.0f} s.
 """
 
