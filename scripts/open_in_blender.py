@@ -19,7 +19,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import NoReturn, TextIO
 
 try:
     import bpy
@@ -38,11 +38,17 @@ LONGEST_LINE = 1000
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
+def refuse(message: str) -> NoReturn:
+    """End with a line that says what cannot be used, and exit code 2."""
+    print(f"open_in_blender.py: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
 def vdb_files(path: Path) -> list[Path]:
     """The VDB files that a path stands for; it is an error that there are none."""
     files = sorted(path.glob("*.vdb")) if path.is_dir() else [path]
     if not files or not all(file.is_file() for file in files):
-        raise SystemExit(f"open_in_blender.py: {path}: no VDB file here")
+        refuse(f"{path}: no VDB file here, expected one or a folder of them")
     return files
 
 
@@ -232,7 +238,7 @@ def main() -> int:
     for path in given.paths:
         vdb_files(path)
     if shutil.which(given.blender) is None:
-        raise SystemExit(f"open_in_blender.py: no program {given.blender}: install Blender (apt-get install blender)")
+        refuse(f"no program {given.blender}: install Blender (apt-get install blender), or name it with --blender")
     command = [given.blender, "--background", "--factory-startup", "--python", str(Path(__file__).resolve())]
     with subprocess.Popen(
         [*command, "--", *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"

@@ -88,8 +88,9 @@ class Setting:
             files = [folder / f"frame_{number:04d}.npz" for number in numbers]
             if all(file.exists() for file in files):
                 return [load_frames(file)[0] for file in files]
+        wanted = f"frame {first} is" if len(numbers) == 1 else f"frames {first} to {last} are"
         raise InputError(
-            f"{name}: frames {numbers[0]} to {numbers[-1]} are in none of {', '.join(map(str, folders))}; "
+            f"{name}: {wanted} in none of {', '.join(map(str, folders))}; "
             f"make them with scripts/simulate.py {name}, and name its folder with --data"
         )
 
