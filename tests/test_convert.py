@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from command_line import Run, refused, run, smoke
 from jobs import FakeOptimiser, optimiser
 
 import tnst_mi
+from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.orientation import from_z_up
@@ -73,6 +75,8 @@ def test_what_files_do_not_say_is_said_by_flags(run: Run, tmp_path: Path) -> Non
     ):
         np.testing.assert_allclose(converted(*flags).velocity, velocity * factor, rtol=1e-6)
     assert converted("--voxel-size", "0.25").placement == Placement(0.25)
+    # Of npz the axis that is up is read, not the one of the scene that it goes to.
+    assert converted("--voxel-size", "0.25", "--up", "y").placement == Placement(0.25)
 
 
 def test_where_the_grid_lies_is_told_once_before_it_is_lost(run: Run, tmp_path: Path) -> None:
@@ -93,7 +97,7 @@ def test_bad_requests(run: Run, moving: Path, tmp_path: Path) -> None:
         ([moving, tmp_path / "a.vdb"], "a file holds one frame and there are 3; give a folder"),
         ([file, tmp_path / "a.abc"], "unknown format '.abc', expected one of .npz, .vol, .uni, .vdb"),
         ([file, tmp_path / "a.vdb", "--format", "uni"], "is named as a .vdb file"),
-        ([file, file], "is the input; give another name"),
+        ([file, file], "is the input, or would replace a part of it; give another name"),
         ([file, moving], "contains the input"),
         ([tmp_path / "nothing", tmp_path / "a.vdb"], "nothing: no such file or folder"),
         ([file, tmp_path / "a.vdb", "--flip", "w"], "--flip w: expected axes out of x, y and z"),
@@ -110,6 +114,45 @@ def test_bad_requests(run: Run, moving: Path, tmp_path: Path) -> None:
         ran = run("convert", file, tmp_path / "a.vdb", *flags)
         assert ran.code == 2 and message in ran.errors[-1]
     assert not (tmp_path / "a.vdb").exists()
+
+
+def test_a_file_is_not_converted_onto_a_part_of_itself(run: Run, moving: Path, tmp_path: Path) -> None:
+    whole, plain = tmp_path / "c_001.vol", tmp_path / "p_001.uni"
+    save_frames(whole, load_frames(moving)[0])
+    save_frames(plain, Frame(np.ones(SHAPE)))
+    (tmp_path / "link").symlink_to(tmp_path)
+    for given, output in (
+        (whole, tmp_path / "c_velocity_001.vol"),
+        (whole, tmp_path / "link" / "c_obstacle_001.vol"),
+        (plain, tmp_path / "p_vel_001.uni"),  # would be read as the velocity of its input
+    ):
+        refused(run, tmp_path, ["convert", given, output], "is the input, or would replace a part of it")
+    flags = tmp_path / "f_flags_001.vol"
+    save_frames(flags, Frame(np.ones(SHAPE)))
+    refused(run, tmp_path, ["convert", flags, tmp_path / "f_001.vol"], "is the input, or would replace a part of it")
+
+
+def test_where_a_file_cannot_be(run: Run, moving: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused(run, tmp_path, ["convert", moving / "f_07.npz", tmp_path / "file" / "x.vdb"], "file: is a file, expected")
+    if Path("/proc").is_dir():
+        refused(run, tmp_path, ["convert", moving / "f_07.npz", "/proc/x.vdb"], "/proc: cannot be written to")
+
+
+def test_what_was_written_before_a_bad_frame_is_told(run: Run, moving: Path, tmp_path: Path) -> None:
+    save_frames(moving / "f_09.npz", Frame(np.ones((2, 3, 4))))
+    ran = run("convert", moving, tmp_path / "out", "--format", "vol")
+    assert ran.code == 2 and len(ran.out.splitlines()) == 2
+    assert re.search(r"f_09: density has shape .*; the frames before it have been written: empty .*out", ran.errors[-1])
+    (moving / "f_07.npz").write_bytes(b"PK")
+    ran = run("convert", moving, tmp_path / "other")
+    assert ran.code == 2 and "empty" not in ran.errors[-1]
+
+
+def test_info_describes_every_file_of_a_mixed_folder(run: Run, moving: Path) -> None:
+    save_frames(moving / "f_10.uni", load_frames(moving)[0])
+    out = run("info", moving).out
+    assert out.count("read as: z up") == out.count("shape (z, y, x): (4, 6, 5)") == 1
 
 
 def test_info_describes_every_format(run: Run, moving: Path, tmp_path: Path) -> None:
@@ -163,6 +206,29 @@ def test_another_format_is_asked_for_resumed_and_overwritten(
     assert [grid.name for grid in read_vdb(out / "velocity" / "f_07.vdb").grids] == ["velocity"]
     list(Job(moving, Recipe(style=("spirals",)), out, progress=False, overwrite=True).run())
     assert written() == {f"{kind}/f_0{number}.npz" for kind in ("density", "velocity") for number in (7, 8, 9)}
+
+
+def test_a_run_is_resumed_in_its_format_only(optimiser: FakeOptimiser, moving: Path, tmp_path: Path) -> None:
+    frames, recipe = load_frames(moving), Recipe(style=("spirals",))
+    for format in ("vdb", "vol"):
+        save_frames(tmp_path / format, frames, format)
+    tnst_mi.stylize(tmp_path / "vdb", recipe, tmp_path / "out", progress=False)
+    with pytest.raises(InputError, match="its run wrote vdb files, in the format of its input, which now is vol"):
+        Job(tmp_path / "vol", recipe, tmp_path / "out", progress=False, resume=True)
+    assert len(load_frames(tmp_path / "out" / "density")) == 3
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_results_have_the_obstacles_of_their_frames(
+    format: str, optimiser: FakeOptimiser, moving: Path, tmp_path: Path
+) -> None:
+    out, recipe = tmp_path / "out", Recipe(style=("spirals",), format=format)
+    tnst_mi.stylize(moving, recipe, out, progress=False)
+    for result, frame in zip(load_frames(out / "density"), load_frames(moving), strict=True):
+        np.testing.assert_array_equal(result.obstacle, frame.obstacle)
+    # Overwriting knows of the files that they are in.
+    list(Job(load_frames(moving)[:1], recipe, out, progress=False, overwrite=True).run())
+    assert not [path for path in out.rglob("*") if "08" in path.name]
 
 
 def test_a_houdini_sequence_keeps_its_box_and_axes(optimiser: FakeOptimiser, tmp_path: Path) -> None:

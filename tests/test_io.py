@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import struct
 import zipfile
@@ -23,6 +24,7 @@ from tnst_mi.io.exr import write_exr
 from tnst_mi.io.npz import read_arrays, write_arrays
 from tnst_mi.io.png import write_png
 from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.vol import write_vol
 
 SHAPE = (3, 5, 4)
 
@@ -317,3 +319,67 @@ def test_read_arrays_leaves_other_arrays_alone(tmp_path: Path) -> None:
 def test_a_frame_checks_its_arrays(arrays: dict[str, np.ndarray], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Frame(**arrays)
+
+
+@pytest.mark.parametrize("format", ["vol", "uni"])
+def test_a_frame_replaces_all_files_of_an_earlier_one(tmp_path: Path, format: str) -> None:
+    path = tmp_path / f"frame_0007.{format}"
+    save_frames(path, random_frame())
+    velocity = tmp_path / f"frame_velocity_0007.{format}"
+    (tmp_path / f"frame_vel_0007.{format}").write_bytes(velocity.read_bytes())
+    plain = random_frame(1)
+    save_frames(path, Frame(plain.density))
+    (loaded,) = load_frames(path)
+    np.testing.assert_array_equal(loaded.density, plain.density)
+    assert (loaded.velocity, loaded.obstacle) == (None, None)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_frame_in_several_files_is_there_once_it_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, earlier: bool
+) -> None:
+    path, left = tmp_path / "frame_0007.vol", [2]
+    if earlier:
+        save_frames(path, Frame(random_frame(1).density))
+
+    def fails_at_last(file: Path, values: np.ndarray) -> None:
+        if not left[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        left[0] -= 1
+        write_vol(file, values)
+
+    monkeypatch.setattr("tnst_mi.io.formats.write_vol", fails_at_last)
+    with pytest.raises(OSError, match="No space left"):
+        save_frames(path, random_frame())
+    with pytest.raises(InputError, match="no such file"):
+        load_frames(path)
+
+
+@pytest.mark.parametrize("format", ["vol", "uni"])
+@pytest.mark.parametrize("name", ["obstacle", "vel", "flags_density", "f_velocity"])
+def test_sequences_named_by_the_words_of_companions_come_back(tmp_path: Path, format: str, name: str) -> None:
+    frames = [random_frame(number, f"{name}_{number:03d}", number) for number in (1, 2)]
+    save_frames(tmp_path / "frames", frames, format)
+    for loaded, frame in zip(load_frames(tmp_path / "frames"), frames, strict=True):
+        assert loaded.name == frame.name
+        for key in ("density", "velocity", "obstacle"):
+            np.testing.assert_array_equal(getattr(loaded, key), getattr(frame, key))
+
+
+def test_a_companion_without_its_density_is_no_frame(tmp_path: Path) -> None:
+    save_frames(tmp_path, [random_frame(number, f"f_{number}", number) for number in (1, 2, 3)], "vol")
+    (tmp_path / "f_3.vol").unlink()
+    assert [frame.number for frame in load_frames(tmp_path)] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("density", "velocity"),
+    [("D_001.VOL", "D_velocity_001.vol"), ("d_001.vol", "d_VEL_001.VOL"), ("Density_001.vol", "Velocity_001.vol")],
+)
+def test_companions_in_capitals_belong_to_their_density(tmp_path: Path, density: str, velocity: str) -> None:
+    frame = random_frame()
+    write_vol(tmp_path / density, frame.density)
+    write_vol(tmp_path / velocity, frame.velocity)
+    for path in (tmp_path, tmp_path / density):
+        np.testing.assert_array_equal(load_frames(path)[0].velocity, frame.velocity)

@@ -118,6 +118,17 @@ def test_real_files_hold_the_reference(asset: Callable[[str], Path]) -> None:
     np.testing.assert_allclose(frame.velocity[::-1, :-1, :, 1], up.transpose(1, 2, 0), rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.filterwarnings("error")
+def test_velocities_that_are_no_numbers_are_one_error(tmp_path: Path) -> None:
+    write_uni(tmp_path / "a.uni", np.ones(SHAPE, np.float32), REAL)
+    for values in ((np.inf, -np.inf), (1e300, 1e300)):
+        faces = np.zeros((*SHAPE, 3))
+        faces[:2, 0, 0, 2] = values
+        (tmp_path / "a_vel.uni").write_bytes(uni_bytes(b"MNT3", faces, VECTOR | MAC, 2, 24))
+        with pytest.raises(InputError, match=r"a\.uni: velocity has \d+ NaN or infinite values"):
+            load_frames(tmp_path / "a.uni")
+
+
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.uni"
     write_uni(path, np.random.default_rng(0).random(SHAPE).astype(np.float32), REAL)

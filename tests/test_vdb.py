@@ -191,6 +191,14 @@ def test_grids_that_make_no_frame(tmp_path: Path) -> None:
             load_frames(path)
     write_vdb(path, [DenseGrid("smoke", density), DenseGrid("velocity", velocity)], {})
     assert load_frames(path)[0].mass == 24.0  # the only scalar grid is the density, whatever it is called
+    for name in ("Obstacle", "FLAGS"):
+        write_vdb(path, [DenseGrid(name, 3 * density), DenseGrid("vel", velocity)], {})
+        with pytest.raises(InputError, match=f"no grid 'density', the grids found are: '{name}', 'vel'"):
+            load_frames(path)
+        # 1 in flags is a fluid.
+        write_vdb(path, [DenseGrid(name, density), DenseGrid("smoke", density)], {})
+        (frame,) = load_frames(path)
+        assert (frame.mass, frame.obstacle.all()) == (24.0, name == "Obstacle")
     far = np.zeros((1, 1, 5000), np.float32)
     far[0, 0, [0, -1]] = 1.0
     grids = [DenseGrid("density", far), DenseGrid("velocity", np.ones((300, 300, 1, 3), np.float32))]
@@ -251,6 +259,30 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_vdb(tmp_path / "b.vdb")
     with pytest.raises(InputError, match="is a folder"):
         read_vdb(tmp_path)
+
+
+def test_values_that_start_before_their_description_ends(tmp_path: Path) -> None:
+    path = tmp_path / "a.vdb"
+    write_vdb(path, [DenseGrid("density", np.ones((2, 3, 4), np.float32))], {})
+    whole = path.read_bytes()
+    at = whole.index(b"Tree_float_5_4_3") + len(b"Tree_float_5_4_3") + 4
+    start, _, end = struct.unpack_from("<3q", whole, at)
+    path.write_bytes(whole[:at] + struct.pack("<3q", start, start + 8, end) + whole[at + 24 :])
+    with pytest.raises(InputError, match=r"a\.vdb: damaged: a grid's values start before"):
+        load_frames(path)
+
+
+def test_grids_larger_than_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, density = tmp_path / "a.vdb", np.ones((2, 3, 4), np.float32)
+    write_vdb(path, [DenseGrid("density", density), DenseGrid("velocity", np.stack([density] * 3, axis=-1))], {})
+    # A leaf of 8³ voxels, four components, 14 bytes each.
+    for free, fits in ((512 * 4 * 14, True), (512 * 4 * 14 - 1, False), (None, True)):
+        monkeypatch.setattr("tnst_mi.io.vdb.tree.free_memory", lambda free=free: free)
+        if fits:
+            load_frames(path)
+            continue
+        with pytest.raises(InputError, match=r"span 4 x 3 x 2 cells, which take .* GB are free; crop the grid"):
+            load_frames(path)
 
 
 @pytest.mark.parametrize("name", ["blender_float_blosc", "blender_half_zip", "tiles"])

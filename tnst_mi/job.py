@@ -136,6 +136,7 @@ class Job:
                 "flavour": self._network.flavour,
             },
             "main_view": list(recipe.main_view),
+            "format": self.suffix[1:],
             "inputs": digests(self._measures),
             "files": file_digests(recipe),
             "exposure": self.exposure,
@@ -280,7 +281,7 @@ class Job:
             "quadrature": recipe.quadrature,
             "exposure": self.exposure,
         }
-        folder.write_arrays(source.name, frame.stylized.density, frame.stylized.velocity, source.placement)
+        folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
         # Whole runs keep every frame; the largest arrays are not part of the result.

@@ -86,7 +86,7 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
 
     By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
     (6), the gain (2), the step (2 a component) and the change (2) too; as results a density (4) and a velocity (12), if
-    they compress to nothing less. Coarser octaves add up to less than a quarter.
+    they compress to nothing less. Coarser octaves add up to less than a quarter, which leaves room for an obstacle.
     """
     components = recipe.components
     by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)

@@ -1,6 +1,6 @@
 """The folder of a run: what is written where, how a finished frame is recognised, what may be overwritten.
 
-    density/NAME.npz     stylized density               velocity/NAME.npz    the velocity v* that transports
+    density/NAME.npz     stylized density, obstacle     velocity/NAME.npz    the velocity v* that transports
                          (.vol, .uni or .vdb in place of .npz where that is the format of the results)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
     recipe.toml          the recipe as run              run.json             what was done, with which numbers
@@ -23,12 +23,13 @@ import numpy as np
 
 from tnst_mi.before_after import side_by_side
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import remove_unfinished, written_whole
+from tnst_mi.io.companions import OBSTACLE, companion
 from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.exr import read_exr, write_exr
-from tnst_mi.io.formats import FORMATS, read_stored, write_frame
+from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
 from tnst_mi.io.png import write_png
-from tnst_mi.placement import Placement
 from tnst_mi.recipe import KINDS, Recipe
 
 #: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
@@ -147,7 +148,8 @@ def resumable_run(
         suffix: how the names of the files of its results end.
 
     Raises:
-        InputError: the folder holds something else, or a run with another recipe or other weights.
+        InputError: the folder holds something else, or a run with another recipe, other weights, or files of another
+            format.
     """
     if not _occupied(out) or _just_begun(out):
         return None
@@ -159,6 +161,7 @@ def resumable_run(
             frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"], suffix)
         ]
         run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
+        earlier_format = run.get("format", suffix[1:])
         earlier_weights = run["weights"]["sha256"]
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
@@ -174,6 +177,11 @@ def resumable_run(
             )
     if earlier_weights != weights["sha256"]:
         raise InputError(f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones")
+    if earlier_format != suffix[1:]:
+        raise InputError(
+            f"{out}: its run wrote {earlier_format} files, in the format of its input, which now is {suffix[1:]}; "
+            "resume with the same input, or use --overwrite"
+        )
     return run
 
 
@@ -190,12 +198,11 @@ class RunFolder:
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
 
-    def write_arrays(
-        self, name: str, density: np.ndarray, velocity: np.ndarray, placement: Placement | None = None
-    ) -> None:
-        """Write the stylized density and the velocity that made it, at the place that the frame came from."""
-        write_frame(self.out / "density" / f"{name}{self._suffix}", density, placement=placement)
-        write_frame(self.out / "velocity" / f"{name}{self._suffix}", None, velocity, placement=placement)
+    def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
+        """Write a frame's stylized density with its obstacle, and the velocity that made it, in the frame's place."""
+        file, place = f"{source.name}{self._suffix}", source.placement
+        write_frame(self.out / "density" / file, density, obstacle=source.obstacle, placement=place)
+        write_frame(self.out / "velocity" / file, None, velocity, placement=place)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, exposed alike; `attributes` go into the EXR headers."""
@@ -327,5 +334,8 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
 
 
 def _result_files(out: Path, names: Iterable[str]) -> Iterator[Path]:
-    yield from (out / pattern.format(name) for name in names for pattern in _FRAME_FILES)
+    for name in names:
+        yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
+        # Of formats with one grid in a file.
+        yield from (companion(out / "density" / f"{name}{suffix}", OBSTACLE[0]) for suffix in GRID_FORMATS)
     yield from (out / name for name in _RUN_FILES)

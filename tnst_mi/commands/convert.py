@@ -75,36 +75,56 @@ class Convert(Command):
         from tqdm import tqdm
 
         from tnst_mi.io import open_frames
-        from tnst_mi.io.formats import FORMATS, require_format
         from tnst_mi.io.sequence import save_frame
-        from tnst_mi.outputs import require_writable
 
         selection = Recipe() if self.frames is None else Recipe().updated_by_flags({"frames": self.frames})
         frames = open_frames(self.input, selection.frame_range, _conventions(self.reading))
-        if self.output.suffix and not self.output.is_dir():
-            suffix = require_format(self.output)
-            if self.format not in (None, suffix[1:]):
-                raise InputError(f"--format {self.format}: {self.output} is named as a {suffix} file; give one of both")
-            if len(frames) > 1:
-                raise InputError(f"{self.output}: a file holds one frame and there are {len(frames)}; give a folder")
-            if self.output.exists() and self.output.samefile(frames.files[0]):
-                raise InputError(f"{self.output}: is the input; give another name")
-            files = [self.output]
-        else:
-            suffix = f".{self.format}" if self.format else FORMATS[0]
-            require_writable(self.output, self.input)
-            files = [self.output / f"{file.stem}{suffix}" for file in frames.files]
-        lost = None
-        for file, frame in tqdm(
-            zip(files, _one_shape(frames), strict=True), total=len(files), unit="frame", dynamic_ncols=True
-        ):
-            lost = lost or _lost(frame, suffix)
-            save_frame(file, frame)
-            # tqdm.write keeps the lines apart from the progress bar.
-            tqdm.write(f"frame     {file}", file=sys.stdout)
+        files = self._files(frames)
+        suffix, lost = files[0].suffix.lower(), None
+        try:
+            for file, frame in tqdm(
+                zip(files, _one_shape(frames), strict=True), total=len(files), unit="frame", dynamic_ncols=True
+            ):
+                lost = lost or _lost(frame, suffix)
+                save_frame(file, frame)
+                # tqdm.write keeps the lines apart from the progress bar.
+                tqdm.write(f"frame     {file}", file=sys.stdout)
+        except InputError as error:
+            if len(files) == 1 or not files[0].exists():
+                raise
+            raise InputError(
+                f"{error}; the frames before it have been written: empty {self.output} before converting again"
+            ) from None
         if lost:
             print(f"note: {suffix} files do not hold {lost}", file=sys.stderr)
         return 0
+
+    def _files(self, frames: FrameFiles) -> list[Path]:
+        """The files that the frames go to."""
+        from tnst_mi.io.formats import FORMATS, files_around, require_format
+        from tnst_mi.outputs import require_writable
+
+        if not self.output.suffix or self.output.is_dir():
+            suffix = f".{self.format}" if self.format else FORMATS[0]
+            require_writable(self.output, self.input)
+            return [self.output / f"{file.stem}{suffix}" for file in frames.files]
+        suffix = require_format(self.output)
+        if self.format not in (None, suffix[1:]):
+            raise InputError(f"--format {self.format}: {self.output} is named as a {suffix} file; give one of both")
+        if len(frames) > 1:
+            raise InputError(f"{self.output}: a file holds one frame and there are {len(frames)}; give a folder")
+        require_writable(self.output.parent, remedy=None)
+        if set(map(_identity, files_around(self.output))) & set(map(_identity, frames.sources(0))):
+            raise InputError(f"{self.output}: is the input, or would replace a part of it; give another name")
+        return [self.output]
+
+
+def _identity(path: Path) -> object:
+    """What is equal for all names of a file, which does not have to exist."""
+    if not path.exists():
+        return path.resolve()
+    status = path.stat()
+    return status.st_dev, status.st_ino
 
 
 def _one_shape(frames: FrameFiles) -> Iterable[Frame]:

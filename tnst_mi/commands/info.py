@@ -47,10 +47,12 @@ def _describe_contents(frames: FrameFiles, index: int) -> list[str]:
     from tnst_mi.io.conventions import Conventions
 
     stored = frames.stored(index)
-    reading = [] if frames.suffix == ".npz" else [f"  read as: {stored.reading(Conventions())}"]
+    # Of an npz the shape has been told, and there is one way to read it.
+    plain = frames.files[index].suffix.lower() == ".npz"
+    reading = [] if plain else [f"  read as: {stored.reading(Conventions())}"]
     if stored.density is not None:
         frame = frames.frame_of(index, stored)
-        shape = [] if frames.suffix == ".npz" else [f"  shape (z, y, x): {frame.density.shape}"]
+        shape = [] if plain else [f"  shape (z, y, x): {frame.density.shape}"]
         return reading + shape + describe_frame(frame)
     velocity = stored.velocity
     if velocity is None or velocity.ndim != 4 or velocity.shape[-1] != 3 or velocity.size == 0:

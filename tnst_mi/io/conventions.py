@@ -50,7 +50,7 @@ class StoredFrame:
         staggered: whether component c of the velocity lies on the lower face of each cell along axis c.
         known: (D, H, W) bool, the cells whose velocities are stored; None for all.
         up: the axis that points up in the file.
-        scene_up: the one of the scene, where the file does not decide it.
+        scene_up: the one of the scene that the grid is put into, of formats that know no scene; else None.
         velocity_units: one of VELOCITY_UNITS.
         dt: duration of a frame in the velocity's unit of time; None where the unit has none.
         voxel_size: edge of a cell in the scene, or None if the file does not tell.
@@ -95,8 +95,10 @@ class StoredFrame:
             expected = "(D, H, W, 3)" if self.density is None else (*self.density.shape, 3)
             raise InputError(f"velocity has shape {self.velocity.shape}, expected {expected}")
         factor = self._cells_per_frame(given)
-        centres = centred_velocity(self.velocity, self.known) if self.staggered else self.velocity
-        return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
+        # The frame refuses what is or gets infinite or NaN here.
+        with np.errstate(over="ignore", invalid="ignore"):
+            centres = centred_velocity(self.velocity, self.known) if self.staggered else self.velocity
+            return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
 
     def reading(self, given: Conventions) -> str:
         """How the file is read, in words."""
@@ -144,4 +146,4 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         if size is None:
             return None
-        return Placement(size, self.corner, given.up or self.scene_up or self.up)
+        return Placement(size, self.corner, self.scene_up or given.up or self.up)

@@ -6,7 +6,8 @@ Only npz and .vdb hold whole frames; .vol and .uni have further files beside tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,11 @@ def read_stored(file: Path, velocities: Path | None = None, context: Any = None)
             return read_vdb_frame(file, context)
 
 
+def files_around(path: Path) -> list[Path]:
+    """The files that reading or writing a frame at a path may touch, whether they exist or not."""
+    return [path, *(companions.possible_companions(path) if require_format(path) in GRID_FORMATS else ())]
+
+
 def write_frame(
     path: Path,
     density: np.ndarray | None,
@@ -89,6 +95,8 @@ def write_frame(
     placement: Placement | None = None,
 ) -> None:
     """Write the grids of a frame, or a velocity by itself; the format goes by the ending of the path.
+
+    A frame in several files replaces all of an earlier one's, and that of its density is there only once it is whole.
 
     Args:
         path: the file.
@@ -105,11 +113,9 @@ def write_frame(
             arrays = {"density": density, "velocity": velocity, "obstacle": obstacle}
             write_arrays(path, {key: array for key, array in arrays.items() if array is not None})
         case ".vol":
-            for file, array in _files_of(path, density, velocity, obstacle):
-                write_vol(file, array)
+            _write_grids(write_vol, path, density, velocity, obstacle)
         case ".uni":
-            for file, array in _files_of(path, density, velocity, obstacle):
-                _write_uni(file, array, placement)
+            _write_grids(partial(_write_uni, placement=placement), path, density, velocity, obstacle)
         case _:
             write_vdb_frame(path, density, velocity, obstacle, placement)
 
@@ -199,14 +205,27 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
     write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
 
 
-def _files_of(
-    path: Path, density: np.ndarray | None, velocity: np.ndarray | None, obstacle: np.ndarray | None
-) -> list[tuple[Path, np.ndarray]]:
-    """The files of the grids of a frame; a velocity by itself takes the place of the density."""
+def _write_grids(
+    write: Callable[[Path, np.ndarray], None],
+    path: Path,
+    density: np.ndarray | None,
+    velocity: np.ndarray | None,
+    obstacle: np.ndarray | None,
+) -> None:
+    """Write a file for each grid of a frame; a velocity by itself takes the place of the density."""
     if density is None:
-        return [] if velocity is None else [(path, velocity)]
-    files = [(path, density)]
-    for array, words in ((velocity, companions.VELOCITY), (obstacle, companions.OBSTACLE)):
-        if array is not None:
-            files.append((companions.companion(path, words[0]), array))
-    return files
+        density, velocity = velocity, None
+    beside = {
+        companions.companion(path, words[0]): array
+        for words, array in ((companions.VELOCITY, velocity), (companions.OBSTACLE, obstacle))
+        if array is not None
+    }
+    stale = [file for file in companions.possible_companions(path) if file not in beside and file.is_file()]
+    if beside or stale:
+        # No reader may find a density with the companions of another one, wherever this is cut off.
+        path.unlink(missing_ok=True)
+    for file in stale:
+        file.unlink(missing_ok=True)
+    for file, array in beside.items():
+        write(file, array)
+    write(path, density)

@@ -19,7 +19,15 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.companions import densities
 from tnst_mi.io.conventions import Conventions, StoredFrame
-from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, require_format, sequence_context, write_frame
+from tnst_mi.io.formats import (
+    FORMATS,
+    GRID_FORMATS,
+    files_around,
+    read_stored,
+    require_format,
+    sequence_context,
+    write_frame,
+)
 
 
 class FrameFiles(Sequence[Frame]):
@@ -61,6 +69,11 @@ class FrameFiles(Sequence[Frame]):
     def suffix(self) -> str:
         """The ending of the files' names, which tells their format."""
         return self.files[0].suffix.lower()
+
+    def sources(self, index: int) -> list[Path]:
+        """The files that one frame is read from, or would be if they existed."""
+        file = self.files[index]
+        return [*files_around(file), *([] if self._velocities is None else [self._velocities / file.name])]
 
     def stored(self, index: int) -> StoredFrame:
         """Read one frame as it is stored, which may have no density.

@@ -60,12 +60,12 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
     box = box or _box_of(path, file)
     if box is None:
         raise InputError(f"{path}: no active voxel in it, so the size of the grid is unknown")
-    require_small(path, box)
+    require_small(path, box, sum(grid.kind.components for grid in (density, velocity, obstacle) if grid is not None))
     corner = tuple(main.voxel_size * int(low) + origin for low, origin in zip(box[0], main.translation, strict=True))
     solid = None
     if obstacle is not None:
         solid = obstacle.tree.values_in(box)
-        solid = (solid.astype(np.int32) & OBSTACLE) != 0 if obstacle.name in _FLAGS else solid > 0
+        solid = (solid.astype(np.int32) & OBSTACLE) != 0 if obstacle.name.lower() in _FLAGS else solid > 0
     up, units, dt = _conventions(file, main)
     return StoredFrame(
         density=None if density is None else density.tree.values_in(box),
@@ -157,8 +157,9 @@ def _grids_of(file: VdbFile) -> tuple[Grid | None, Grid | None, Grid | None]:
     scalars = [grid for grid in file.grids if grid.kind is not None and grid.kind.components == 1]
     vectors = [grid for grid in file.grids if grid.kind is not None and grid.kind.components == 3]
     density = _named(scalars, _DENSITY)
-    if density is None and len(scalars) == 1:
-        density = scalars[0]
+    others = [grid for grid in scalars if grid.name.lower() not in _OBSTACLE + _FLAGS]
+    if density is None and len(others) == 1:
+        density = others[0]
     velocity = _named(vectors, _VELOCITY)
     obstacle = _named(scalars, _OBSTACLE) or _named(scalars, _FLAGS)
     main = density or velocity

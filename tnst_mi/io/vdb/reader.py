@@ -191,5 +191,7 @@ def _read_grid(path: Path, file: BinaryIO, name: str, tree_type: str, places: tu
 
 def _cursor(path: Path, file: BinaryIO, start: int, end: int | None = None) -> Cursor:
     """The bytes of a file from `start` to `end`, or a part that is longer than any description of a grid."""
+    if end is not None and end < start:
+        raise InputError(f"{path}: damaged: a grid's values start before its description ends")
     file.seek(start)
     return Cursor(path, file.read(_LARGEST_DESCRIPTION if end is None else end - start))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tnst_mi.environment import free_memory
 from tnst_mi.errors import InputError
 from tnst_mi.io.vdb.cursor import Cursor
 from tnst_mi.io.vdb.values import ACTIVE_MASK, ValueType, read_run
@@ -23,6 +24,9 @@ LEAF_EDGE, LEAF_VOXELS = 8, 512
 
 #: Largest dense grid that is made of a tree, in cells.
 LARGEST_BOX = 1 << 28
+
+#: Bytes by cell and component, measured, that it takes to unfold a tree and to make a frame's grid of it.
+_CELL_BYTES = 14
 
 #: Lowest and highest voxel (X, Y, Z) of a box, both inside.
 Box = tuple[np.ndarray, np.ndarray]
@@ -113,16 +117,26 @@ class Tree:
         return np.ascontiguousarray(dense[tuple(itertools.starmap(slice, window))])
 
 
-def require_small(path: Path, box: Box) -> None:
-    """Check that a box of a file's grids can be made a dense grid.
+def require_small(path: Path, box: Box, components: int = 1) -> None:
+    """Check that a box of a file's grids can be made dense grids: what a file holds does not limit it.
+
+    Args:
+        path: the file.
+        box: of its voxels.
+        components: of all those grids together.
 
     Raises:
-        InputError: it has too many cells.
+        InputError: it has too many cells, for us or for the memory that is free.
     """
     extents = [int(extent) for extent in box[1] - box[0] + 1]
+    spans = f"{path}: its voxels span {' x '.join(map(str, extents))} cells"
     if math.prod(extents) > LARGEST_BOX:
-        size = " x ".join(map(str, extents))
-        raise InputError(f"{path}: its voxels span {size} cells, expected at most {LARGEST_BOX} in all; crop the grid")
+        raise InputError(f"{spans}, expected at most {LARGEST_BOX} in all; crop the grid")
+    # Whole leaves are unfolded.
+    blocks = math.prod(int(count) for count in box[1] // LEAF_EDGE - box[0] // LEAF_EDGE + 1)
+    need, free = blocks * LEAF_VOXELS * components * _CELL_BYTES, free_memory()
+    if free is not None and need > free:
+        raise InputError(f"{spans}, which take {need / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; crop the grid")
 
 
 class TreeReader:
