@@ -20,8 +20,9 @@ from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.npz import read_headers
 from tnst_mi.job import Job
 from tnst_mi.memory import working_bytes
-from tnst_mi.outputs import RunFolder, require_writable
+from tnst_mi.outputs import RunFolder
 from tnst_mi.recipe import Recipe
+from tnst_mi.writable import require_writable
 
 __all__ = ["optimiser"]
 

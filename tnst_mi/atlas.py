@@ -31,8 +31,8 @@ from tnst_mi.interrupt import deferred_interrupt
 from tnst_mi.io.atomic import remove_unfinished, written_whole
 from tnst_mi.io.png import eight_bits
 from tnst_mi.losses import Semantic
-from tnst_mi.outputs import require_writable
 from tnst_mi.smoke_patch import PatchSettings, stylized_ball
+from tnst_mi.writable import require_writable
 
 
 @dataclass(frozen=True)

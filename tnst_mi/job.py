@@ -34,14 +34,13 @@ from tnst_mi.outputs import (
     StoredArrays,
     frame_names,
     holds_run,
-    require_space,
-    require_writable,
     resumable_run,
 )
 from tnst_mi.progress import ProgressBar
 from tnst_mi.recipe import Recipe
 from tnst_mi.records import frame_record, sequence_record
 from tnst_mi.store import FolderStore, MemoryStore
+from tnst_mi.writable import require_space, require_writable
 
 if TYPE_CHECKING:
     from tnst_mi.stylized import Stylized

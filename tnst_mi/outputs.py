@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -57,50 +56,6 @@ _DECIDES_NOTHING = ("fps",)
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _ELSEWHERE = "give another folder"
-
-
-def require_writable(out: Path, source: Path | None = None, remedy: str | None = "give an empty or new one") -> None:
-    """Check, before any work is done, that results can go to a folder.
-
-    Args:
-        out: the folder; it need not exist.
-        source: where the input is; it must not lie inside `out`.
-        remedy: what to do about a folder with files in it; None where it may have some.
-
-    Raises:
-        InputError: `out` is a file, cannot be written to, is not empty, or contains the input.
-    """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file, expected a folder for the results")
-    if source is not None and source.resolve().is_relative_to(out.resolve()):
-        raise InputError(f"{out}: contains the input {source}; give another folder for the results")
-    existing = _existing(out)
-    try:
-        with tempfile.TemporaryDirectory(prefix=".tnst_mi-", dir=existing):
-            pass
-        occupied = out.exists() and any(out.iterdir())
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written to ({error.strerror}); give another folder") from None
-    if occupied and remedy is not None:
-        raise InputError(f"{out}: is not empty; {remedy}")
-
-
-def require_space(out: Path, needed: int) -> None:
-    """Check, before any work is done, that a disk has room.
-
-    Args:
-        out: the folder of the results.
-        needed: bytes that the run will write at most.
-
-    Raises:
-        InputError: there is less.
-    """
-    free = shutil.disk_usage(_existing(out)).free
-    if needed > free:
-        raise InputError(
-            f"{out}: {free / 1e9:.3g} GB are free on its disk and the run needs up to {needed / 1e9:.3g} GB, most of "
-            "them until it is done; free some space, give another folder, or stylize fewer --frames at a time"
-        )
 
 
 def holds_run(out: Path) -> bool:
@@ -310,11 +265,6 @@ def _just_begun(out: Path) -> bool:
 def _results_of(out: Path, name: str, suffix: str) -> bool:
     """Whether the arrays of a frame are there."""
     return is_file_name(name) and all((out / kind / f"{name}{suffix}").is_file() for kind in ("density", "velocity"))
-
-
-def _existing(out: Path) -> Path:
-    """The nearest folder that exists: the given one, or one that it is to be made in."""
-    return next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
 
 
 def _remove_results(out: Path, names: Iterable[str]) -> None:

@@ -68,7 +68,7 @@ class Compare(Command):
         from tnst_mi.backend import activate
         from tnst_mi.environment import device, peak_memory, versions
         from tnst_mi.io import open_frames
-        from tnst_mi.outputs import require_writable
+        from tnst_mi.writable import require_writable
 
         remedy = None if self.overwrite else "give another folder, or write into this one with --overwrite"
         require_writable(self.out, remedy=remedy)

@@ -102,7 +102,7 @@ class Convert(Command):
     def _files(self, frames: FrameFiles) -> list[Path]:
         """The files that the frames go to."""
         from tnst_mi.io.formats import FORMATS, files_around, require_format
-        from tnst_mi.outputs import require_writable
+        from tnst_mi.writable import require_writable
 
         if not self.output.suffix or self.output.is_dir():
             suffix = f".{self.format}" if self.format else FORMATS[0]

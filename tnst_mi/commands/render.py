@@ -82,7 +82,7 @@ class Render(Command):
         """Render every view of every frame, or a turntable."""
         from tnst_mi.backend import activate
         from tnst_mi.io import open_frames
-        from tnst_mi.outputs import require_writable
+        from tnst_mi.writable import require_writable
 
         path_traced = (self.integrator or ("volpath" if self.look else "emission_absorption")) != "emission_absorption"
         self._check_flags(path_traced)
