@@ -23,7 +23,6 @@ import tnst_mi  # first: it lets torch's idle threads sleep
 import argparse
 import json
 import statistics
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -45,6 +44,9 @@ from tnst_mi.optimise import optimise
 from tnst_mi.parameterisation import Transport
 from tnst_mi.resample import resample_density
 from tnst_mi.scene import GridScene
+from tnst_mi.sequence import SequenceOptimisation
+from tnst_mi.store import MemoryStore
+from tnst_mi.stylized import Progress
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 GAMMA = 0.1
@@ -303,18 +305,23 @@ def windowed(window: int, weights: str | None) -> dict[str, float]:
     rising = np.zeros((*density.shape, 3), np.float32)
     rising[..., 1] = 0.4
     frames = [tnst_mi.Frame(density, velocity=rising, name=f"frame_{i}", number=i) for i in range(9)]
-    recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": 1, "window": window, "weights": weights})
+    recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": 1, "iterations": 8, "window": window})
+    names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
+    exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
+    passed: list[float] = []
 
-    def seconds(iterations: int) -> float:
-        with tempfile.TemporaryDirectory() as folder:
-            since = time.perf_counter()
-            tnst_mi.stylize(frames, recipe.updated({"iterations": iterations}, "", Path()), Path(folder) / "run", False)
-            return time.perf_counter() - since
+    def note(progress: Progress) -> None:
+        if progress.frame == names[0]:
+            passed.append(time.perf_counter())
 
-    # What is done once, and compiling in the first of the runs, is in neither difference.
-    seconds(1)
-    differences = [seconds(5) - seconds(1) for _ in range(3)]
-    return {"window": window, "seconds": statistics.median(differences) / (4 * len(frames))}
+    run = SequenceOptimisation(
+        frames, names, numbers, recipe, GoogLeNet.load(weights), MemoryStore(), exposure, [1.0] * len(frames)
+    )
+    for _ in run.run(note):
+        pass
+    # With a window all frames take their turns before the first is due again; without, it goes on by itself.
+    turns = len(frames) if window > 1 else 1
+    return {"window": window, "seconds": float(np.median(np.diff(passed[1:]))) / turns}
 
 
 def memory() -> dict[str, int | None]:

@@ -41,7 +41,7 @@ class Ascent:
 
     size: int = 96
     octaves: int = 2
-    iterations: int = 16
+    iterations: int = 12
     rate: float = 0.04
     shift: int = 8
     seed: int = 0

@@ -34,7 +34,7 @@ class PatchSettings:
             "gamma": 0.05,
             "eta": 0.025,
             "octaves": 2,
-            "iterations": 8,
+            "iterations": 7,
             "views": 2,
         }
     )
