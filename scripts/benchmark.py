@@ -32,7 +32,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import torch
-from peers import drjit_peer, torch_peer
+from peers import torch_peer
+from peers.sides import GAMMA, Ours, PlainDrJit, Torch, wavy_potential
 
 from tnst_mi.backend import torch_device
 from tnst_mi.environment import device, peak_memory, versions
@@ -43,13 +44,11 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.optimise import optimise
 from tnst_mi.parameterisation import Transport
 from tnst_mi.resample import resample_density
-from tnst_mi.scene import GridScene
 from tnst_mi.sequence import SequenceOptimisation
 from tnst_mi.store import MemoryStore
 from tnst_mi.stylized import Progress
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
-GAMMA = 0.1
 VIEWS = 9
 
 #: A whole iteration: the style recipe of the paper's figures.
@@ -70,151 +69,13 @@ def bundled_density(size: int | tuple[int, int, int]) -> np.ndarray:
     return np.clip(resample_density(density, 1.0, shape, 64 / shape[2]), 0, 1)
 
 
-def wavy_potential(shape: tuple[int, int, int]) -> np.ndarray:
-    """A smooth potential whose velocity is about half a cell."""
-    waves = [np.sin(np.arange(n, dtype=np.float32) / 3) for n in shape]
-    return np.float32(waves[0][:, None, None] + waves[1][:, None] + waves[2])
-
-
-class Ours:
-    """The package's transport and rendering of one grid."""
-
-    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
-        self.density, self.views = mi.TensorXf(density), views
-        self.scene = GridScene(density.shape, GAMMA, "paper", 1.0, len(views))
-        self.transport = Transport(1.0)
-        self.transport.restore({"phi": wavy_potential(density.shape)}, Octave(density.shape, 1.0))
-
-    def _transport_forward(self) -> object:
-        return self.transport.density(self.density)
-
-    def _transport_backward(self) -> object:
-        self.transport.attach()
-        moved = self.transport.density(self.density)
-        dr.set_grad(moved, self.density)
-        dr.enqueue(dr.ADMode.Backward, moved)
-        dr.traverse(dr.ADMode.Backward)
-        return dr.grad(self.transport.fields["phi"])
-
-    def _render_forward(self) -> object:
-        return self.scene.render(self.density, self.views)
-
-    def _render_backward(self) -> object:
-        seen = dr.detach(self.density)
-        dr.enable_grad(seen)
-        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
-        return dr.grad(seen)
-
-    def _both_backward(self) -> object:
-        self.transport.attach()
-        moved = self.transport.density(self.density)
-        seen = dr.detach(moved)
-        dr.enable_grad(seen)
-        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
-        dr.set_grad(moved, dr.grad(seen))
-        dr.enqueue(dr.ADMode.Backward, moved)
-        dr.traverse(dr.ADMode.Backward)
-        return dr.grad(self.transport.fields["phi"])
-
-    def _step(self) -> object:
-        self.transport.attach()
-        before = self.transport.fields["phi"]
-        dr.set_grad(before, self.density)
-        self.transport.find_steps(self.density, 1e-9, self.density.shape[1], 3)
-        self.transport.descend()
-        after, self.transport.fields["phi"] = self.transport.fields["phi"], before
-        return after
-
-
-class Torch:
-    """PyTorch's, with `grid_sample` and autograd."""
-
-    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
-        self.density, self.views = torch.from_numpy(density), views
-        self.phi = torch.from_numpy(wavy_potential(density.shape)).requires_grad_()
-
-    def _transport_forward(self) -> object:
-        with torch.no_grad():
-            return torch_peer.advect(self.density, torch_peer.velocity(self.phi))
-
-    def _transport_backward(self) -> object:
-        moved = torch_peer.advect(self.density, torch_peer.velocity(self.phi))
-        return torch.autograd.grad(moved, self.phi, self.density)
-
-    def _render_forward(self) -> object:
-        with torch.no_grad():
-            return torch_peer.render(self.density, self.views, GAMMA)
-
-    def _render_backward(self) -> object:
-        return self._gradient_of_views(self.density)
-
-    def _both_backward(self) -> object:
-        moved = torch_peer.advect(self.density, torch_peer.velocity(self.phi))
-        return torch.autograd.grad(moved, self.phi, self._gradient_of_views(moved))
-
-    def _gradient_of_views(self, density: torch.Tensor) -> torch.Tensor:
-        # View by view, so that only the graph of one is in memory.
-        seen = density.detach().requires_grad_()
-        total = torch.zeros_like(seen)
-        for view in self.views:
-            total += torch.autograd.grad(torch_peer.render(seen, [view], GAMMA).square().sum(), seen)[0]
-        return total
-
-    def _step(self) -> object:
-        with torch.no_grad():
-            return self.phi - 1e-9 * self.density * torch_peer.normalised(self.density, 3)
-
-
-class PlainDrJit:
-    """Dr.Jit's, with its own derivatives."""
-
-    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
-        self.density, self.views, self.shape = mi.Float(density.ravel()), views, density.shape
-        self.phi = mi.Float(wavy_potential(density.shape).ravel())
-
-    def _moved(self, phi: mi.Float) -> mi.Float:
-        return drjit_peer.advect(self.density, drjit_peer.velocity(phi, self.shape), self.shape)
-
-    def _squares(self, density: mi.Float) -> mi.Float:
-        images = drjit_peer.render(density, self.shape, self.views, GAMMA)
-        return sum(dr.sum(image * image) for image in images)
-
-    def _transport_forward(self) -> object:
-        return self._moved(self.phi)
-
-    def _transport_backward(self) -> object:
-        leaf = mi.Float(self.phi)
-        dr.enable_grad(leaf)
-        dr.backward(dr.sum(self._moved(leaf) * self.density))
-        return dr.grad(leaf)
-
-    def _render_forward(self) -> object:
-        return drjit_peer.render(self.density, self.shape, self.views, GAMMA)
-
-    def _render_backward(self) -> object:
-        leaf = mi.Float(self.density)
-        dr.enable_grad(leaf)
-        dr.backward(self._squares(leaf))
-        return dr.grad(leaf)
-
-    def _both_backward(self) -> object:
-        leaf = mi.Float(self.phi)
-        dr.enable_grad(leaf)
-        moved = self._moved(leaf)
-        seen = dr.detach(moved)
-        dr.enable_grad(seen)
-        dr.backward(self._squares(seen))
-        dr.backward(dr.sum(moved * dr.grad(seen)))
-        return dr.grad(leaf)
-
-
 PARTS = {
-    "_transport_forward": "transport, forward",
-    "_transport_backward": "transport, forward + backward",
-    "_render_forward": "rendering, forward",
-    "_render_backward": "rendering, forward + backward",
-    "_both_backward": "transport + rendering, forward + backward",
-    "_step": "smooth, normalise, step",
+    "transport_forward": "transport, forward",
+    "transport_backward": "transport, forward + backward",
+    "render_forward": "rendering, forward",
+    "render_backward": "rendering, forward + backward",
+    "both_backward": "transport + rendering, forward + backward",
+    "step": "smooth, normalise, step",
 }
 
 
@@ -278,15 +139,15 @@ def scaling(weights: str | None, repeat: int) -> dict[str, list[dict[str, float]
     found: dict[str, list[dict[str, float]]] = {"cells": [], "views": [], "threads": []}
     for size in (32, 48, 64, 96, 128, 160):
         density = bundled_density(size)
-        seconds = medians({"ours": Ours(density, [(8.0, 3.0)])._both_backward}, repeat)["ours"]
+        seconds = medians({"ours": Ours(density, [(8.0, 3.0)]).both_backward}, repeat)["ours"]
         found["cells"].append({"cells": density.size, "seconds": seconds})
     for views in (1, 3, 9, 27):
-        task = Ours(bundled_density(64), [tuple(view) for view in tnst_mi.sample_views(views)])._render_backward
+        task = Ours(bundled_density(64), [tuple(view) for view in tnst_mi.sample_views(views)]).render_backward
         found["views"].append({"views": views, "seconds": medians({"ours": task}, repeat)["ours"]})
     everything = dr.thread_count()
     for threads in range(1, everything + 1):
         dr.set_thread_count(threads)
-        task = Ours(bundled_density(96), [(8.0, 3.0)])._both_backward
+        task = Ours(bundled_density(96), [(8.0, 3.0)]).both_backward
         found["threads"].append({"threads": threads, "seconds": medians({"ours": task}, repeat)["ours"]})
     dr.set_thread_count(everything)
     found["window"] = [windowed(window, weights) for window in (1, 3, 5, 9)]
