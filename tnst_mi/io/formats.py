@@ -108,16 +108,17 @@ def write_frame(
     Raises:
         InputError: the format is unknown.
     """
+    grids = {"density": density, "velocity": velocity, "obstacle": obstacle}
+    grids = {name: array for name, array in grids.items() if array is not None}
     match require_format(path):
         case ".npz":
-            arrays = {"density": density, "velocity": velocity, "obstacle": obstacle}
-            write_arrays(path, {key: array for key, array in arrays.items() if array is not None})
+            write_arrays(path, grids)
         case ".vol":
-            _write_grids(write_vol, path, density, velocity, obstacle)
+            _write_grids(write_vol, path, grids)
         case ".uni":
-            _write_grids(partial(_write_uni, placement=placement), path, density, velocity, obstacle)
+            _write_grids(partial(_write_uni, placement=placement), path, grids)
         case _:
-            write_vdb_frame(path, density, velocity, obstacle, placement)
+            write_vdb_frame(path, grids, placement)
 
 
 def describe(file: Path) -> list[str]:
@@ -205,21 +206,10 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
     write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
 
 
-def _write_grids(
-    write: Callable[[Path, np.ndarray], None],
-    path: Path,
-    density: np.ndarray | None,
-    velocity: np.ndarray | None,
-    obstacle: np.ndarray | None,
-) -> None:
+def _write_grids(write: Callable[[Path, np.ndarray], None], path: Path, grids: dict[str, np.ndarray]) -> None:
     """Write a file for each grid of a frame; a velocity by itself takes the place of the density."""
-    if density is None:
-        density, velocity = velocity, None
-    beside = {
-        companions.companion(path, words[0]): array
-        for words, array in ((companions.VELOCITY, velocity), (companions.OBSTACLE, obstacle))
-        if array is not None
-    }
+    main = "density" if "density" in grids else "velocity"
+    beside = {companions.companion(path, name): array for name, array in grids.items() if name != main}
     stale = [file for file in companions.possible_companions(path) if file not in beside and file.is_file()]
     if beside or stale:
         # No reader may find a density with the companions of another one, wherever this is cut off.
@@ -228,4 +218,4 @@ def _write_grids(
         file.unlink(missing_ok=True)
     for file, array in beside.items():
         write(file, array)
-    write(path, density)
+    write(path, grids[main])

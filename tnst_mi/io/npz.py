@@ -17,14 +17,9 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.untrusted import LARGEST_ARRAY, LARGEST_RATIO, opening, read_numbers
 
-#: No array may be larger, in bytes.
-LARGEST_ARRAY = 1 << 34
-
-# Deflate shrinks data by at most this factor: a member that claims more lies about its size.
-_LARGEST_RATIO = 1032
 _LARGEST_HEADER = 10_000
-_CHUNK = 1 << 24
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -74,20 +69,8 @@ def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected an npz file")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            yield archive
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read (no permission)") from None
-    except _DAMAGE as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not an npz file, truncated, or damaged ({reason})") from None
+    with opening(path, "an npz file", _DAMAGE), zipfile.ZipFile(path) as archive:
+        yield archive
 
 
 def _names(archive: zipfile.ZipFile) -> list[str]:
@@ -117,7 +100,7 @@ def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Read one array, growing into memory only as data really come out of the file."""
+    """Read one array, which must not claim more than its member of the archive can hold."""
     member = archive.getinfo(f"{name}.npy")
     with archive.open(member) as stream:
         header = _parse_header(path, name, stream)
@@ -126,16 +109,11 @@ def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
         size = math.prod(header.shape) * header.dtype.itemsize
         if size > LARGEST_ARRAY:
             raise InputError(f"{path}: array {name!r} has {size} bytes, expected at most {LARGEST_ARRAY}")
-        if size > _LARGEST_RATIO * member.compress_size or size > member.file_size:
+        if size > LARGEST_RATIO * member.compress_size or size > member.file_size:
             raise InputError(f"{path}: array {name!r} claims {size} bytes for shape {header.shape}, more than it holds")
-        array = np.empty(math.prod(header.shape), header.dtype)
-        buffer = memoryview(array.view(np.uint8))
-        filled = 0
-        while filled < size:
-            count = stream.readinto(buffer[filled : filled + _CHUNK])
-            if not count:
-                raise InputError(f"{path}: array {name!r} is truncated: {filled} of {size} bytes")
-            filled += count
+        array, filled = read_numbers(stream, math.prod(header.shape), header.dtype)
+        if filled < size:
+            raise InputError(f"{path}: array {name!r} is truncated: {filled} of {size} bytes")
         if stream.read(1):
             raise InputError(f"{path}: array {name!r} has more data than its shape {header.shape} needs")
     return array.reshape(header.shape[::-1]).T if header.fortran_order else array.reshape(header.shape)

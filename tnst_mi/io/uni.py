@@ -18,18 +18,13 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.untrusted import LARGEST_ARRAY, LARGEST_EXTENT, LARGEST_RATIO, opening, read_numbers
 
 # Bits of the type of a grid (Mantaflow's GridBase::GridType).
 REAL, INTEGER, VECTOR, MAC, FLAGS = 1, 2, 4, 8, 32
 
 #: Bit of a cell in a grid of flags that marks it as solid (Mantaflow's FlagGrid::TypeObstacle).
 OBSTACLE = 2
-
-#: Longest edge of a grid that is believed, in cells.
-LARGEST_EXTENT = 1 << 14
-
-#: Largest grid that is read, in bytes.
-LARGEST_GRID = 1 << 34
 
 _MAGIC = b"MNT3"
 _SIZES = struct.Struct("<6i")
@@ -47,10 +42,6 @@ _ELEMENTS = {
     (2, 12): ("<f4", 3),
     (2, 24): ("<f8", 3),
 }
-_CHUNK = 1 << 24
-
-# Deflate shrinks data by at most this factor.
-_LARGEST_RATIO = 1032
 
 
 @dataclass(frozen=True)
@@ -118,18 +109,9 @@ def write_uni(path: Path, values: np.ndarray, grid_type: int, build: str = "tnst
 
 
 def _read(path: Path, values: bool) -> tuple[UniHeader, np.ndarray]:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a .uni file")
-    try:
-        with gzip.open(path, "rb") as file:
-            header = _read_header(path, file)
-            return header, _read_values(path, file, header) if values else np.empty(0)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read (no permission)") from None
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: not a .uni file, truncated, or damaged ({error})") from None
+    with opening(path, "a .uni file", (OSError, EOFError, zlib.error)), gzip.open(path, "rb") as file:
+        header = _read_header(path, file)
+        return header, _read_values(path, file, header) if values else np.empty(0)
 
 
 def _read_header(path: Path, file: BinaryIO) -> UniHeader:
@@ -151,21 +133,16 @@ def _read_header(path: Path, file: BinaryIO) -> UniHeader:
 
 
 def _read_values(path: Path, file: BinaryIO, header: UniHeader) -> np.ndarray:
-    """Read the values, growing into memory only as data really come out of the file."""
+    """Read the values, which must not be more than the file can hold."""
     shape = header.shape if header.components == 1 else (*header.shape, header.components)
     size = math.prod(shape) * header.dtype.itemsize
-    if size > LARGEST_GRID:
-        raise InputError(f"{path}: claims {size} bytes, expected at most {LARGEST_GRID}")
-    if size > _LARGEST_RATIO * path.stat().st_size:
+    if size > LARGEST_ARRAY:
+        raise InputError(f"{path}: claims {size} bytes, expected at most {LARGEST_ARRAY}")
+    if size > LARGEST_RATIO * path.stat().st_size:
         raise InputError(f"{path}: claims {size} bytes for a {header.shape} grid, more than it holds")
-    values = np.empty(math.prod(shape), header.dtype)
-    buffer = memoryview(values.view(np.uint8))
-    filled = 0
-    while filled < size:
-        count = file.readinto(buffer[filled : filled + _CHUNK])
-        if not count:
-            raise InputError(f"{path}: truncated: {filled} of the {size} bytes of its {header.shape} grid")
-        filled += count
+    values, filled = read_numbers(file, math.prod(shape), header.dtype)
+    if filled < size:
+        raise InputError(f"{path}: truncated: {filled} of the {size} bytes of its {header.shape} grid")
     if file.read(1):
         raise InputError(f"{path}: has more data than its {header.shape} grid needs")
     return values.reshape(shape)

@@ -14,9 +14,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
-
-#: Longest edge of a grid that is believed, in cells.
-LARGEST_EXTENT = 1 << 14
+from tnst_mi.io.untrusted import LARGEST_EXTENT, opening
 
 _MAGIC = b"VOL"
 _VERSION = 3
@@ -56,21 +54,13 @@ def write_vol(path: Path, values: np.ndarray) -> None:
 
 
 def _read(path: Path, values: bool) -> tuple[tuple[int, ...], np.ndarray]:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a .vol file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(_HEADER.size)
-            shape, dtype = _shape_and_type(path, data)
-            size = math.prod(shape) * dtype.itemsize
-            held = path.stat().st_size - _HEADER.size
-            if held != size:
-                raise InputError(f"{path}: holds {held} bytes of values, expected {size} for shape {shape}")
-            stored = np.frombuffer(file.read(size), dtype) if values else np.empty(0, dtype)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read (no permission)") from None
+    with opening(path, "a .vol file"), path.open("rb") as file:
+        shape, dtype = _shape_and_type(path, file.read(_HEADER.size))
+        size = math.prod(shape) * dtype.itemsize
+        held = path.stat().st_size - _HEADER.size
+        if held != size:
+            raise InputError(f"{path}: holds {held} bytes of values, expected {size} for shape {shape}")
+        stored = np.frombuffer(file.read(size), dtype) if values else np.empty(0, dtype)
     if not values:
         return shape, stored
     if stored.size != math.prod(shape):

@@ -57,7 +57,7 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
     main = density or velocity
     if main is None:
         return StoredFrame(density=None, lacking=lacking)
-    box = box or _box_of(path, file)
+    box = box or _box_of(path, file, [grid for grid in (density, velocity) if grid is not None])
     if box is None:
         raise InputError(f"{path}: no active voxel in it, so the size of the grid is unknown")
     require_small(path, box, sum(grid.kind.components for grid in (density, velocity, obstacle) if grid is not None))
@@ -83,17 +83,9 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
     )
 
 
-def write_vdb_frame(
-    path: Path,
-    density: np.ndarray | None,
-    velocity: np.ndarray | None = None,
-    obstacle: np.ndarray | None = None,
-    placement: Placement | None = None,
-) -> None:
-    """Write grids (D, H, W) with y up at the place they came from; without one z is up, as in Blender."""
+def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placement | None = None) -> None:
+    """Write grids (D, H, W) with y up, by name, at the place they came from; without one z is up, as in Blender."""
     placement = placement or Placement()
-    arrays = {"density": density, "velocity": velocity, "obstacle": obstacle}
-    arrays = {name: array for name, array in arrays.items() if array is not None}
     if placement.up == "z":
         arrays = {name: to_z_up(array) for name, array in arrays.items()}
     size = placement.voxel_size
@@ -145,7 +137,7 @@ def box_of_all(paths: Sequence[Path]) -> Box | None:
             continue
         first = first or grids[0]
         _require_fit(path, first, grids[0], f"in {first.path.name}")
-        box = _box_of(path, file)
+        box = _box_of(path, file, grids)
         if box is not None:
             lowest.append(box[0])
             highest.append(box[1])
@@ -183,10 +175,11 @@ def _require_fit(path: Path, one: Grid, other: Grid, whose: str) -> None:
         )
 
 
-def _box_of(path: Path, file: VdbFile) -> Box | None:
-    """The box that a file tells, with the active voxels of its density in it; or that of all of its active voxels."""
-    density, velocity, _ = _grids_of(file)
-    grids = [grid for grid in (density, velocity) if grid is not None]
+def _box_of(path: Path, file: VdbFile, grids: Sequence[Grid]) -> Box | None:
+    """The box that a file tells, with the active voxels of its first grid in it; or that of all of its active voxels.
+
+    `grids` are the density and the velocity, as far as they are there.
+    """
     told = _told_box(path, file, grids)
     boxes = [grid.topology.active_box() for grid in (grids if told is None else grids[:1])]
     boxes = [box for box in (told, *boxes) if box is not None]

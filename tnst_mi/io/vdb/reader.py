@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.untrusted import opening
 from tnst_mi.io.vdb.cursor import Cursor
 from tnst_mi.io.vdb.metadata import Value, read_metadata, read_transform
 from tnst_mi.io.vdb.tree import Tree, TreeReader
@@ -133,15 +134,8 @@ def read_vdb(path: Path) -> VdbFile:
         InputError: it is missing, damaged, no such file, or of a version that is not read; or a grid's voxels are no
             cubes along the axes of the scene.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a .vdb file")
-    try:
-        with path.open("rb") as file:
-            return _read(path, file)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read (no permission)") from None
+    with opening(path, "a .vdb file"), path.open("rb") as file:
+        return _read(path, file)
 
 
 def _read(path: Path, file: BinaryIO) -> VdbFile:
