@@ -5,7 +5,8 @@
 SOURCE holds some of suzanne/frame_0010.npz, smokejet/frame_0057.npz to frame_0065.npz and obstacle/frame_0056.npz with
 their meta.json, as simulated on 64 x 96 x 64 cells (`density` float32, `velocity` float16 in cells per frame). Suzanne
 is kept as it is; the jet is averaged down to 48 x 72 x 48 cells and rounded so that its nine frames stay small; the
-frame with the obstacle is rounded. scenes/ is written into FOLDER, by default the checkout.
+frame with the obstacle is rounded. Of smokejet_hires/frame_0066.npz (200 x 300 x 200 cells) the front view becomes
+scenes/paper/fine_jet.png. scenes/ is written into FOLDER, by default the checkout.
 
 The frame with the obstacle is simulated by `python scripts/simulate.py obstacle --frames 56 --out SOURCE/obstacle`.
 """
@@ -17,6 +18,10 @@ import json
 from pathlib import Path
 
 import numpy as np
+from simulate import CONVENTIONS
+
+from tnst_mi import render
+from tnst_mi.io.png import write_png
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 SUZANNE_FRAMES = (10,)
@@ -27,6 +32,9 @@ DENSITY_STEP = 2.0**-12
 VELOCITY_STEP = 2.0**-9
 OBSTACLE_FRAME = 56
 OBSTACLE_VELOCITY_STEP = 2.0**-6
+FINE_FRAME = 66
+# γ times cells across: that of 0.1 on 64 cells.
+FINE_GAMMA_CELLS = 6.4
 
 
 def averaging_matrix(cells: int, coarse_cells: int) -> np.ndarray:
@@ -79,10 +87,7 @@ def write_meta(folder: Path, source: dict, frames: tuple[int, ...], shape: tuple
         "domain_size_m_xyz": source["domain_size_m_xyz_yup"],
         "cell_size_m": source["domain_size_m_xyz_yup"][1] / height,
         "frames_per_second": source["params"]["fps"],
-        "axis_order": "density[z, y, x], velocity[z, y, x, component], components (x, y, z); y up, "
-        "right-handed; values at cell centres",
-        "units": "density: 1 at the source; velocity: cells of this grid per frame, positive towards +axis",
-        "time_relation": "the velocity of frame t carries the density of frame t to frame t + 1",
+        **CONVENTIONS,
     }
     (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
@@ -129,20 +134,34 @@ def make_obstacle(source: Path, folder: Path) -> None:
     (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
-MAKERS = {"suzanne": make_suzanne, "smokejet": make_smokejet, "obstacle": make_obstacle}
+def make_fine_jet(source: Path, folder: Path) -> None:
+    """Render the front view of a finer jet, white where it is brightest: the style of turbulence transfer."""
+    density = read_frame(source / f"frame_{FINE_FRAME:04d}.npz")[0]
+    image = render(np.float32(density), gamma=FINE_GAMMA_CELLS / density.shape[2])
+    write_png(folder / "fine_jet.png", image / image.max())
+
+
+#: By the folder of a simulation, what makes something of it, and the folder of scenes/ that this goes to.
+MAKERS = {
+    "suzanne": (make_suzanne, "suzanne"),
+    "smokejet": (make_smokejet, "smokejet"),
+    "obstacle": (make_obstacle, "obstacle"),
+    "smokejet_hires": (make_fine_jet, "paper"),
+}
 
 
 def main() -> None:
     """Make the scenes that are in the folder given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path, help="folder with simulations suzanne/, smokejet/ and obstacle/")
+    parser.add_argument("source", type=Path, help="folder with some of the simulations above")
     parser.add_argument("folder", nargs="?", type=Path, default=CHECKOUT, help="default: the checkout")
     arguments = parser.parse_args()
     found = [name for name in MAKERS if (arguments.source / name).is_dir()]
     if not found:
         raise SystemExit(f"{arguments.source}: has none of the folders {', '.join(MAKERS)}")
     for name in found:
-        MAKERS[name](arguments.source / name, arguments.folder / "scenes" / name)
+        make, scene = MAKERS[name]
+        make(arguments.source / name, arguments.folder / "scenes" / scene)
 
 
 if __name__ == "__main__":

@@ -50,6 +50,13 @@ TIME_UNITS_PER_FRAME = 0.1
 LEAST_DENSITY = 1e-6
 #: Velocities are rounded to multiples of this, the spacing of float16 between 2 and 4, which makes for small files.
 VELOCITY_STEP = 2.0**-9
+#: What the numbers of our frames mean, for meta.json.
+CONVENTIONS = {
+    "axis_order": "density[z, y, x], velocity[z, y, x, component], components (x, y, z); y up, "
+    "right-handed; values at cell centres",
+    "units": "density: 1 at the source; velocity: cells of this grid per frame, positive towards +axis",
+    "time_relation": "the velocity of frame t carries the density of frame t to frame t + 1",
+}
 
 
 class BlenderError(RuntimeError):
@@ -207,10 +214,7 @@ def write_meta(
         "domain_size_m_xyz": [round(extent * cell, 6) for extent in (width, height, depth)],
         "cell_size_m": cell,
         "frames_per_second": facts["frames_per_second"],
-        "axis_order": "density[z, y, x], velocity[z, y, x, component], components (x, y, z); y up, "
-        "right-handed; values at cell centres",
-        "units": "density: 1 at the source; velocity: cells of this grid per frame, positive towards +axis",
-        "time_relation": "the velocity of frame t carries the density of frame t to frame t + 1",
+        **CONVENTIONS,
     }
     with written_whole(simulation.out / "meta.json") as temporary:
         temporary.write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")

@@ -29,20 +29,20 @@ def stylized_frame(state: SequenceState, index: int, frame: Frame) -> Stylized:
         return _unchanged(frame, shot)
     parameters = state.restored(octave, index)
     parameters.enter(state.levels[-1])
+    moves = isinstance(parameters, Transport)
     with dr.suspend_grad():
-        density, velocity, fields = None, np.zeros((*frame.density.shape, 3), np.float32), {}
-        if isinstance(parameters, Transport):
-            velocity, fields = parameters.velocity().numpy(), parameters.arrays()
-            if frame.obstacle is not None:
-                # Potentials do not change in a solid, but those around it have velocities a cell inside.
-                velocity[frame.obstacle] = 0
-                density = advect(frame.density, velocity, steps=shot.recipe.steps)
-        if density is None:
+        velocity = parameters.velocity().numpy() if moves else np.zeros((*frame.density.shape, 3), np.float32)
+        if moves and frame.obstacle is not None:
+            # Potentials do not change in a solid, but those around it have velocities a cell inside.
+            velocity[frame.obstacle] = 0
+            density = advect(frame.density, velocity, steps=shot.recipe.steps)
+        else:
             density = parameters.density(mi.TensorXf(frame.density)).numpy()
     if frame.obstacle is not None:
         density = np.where(frame.obstacle, frame.density, density)
     blend = shot.recipe.blend
     result = Stylized(np.float32((1.0 - blend) * frame.density + blend * np.maximum(density, 0)), velocity)
+    fields = parameters.arrays()
     result.potential = fields.get("phi"), fields.get("psi")
     result.history = state.history(shot.name)
     for entry in result.history:

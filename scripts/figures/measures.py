@@ -126,11 +126,9 @@ def depth_of_change(density: np.ndarray, change: np.ndarray) -> float:
         density: (D, H, W) of the unstylized frame.
         change: what was added to it, likewise.
     """
-    nearest_first = density[::-1].astype(np.float64)
-    before = np.cumsum(nearest_first, axis=0) - nearest_first / 2
-    total = nearest_first.sum(axis=0)
-    weight = np.where(total > 0, np.square(change[::-1], dtype=np.float64), 0)
-    share = before / np.where(total > 0, total, 1)
+    total = density.sum(axis=0, dtype=np.float64)
+    weight = np.where(total > 0, np.square(change, dtype=np.float64), 0)
+    share = _smoke_in_front(density) / np.where(total > 0, total, 1)
     return float((weight * share).sum() / weight.sum()) if weight.any() else 0.5
 
 
@@ -142,10 +140,14 @@ def visible_share(density: np.ndarray, change: np.ndarray, gamma: float) -> floa
         change: what was added to it, likewise.
         gamma: extinction per unit of density and cell.
     """
-    nearest_first = density[::-1].astype(np.float64)
-    before = np.cumsum(nearest_first, axis=0) - nearest_first / 2
-    weight = np.square(change[::-1], dtype=np.float64)
-    return float((weight * np.exp(-gamma * before)).sum() / weight.sum()) if weight.any() else 0.0
+    weight = np.square(change, dtype=np.float64)
+    transmittance = np.exp(-gamma * _smoke_in_front(density))
+    return float((weight * transmittance).sum() / weight.sum()) if weight.any() else 0.0
+
+
+def _smoke_in_front(density: np.ndarray) -> np.ndarray:
+    """Σ d along z from the front, at the end of the axis, to each cell's middle, likewise (D, H, W)."""
+    return np.cumsum(density[::-1], axis=0, dtype=np.float64)[::-1] - density / 2
 
 
 def by_phase(images: np.ndarray, period: int) -> np.ndarray:

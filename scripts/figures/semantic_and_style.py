@@ -31,10 +31,9 @@ def make(setting: Setting) -> Made:
     activation = {name: -float(values[semantic.name].mean()) for name, values in losses.items()}
     distance = {name: float(values[style.name].mean()) for name, values in losses.items()}
     box = smoke_box([images[0] for images in seen.values()])
-    labels = {"input": "input", "semantic": "semantic", "style": "style", "both": "both"}
     panels = [
-        Panel(seen[name][0][box], f"{label}\nactivation {activation[name]:.0f}, distance {distance[name]:.2f}")
-        for name, label in labels.items()
+        Panel(images[0][box], f"{name}\nactivation {activation[name]:.0f}, distance {distance[name]:.2f}")
+        for name, images in seen.items()
     ]
     return Made(
         [[Panel(style.picture.fitted(*seen["input"][0].shape).grey, "style picture"), *panels]],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -37,17 +38,17 @@ class Run:
     record: dict[str, Any]
     out: Path
 
-    @property
+    @cached_property
     def density(self) -> np.ndarray:
         """The stylized density of the first frame, (D, H, W)."""
         return self.densities[0]
 
-    @property
+    @cached_property
     def velocity(self) -> np.ndarray:
         """The velocity of the first frame, (D, H, W, 3) in cells per frame."""
         return self.velocities[0]
 
-    @property
+    @cached_property
     def recipe(self) -> Recipe:
         """The recipe as run."""
         return Recipe.from_toml(self.out / "recipe.toml")

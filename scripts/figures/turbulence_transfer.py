@@ -14,7 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.losses import Style
 from tnst_mi.resample import resample_potential
 
-#: Front view of frame 66 of the jet, simulated with 200×300×200 cells, at γ 0.032 (0.1 on 64 cells).
+#: Front view of frame 66 of the jet, simulated with 200×300×200 cells, at γ 0.032 (scripts/make_scenes.py).
 PICTURE = SCENES / "paper" / "fine_jet.png"
 
 #: Cells across that the input is resampled to, so that there is room for structures that it lacks; its γ fits PICTURE.
@@ -77,14 +77,6 @@ def make(setting: Setting) -> Made:
             "cells_across": across,
         },
     )
-
-
-def picture_of(fine: np.ndarray) -> np.ndarray:
-    """What `PICTURE` was made of: the front view (H, W) of the finer simulation's density, white where brightest."""
-    from tnst_mi import render
-
-    image = render(fine, gamma=6.4 / fine.shape[2])
-    return image / image.max()
 
 
 FIGURE = Figure(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tnst_mi.commands.base import Command, recipe_flag
+from tnst_mi.commands.base import Command, given, recipe_flags
 from tnst_mi.errors import StoppedError
 from tnst_mi.recipe import Recipe
 
@@ -20,6 +20,9 @@ _FOLDER = "tnst_mi-atlas"
 
 #: How many of the channels that the smoke answers to best are named at the end.
 _NAMED = 8
+
+
+ResourceFlags = recipe_flags(("weights", "variant"))
 
 
 @dataclass(kw_only=True)
@@ -40,15 +43,14 @@ class Atlas(Command):
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint=f"(default: {_FOLDER}/NETWORK-LAYER)")
     ] = None
     """New or empty folder, or that of an atlas of the same layer and network."""
-    weights: recipe_flag("weights") = None
-    variant: recipe_flag("variant") = None
+    resources: ResourceFlags = field(default_factory=ResourceFlags)
+    """Which network, and where is computed."""
 
     def run(self) -> int:
         """Make what is missing, write sheet and page, and say where they are."""
         from tnst_mi.backend import activate
 
-        given = {name: text for name in ("weights", "variant") if (text := getattr(self, name)) is not None}
-        recipe = Recipe().updated_by_flags(given)
+        recipe = Recipe().updated_by_flags(given(self.resources))
         activate(recipe.variant)
         from tnst_mi.atlas import Atlas as LayerAtlas
         from tnst_mi.atlas import channel_numbers
