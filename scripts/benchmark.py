@@ -114,7 +114,7 @@ def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
 
     density = bundled_density(size)
     recipe = tnst_mi.Recipe.from_dict(STYLE)
-    network = GoogLeNet.load(weights)
+    network = GoogLeNet.load(weights).to(torch_device())
     octave = Octave(density.shape, 1.0)
     exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
     problem = OctaveProblem(objective_of(recipe), network, octave, exposure)

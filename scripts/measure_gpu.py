@@ -1,55 +1,142 @@
-"""All that is to be known of a GPU, in one run: does it agree with the CPU, how fast is it, what memory does it take.
+"""All that is to be known of a GPU, in one run of a few minutes, the most important first.
 
-    python scripts/measure_gpu.py --out FOLDER [--variant cuda_ad_rgb] [--weights FILE] [--dry-run]
+    python scripts/measure_gpu.py --out FOLDER [--reference FILE] [--weights FILE] [--parts NAME,…] [--budget SECONDS]
+    python scripts/measure_gpu.py --record FILE [--weights FILE]        on a CPU: the reference of the agreement
 
-1. The first iteration of a semantic recipe on the bundled frame, on the CPU and on the GPU, TF32 off: relative L2
-   differences of images, loss, derivative with respect to the stylized density, and potentials after the step.
-2. A frame of the paper's size (200×300×200, 3 octaves × 20 iterations × 9 views), after one to warm up, and one of
-   400×600×400 with a single iteration in each octave: seconds by octave and the device's memory at its fullest.
+environment  versions, GPU, driver, whether OptiX is installed
+tiny         `stylize` on a frame of 24×36×24 cells: does anything work at all
+agreement    the first iteration of a semantic recipe on the bundled frame against that of the CPU, TF32 off: relative
+             L2 differences of what each stage makes of the CPU's input, and end to end; and the same bits twice
+paper        a frame of the paper's size (200×300×200, 3 octaves × 20 iterations × 9 views) after one to warm up:
+             seconds by octave, memory of both allocators
+kernels      an iteration of that size: milliseconds of its phases, and of Dr.Jit's kernels
+sequence     nine frames of 64×96×64 cells with a window of 9, state in a folder: seconds by frame and iteration
+large        a frame of 400×600×400 cells with one iteration in each octave
+precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and cosine
+             of the derivative to that of float32
+peer         transport, rendering and a whole style iteration against plain PyTorch on the same card
+compare      `tnst-mi compare --quick`: our renderer against Mitsuba's path tracer (needs OptiX)
+beauty       `tnst-mi render --look medium`, with and without OptiX's denoiser
+tests        the suite on the variant
 
-Each part is a process of its own, for what a process has held is only told at its end. `--dry-run` takes small grids
-and the CPU for both sides: it shows that the script works, and that it finds no differences between equals. Writes
-gpu.json; exit code 1 where the two do not agree.
+Each part is a process of its own, ended when it takes too long, and its result is on disk before the next begins: a
+run that is cut off still tells. Writes FOLDER/PART.json, FOLDER/PART.log and gpu.json, of all parts. `--dry-run` takes
+small grids and a CPU. Exit code 1 where a part failed or the GPU does not agree with the CPU.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import hashlib
+import itertools
 import json
+import os
+import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import tnst_mi  # before torch: it lets torch's idle threads sleep
+
+# isort: split
 import numpy as np
-from benchmark import GAMMA, PAPER, PAPER_SHAPE, bundled_density
 
-LARGE_SHAPE = (400, 600, 400)
+from tnst_mi.backend import torch_device
 
-#: How far the GPU may be from the CPU: potentials differ where a limiter decides otherwise.
-LIMITS = {"images": 1e-3, "loss": 1e-3, "gradient": 1e-3, "potential": 1e-2}
+ROOT = Path(__file__).resolve().parents[1]
+FRAME = ROOT / "scenes" / "suzanne" / "frame_0010.npz"
+
+#: How far a stage may be from the CPU's, given the same input. Potentials differ where a limiter decides otherwise.
+LIMITS = {
+    "stylized": 1e-3,
+    "images": 1e-3,
+    "loss": 1e-3,
+    "image_gradient_where_smoke_is_seen": 1e-2,
+    "gradient": 1e-3,
+    "potential": 1e-2,
+}
+
+#: Seconds after which a part is ended.
+PARTS = {
+    "environment": 60,
+    "tiny": 90,
+    "agreement": 60,
+    "paper": 150,
+    "kernels": 90,
+    "sequence": 120,
+    "large": 90,
+    "precision": 60,
+    "peer": 90,
+    "compare": 120,
+    "beauty": 90,
+    "tests": 240,
+}
+
+Result = dict[str, Any]
 
 
-def first_iteration(variant: str, weights: str | None, size: int, path: Path) -> None:
-    """Write the images, loss, derivative and potential of a first iteration, with Φ not 0 so that transport counts."""
-    import tnst_mi
-
-    tnst_mi.activate(variant)
+def environment(options: argparse.Namespace) -> Result:
+    """Versions, device, and which of the driver's libraries are installed."""
     import drjit as dr
-    import mitsuba as mi
     import torch
 
-    from tnst_mi.backend import torch_device
+    from tnst_mi.environment import device, versions
+
+    libraries = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True, check=False).stdout
+    found = sorted({word for word in libraries.split() if word.startswith(("libnvoptix", "libcuda.so"))})
+    return {
+        "versions": versions() | {"cuda_of_torch": torch.version.cuda},
+        "device": device(options.variant),
+        "backends": [str(backend) for backend in (dr.JitBackend.CUDA, dr.JitBackend.LLVM) if dr.has_backend(backend)],
+        "visible": os.environ.get("CUDA_VISIBLE_DEVICES"),
+        "driver_libraries": found,
+    }
+
+
+def tiny(options: argparse.Namespace) -> Result:
+    """A small frame through the public functions."""
+    from benchmark import bundled_density
+
+    frame = tnst_mi.Frame(bundled_density(24))
+    recipe = tnst_mi.Recipe(style=("spirals",), octaves=2, iterations=2, views=3, weights="patterns")
+    since = time.perf_counter()
+    result = tnst_mi.stylize(frame, recipe, progress=False)
+    seconds = time.perf_counter() - since
+    change = np.linalg.norm(result.densities[0] - frame.density) / np.linalg.norm(frame.density)
+    return {"seconds": seconds, "relative_change": float(change)}
+
+
+def first_iteration(
+    weights: str | None, size: int, given: dict[str, np.ndarray] | None = None
+) -> dict[str, np.ndarray]:
+    """What each stage of a first iteration gives, with Φ not 0 so that transport counts.
+
+    `given` are another machine's: each stage starts from these in place of what the stage before gave here. The network
+    is why: its pools and rectifiers choose, and in empty space their inputs are equal up to rounding, so that a change
+    of the images by 1e-7 changes their derivative there by half.
+    """
+    import drjit as dr
+    import mitsuba as mi
+    from benchmark import GAMMA, PAPER, bundled_density
+
     from tnst_mi.goals import objective_of
     from tnst_mi.googlenet import GoogLeNet
     from tnst_mi.grid import Octave
     from tnst_mi.parameterisation import Transport
-    from tnst_mi.scene import GridScene
+    from tnst_mi.renderer import EmissionAbsorptionRenderer
 
-    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = False
+    found: dict[str, np.ndarray] = {}
+
+    def taken_over(name: str, array: mi.TensorXf) -> mi.TensorXf:
+        found[name] = np.asarray(array.numpy(), np.float32)
+        return array if given is None else mi.TensorXf(given[name])
+
     density = bundled_density(size)
     network = GoogLeNet.load(weights).to(torch_device())
     loss_of = objective_of(tnst_mi.Recipe.from_dict(PAPER)).bind(network, *density.shape[1:])
@@ -58,112 +145,427 @@ def first_iteration(variant: str, weights: str | None, size: int, path: Path) ->
     parameters.restore({"phi": np.broadcast_to(np.float32(wave), density.shape)}, Octave(density.shape, 1.0))
     parameters.attach()
     stylized = parameters.density(mi.TensorXf(density))
-    seen = dr.detach(stylized)
+    seen = taken_over("stylized", dr.detach(stylized))
     dr.enable_grad(seen)
-    views = tnst_mi.sample_views(PAPER["views"])
-    images = GridScene(density.shape, GAMMA, "paper", 1.0, len(views)).render(seen, views) * mi.Float(0.1)
+    rendered = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0).render(
+        seen, tnst_mi.sample_views(PAPER["views"])
+    )
+    images = taken_over("images", dr.detach(rendered) * mi.Float(0.1))
+    dr.enable_grad(images)
     loss = dr.wrap(source="drjit", target="torch")(loss_of)(images)
+    found["loss"] = np.asarray(loss.numpy(), np.float32)
     dr.backward(loss)
-    gradient = dr.grad(seen)
-    dr.set_grad(stylized, gradient)
+    dr.set_grad(rendered, taken_over("image_gradient", dr.grad(images)) * mi.Float(0.1))
+    dr.enqueue(dr.ADMode.Backward, rendered)
+    dr.traverse(dr.ADMode.Backward)
+    dr.set_grad(stylized, taken_over("gradient", dr.grad(seen)))
     dr.enqueue(dr.ADMode.Backward, stylized)
     dr.traverse(dr.ADMode.Backward)
+    taken_over("potential_gradient", dr.grad(parameters.fields["phi"]))
     parameters.find_steps(mi.TensorXf(density), 0.002, density.shape[1], 3)
     parameters.descend()
-    arrays = {"images": images, "loss": loss, "gradient": gradient, "potential": parameters.fields["phi"]}
-    np.savez(path, **{name: array.numpy() for name, array in arrays.items()})
+    taken_over("potential", parameters.fields["phi"])
+    return found
 
 
-def whole_frame(
-    variant: str, weights: str | None, shape: tuple[int, int, int], iterations: int, warm: bool, path: Path
-) -> None:
-    """Write the seconds and the memory of stylizing one frame, after one iteration of each octave to warm up."""
-    import tnst_mi
+def agreement(options: argparse.Namespace) -> Result:
+    """Relative L2 differences to the CPU's reference, stage by stage and end to end; the same bits in a second run."""
+    if options.reference is None:
+        raise SystemExit("--reference is missing: record one on a CPU with --record")
+    with np.load(options.reference) as arrays:
+        reference = {name: arrays[name] for name in arrays.files}
+    size = reference["potential"].shape[2]
+    stages = first_iteration(options.weights, size, reference)
+    alone, again = (first_iteration(options.weights, size) for _ in range(2))
 
-    tnst_mi.activate(variant)
-    from tnst_mi.environment import peak_memory
+    def difference(found: np.ndarray, name: str, where: np.ndarray | bool = True) -> float:
+        return float(np.linalg.norm((found - reference[name]) * where) / np.linalg.norm(reference[name] * where))
+
+    by_stage = {name: difference(stages[name], name) for name in stages}
+    smoke = reference["images"] > 1e-2 * reference["images"].max()
+    by_stage["image_gradient_where_smoke_is_seen"] = difference(stages["image_gradient"], "image_gradient", smoke)
+    return {
+        "by_stage": by_stage,
+        "end_to_end": {name: difference(alone[name], name) for name in alone},
+        "limits": LIMITS,
+        "agrees": all(by_stage[name] <= limit for name, limit in LIMITS.items())
+        and difference(alone["potential"], "potential") <= LIMITS["potential"],
+        "same_bits_twice": {name: alone[name].tobytes() == again[name].tobytes() for name in alone},
+        "hashes": {name: hashlib.sha256(alone[name].tobytes()).hexdigest() for name in alone},
+    }
+
+
+def paper(options: argparse.Namespace) -> Result:
+    """A frame of the paper's size, after one iteration of each octave to warm up."""
+    return whole_frame(options, paper_shape(options), 20, warm=True)
+
+
+def kernels(options: argparse.Namespace) -> Result:
+    """What an iteration at the paper's size consists of."""
+    return iteration_kernels(options, paper_shape(options), 1 if options.dry_run else 9)
+
+
+def paper_shape(options: argparse.Namespace) -> tuple[int, int, int]:
+    """(D, H, W) of the paper's grids; of small ones where this is only a trial."""
+    return (24, 36, 24) if options.dry_run else (200, 300, 200)
+
+
+def large(options: argparse.Namespace) -> Result:
+    """A frame with eight times the cells of the paper's."""
+    return whole_frame(options, (32, 48, 32) if options.dry_run else (400, 600, 400), 1, warm=True)
+
+
+def whole_frame(options: argparse.Namespace, shape: tuple[int, int, int], iterations: int, warm: bool) -> Result:
+    """Seconds and memory of stylizing one frame."""
+    from benchmark import PAPER, bundled_density, memory
+
     from tnst_mi.googlenet import GoogLeNet
     from tnst_mi.optimise import optimise
 
-    frame, network = tnst_mi.Frame(bundled_density(shape)), GoogLeNet.load(weights)
+    frame, network = tnst_mi.Frame(bundled_density(shape)), GoogLeNet.load(options.weights)
+    found: Result = {"shape": shape, "iterations": iterations}
     if warm:
+        since = time.perf_counter()
         optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": 1}), network)
-    since = time.perf_counter()
-    result = optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations}), network)
-    found: dict[str, Any] = {"seconds": time.perf_counter() - since, "timings": result.timings}
-    found |= {"shape": shape, "iterations": iterations, "host_memory_bytes": peak_memory()}
-    path.write_text(json.dumps(found))
+        found["first_seconds"] = time.perf_counter() - since
+    with device_memory() as fullest:
+        since = time.perf_counter()
+        result = optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations}), network)
+        found["seconds"] = time.perf_counter() - since
+    losses = [entry["loss"] for entry in result.history]
+    return found | {
+        "timings": result.timings,
+        "memory": memory() | {"device": fullest[0] if fullest else None},
+        "losses": [losses[0], losses[-1]],
+    }
 
 
-def in_process(arguments: list[str], gpu: bool) -> int:
-    """Run this script as a worker; the most memory, in MiB, that the GPU held meanwhile (0 on a CPU)."""
-    process = subprocess.Popen([sys.executable, __file__, *arguments])
-    fullest = 0
+@contextlib.contextmanager
+def device_memory() -> Iterator[list[int]]:
+    """The most bytes in use on the GPU meanwhile, as its first element; all processes count, and so do contexts."""
+    import threading
+
+    import torch
+
+    fullest: list[int] = []
+    done = threading.Event()
 
     def watch() -> None:
-        nonlocal fullest
-        command = ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
-        while process.poll() is None:
-            answer = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
-            fullest = max([fullest, *map(int, answer[:1])])
-            time.sleep(0.1)
+        while not done.wait(0.02):
+            free, total = torch.cuda.mem_get_info()
+            fullest[:] = [max([total - free, *fullest])]
 
     watcher = threading.Thread(target=watch, daemon=True)
-    if gpu:
+    if torch.cuda.is_available():
         watcher.start()
-    if process.wait():
-        raise SystemExit(f"{' '.join(arguments)}: failed")
-    return fullest
+    try:
+        yield fullest
+    finally:
+        done.set()
+        if watcher.is_alive():
+            watcher.join()
 
 
-def relative_differences(first: Path, second: Path) -> dict[str, float]:
-    """‖a − b‖ / ‖a‖ of every array."""
-    with np.load(first) as a, np.load(second) as b:
-        return {name: float(np.linalg.norm(a[name] - b[name]) / np.linalg.norm(a[name])) for name in a.files}
+def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], views: int) -> Result:
+    """One iteration at a size: seconds of each phase, and Dr.Jit's kernels with their milliseconds on the device."""
+    import drjit as dr
+    import mitsuba as mi
+    import torch
+    from benchmark import GAMMA, PAPER, bundled_density
+    from peers.sides import wavy_potential
+
+    from tnst_mi.frame_gradient import OctaveProblem
+    from tnst_mi.goals import objective_of
+    from tnst_mi.googlenet import GoogLeNet
+    from tnst_mi.grid import Octave
+    from tnst_mi.parameterisation import Transport
+    from tnst_mi.renderer import EmissionAbsorptionRenderer
+
+    density = bundled_density(shape)
+    octave, smoke = Octave(density.shape, 1.0), mi.TensorXf(density)
+    network = GoogLeNet.load(options.weights)
+    recipe = tnst_mi.Recipe.from_dict(PAPER | {"views": views})
+    problem = OctaveProblem(objective_of(recipe), network.to(torch_device()), octave, 0.1)
+    parameters = Transport(1.0)
+    parameters.restore({"phi": wavy_potential(density.shape)}, octave)
+    renderer = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0)
+    directions = [tuple(view) for view in tnst_mi.sample_views(views)]
+    images = renderer.render(smoke, directions)
+    pictures = images.torch().clone().requires_grad_()
+
+    def whole() -> None:
+        problem.gradient(parameters, smoke, recipe, (0,))
+        parameters.find_steps(smoke, 1e-9, density.shape[1], 3)
+        parameters.descend()
+
+    def step() -> None:
+        dr.set_grad(parameters.fields["phi"], smoke)
+        parameters.find_steps(smoke, 1e-9, density.shape[1], 3)
+        parameters.descend()
+        parameters.attach()
+
+    def transport() -> None:
+        moved = parameters.density(smoke)
+        dr.set_grad(moved, smoke)
+        dr.enqueue(dr.ADMode.Backward, moved)
+        dr.traverse(dr.ADMode.Backward)
+        dr.eval(dr.grad(parameters.fields["phi"]))
+
+    def render() -> None:
+        seen = dr.detach(smoke)
+        dr.enable_grad(seen)
+        dr.backward(dr.sum(renderer.render(seen, directions), axis=None))
+        dr.eval(dr.grad(seen))
+
+    def judge() -> None:
+        problem.loss(pictures).backward()
+        pictures.grad = None
+
+    parameters.attach()
+    phases = {"transport": transport, "rendering": render, "network": judge, "step": step, "whole": whole}
+    milliseconds = {name: median_milliseconds(task) for name, task in phases.items()}
+    parameters.attach()
+    torch.cuda.synchronize() if torch.cuda.is_available() else None
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        whole()
+        dr.sync_thread()
+        history = dr.kernel_history()
+    kernels: dict[str, dict[str, float]] = defaultdict(lambda: {"launches": 0, "milliseconds": 0.0, "width": 0})
+    for entry in history:
+        kind = str(entry.get("type", "")).rsplit(".", 1)[-1]
+        name = f"{kind} {entry.get('hash', '')}".strip()[:28]
+        row = kernels[name]
+        row["launches"] += 1
+        row["milliseconds"] += float(entry.get("execution_time", 0.0))
+        row["width"] = max(row["width"], int(entry.get("size", 0)))
+        if "operation_count" in entry:
+            row["operations"] = int(entry["operation_count"])
+    longest = sorted(kernels.items(), key=lambda item: -item[1]["milliseconds"])
+    return {"milliseconds": milliseconds, "launches": len(history), "longest": dict(longest[:24])}
+
+
+def median_milliseconds(task: Callable[[], object], repeat: int = 7) -> float:
+    """Median of several calls, after one to warm up, each to its end on the device."""
+    import drjit as dr
+    import torch
+
+    times = []
+    for _ in range(repeat + 1):
+        dr.sync_thread()
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        since = time.perf_counter()
+        task()
+        dr.sync_thread()
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        times.append(1e3 * (time.perf_counter() - since))
+    return statistics.median(times[1:])
+
+
+def sequence(options: argparse.Namespace) -> Result:
+    """Nine frames of the bundled jet with a window of 9, as `stylize` does it, results and state in a folder."""
+    frames = tnst_mi.load_frames(ROOT / "scenes" / "smokejet")
+    iterations, octaves = (1, 1) if options.dry_run else (10, 2)
+    window = 3 if options.dry_run else 9
+    if options.dry_run:
+        frames = frames[:3]
+    recipe = tnst_mi.Recipe(
+        style=("flames",), octaves=octaves, iterations=iterations, window=window, weights=options.weights
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        since = time.perf_counter()
+        tnst_mi.stylize(frames, recipe, out=Path(folder) / "out", progress=False)
+        seconds = time.perf_counter() - since
+        record = json.loads((Path(folder) / "out" / "run.json").read_text())
+    found = {
+        name: record.get(name) for name in ("timings", "memory", "peak_memory", "flicker", "device") if name in record
+    }
+    return {"seconds": seconds, "by_frame_and_iteration": seconds / (len(frames) * iterations * octaves), "run": found}
+
+
+def precision(options: argparse.Namespace) -> Result:
+    """The network with less precise products and fewer views at once: time, memory, cosine of the derivative."""
+    import torch
+    from benchmark import PAPER, STYLE, bundled_density
+
+    from tnst_mi import objective
+    from tnst_mi.goals import objective_of
+    from tnst_mi.googlenet import GoogLeNet
+
+    count = 3 if options.dry_run else 9
+    density = bundled_density(24 if options.dry_run else (200, 300, 200))
+    images = tnst_mi.render(density, [tuple(view) for view in tnst_mi.sample_views(count)])
+    network = GoogLeNet.load(options.weights).to(torch_device())
+    pictures = torch.as_tensor(images / images.max(), device=torch_device())
+    on_gpu = pictures.device.type == "cuda"
+    layouts = {"channels last": torch.channels_last, "contiguous": torch.contiguous_format}
+    found: Result = {}
+    for name, keys in (("semantic", PAPER), ("style", STYLE)):
+        bound = objective_of(tnst_mi.Recipe.from_dict(keys)).bind(network, *density.shape[1:])
+        exact: torch.Tensor | None = None
+        for kind, layout, at_once in itertools.product(("float32", "tf32", "bfloat16"), layouts, (9, 3, 1)):
+            if layout != "channels last" and at_once != 9:
+                continue
+            objective.views_at_once = lambda count, saved, at_once=at_once: min(count, at_once)
+            network.to(memory_format=layouts[layout])
+            torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = kind == "tf32"
+            cast = torch.autocast(pictures.device.type, torch.bfloat16, enabled=kind == "bfloat16")
+
+            def differentiate(bound: Any = bound, cast: Any = cast) -> torch.Tensor:
+                leaf = pictures.detach().requires_grad_()
+                with cast:
+                    bound(leaf).backward()
+                return leaf.grad
+
+            if on_gpu:
+                torch.cuda.empty_cache()
+                torch.cuda.reset_peak_memory_stats()
+            row = {"milliseconds": median_milliseconds(differentiate, 5)}
+            derivative = differentiate().double().flatten()
+            exact = derivative if exact is None else exact
+            row["cosine"] = float(torch.nn.functional.cosine_similarity(derivative, exact, dim=0))
+            if on_gpu:
+                row["gigabytes"] = torch.cuda.max_memory_allocated() / 1e9
+            found[f"{name}, {kind}, {layout}, {at_once}"] = row
+            print(name, kind, layout, at_once, row, flush=True)
+    return found
+
+
+def peer(options: argparse.Namespace) -> Result:
+    """Ours and plain PyTorch on the same device, in turns."""
+    import benchmark
+
+    size = 24 if options.dry_run else 128
+    return {
+        "size": size,
+        "parts": benchmark.parts(size, 9),
+        "iteration": benchmark.iteration(size, options.weights, 5),
+    }
+
+
+def compare(options: argparse.Namespace) -> Result:
+    """Our renderer against Mitsuba's path tracer, as the command does it, on the GPU where one answers."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "tnst_mi", "compare", str(FRAME), "--quick", "--out", folder, "--debug"]
+        process = subprocess.run(command, capture_output=True, text=True, check=False)
+    print(process.stdout, process.stderr)
+    return {"exit_code": process.returncode, "verdict": process.stdout.strip().splitlines()[-12:]}
+
+
+def beauty(options: argparse.Namespace) -> Result:
+    """Lit pictures through the command, path traced, with OptiX's denoiser and without."""
+    found: Result = {}
+    for name, flags in (("plain", []), ("denoised", ["--denoise"])):
+        out = options.out / name
+        since = time.perf_counter()
+        command = [sys.executable, "-m", "tnst_mi", "render", str(FRAME), "--look", "medium", "--out", str(out)]
+        process = subprocess.run(
+            [*command, "--variant", options.variant, *flags], capture_output=True, text=True, check=False
+        )
+        print(process.stdout, process.stderr)
+        found[name] = {
+            "seconds": time.perf_counter() - since,
+            "exit_code": process.returncode,
+            "said": process.stderr.strip().splitlines()[-3:],
+        }
+    return found | {"exit_code": max(row["exit_code"] for row in found.values())}
+
+
+def tests(options: argparse.Namespace) -> Result:
+    """The part of the suite that computes on the variant, which takes a few minutes."""
+    names = (
+        "advection alignment arrays back_projection beauty coherence emitters grid integrator losses mask medium "
+        "objective optimise parameterisation path_tracing potentials pyramid resample scattering scene sensor sequence"
+    ).split()
+    files = [str(path) for name in names if (path := ROOT / "tests" / f"test_{name}.py").exists()]
+    if options.dry_run:
+        files = files[:1]
+    command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "--tb=short", *files]
+    process = subprocess.run(
+        command,
+        cwd=ROOT,
+        env=os.environ | {"TNST_MI_TEST_VARIANT": options.variant},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    print(process.stdout)
+    failed = [line for line in process.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return {"exit_code": process.returncode, "closing": process.stdout.strip().splitlines()[-1:], "failed": failed}
+
+
+def run_part(name: str, options: argparse.Namespace) -> None:
+    """A part, in this process; its result goes to a file."""
+    tnst_mi.activate(options.variant)
+    torch_device()  # switches TF32 off
+    result = globals()[name](options)
+    (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+
+
+def in_process(name: str, options: argparse.Namespace, limit: float) -> Result:
+    """A part in a process of its own: its result, or why there is none."""
+    command = [sys.executable, __file__, *sys.argv[1:], "--part", name]
+    since = time.perf_counter()
+    path, log = options.out / f"{name}.json", options.out / f"{name}.log"
+    path.unlink(missing_ok=True)
+    with log.open("w") as file:
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+        try:
+            code: object = process.wait(limit)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, 9)
+            code = f"ended after {limit:.0f} s"
+    found = json.loads(path.read_text("utf-8")) if path.exists() else {"failed": code, "log": log.read_text()[-1500:]}
+    return {"part_seconds": time.perf_counter() - since} | found
+
+
+def failed(result: Result) -> bool:
+    """Whether a part's result says that something is wrong."""
+    return bool(result.get("failed")) or result.get("agrees") is False or result.get("exit_code", 0) != 0
 
 
 def main() -> None:
-    """Measure, judge, write; or do a worker's part."""
+    """Measure and write, part by part; or do one part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder for the results")
     parser.add_argument("--variant", default="cuda_ad_rgb")
-    parser.add_argument("--weights")
-    parser.add_argument("--dry-run", action="store_true")
-    parser.add_argument("--worker", nargs="+", help=argparse.SUPPRESS)
+    parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
+    parser.add_argument("--reference", type=Path, help="what --record wrote")
+    parser.add_argument("--record", type=Path, help="write the CPU's reference to this .npz, and end")
+    parser.add_argument("--parts", default=",".join(PARTS), help="default: all, in their order")
+    parser.add_argument("--budget", type=float, default=480.0, help="seconds for everything (default 480)")
+    parser.add_argument("--dry-run", action="store_true", help="small grids on llvm_ad_rgb")
+    parser.add_argument("--part", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.worker:
-        kind, variant, path, *rest = options.worker
-        if kind == "iteration":
-            first_iteration(variant, options.weights, int(rest[0]), Path(path))
-        else:
-            shape = tuple(map(int, rest[0].split(",")))
-            whole_frame(variant, options.weights, shape, int(rest[1]), rest[2] == "warm", Path(path))
+    if options.dry_run:
+        options.variant = "llvm_ad_rgb"
+    if options.record is not None:
+        tnst_mi.activate("llvm_ad_rgb")
+        np.savez_compressed(options.record, **first_iteration(options.weights, 24 if options.dry_run else 64))
+        return
+    if options.out is None:
+        parser.error("--out FOLDER is missing")
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.part is not None:
+        run_part(options.part, options)
         return
 
-    variant = "llvm_ad_rgb" if options.dry_run else options.variant
-    gpu = variant.startswith("cuda")
-    common = ["--weights", options.weights] if options.weights else []
-    found: dict[str, Any] = {"variant": variant}
-    with tempfile.TemporaryDirectory() as folder:
-        files = {}
-        for side, of_side in (("cpu", "llvm_ad_rgb"), ("gpu", variant)):
-            files[side] = Path(folder) / f"{side}.npz"
-            size = "24" if options.dry_run else "64"
-            in_process([*common, "--worker", "iteration", of_side, str(files[side]), size], False)
-        found["relative_differences"] = relative_differences(files["cpu"], files["gpu"])
-        paper, large = ((24, 36, 24), (32, 48, 32)) if options.dry_run else (PAPER_SHAPE, LARGE_SHAPE)
-        for name, shape, iterations, warm in (("paper", paper, 20, "warm"), ("large", large, 1, "cold")):
-            path = Path(folder) / f"{name}.json"
-            size = ",".join(map(str, shape))
-            worker = ["--worker", "frame", variant, str(path), size, str(iterations), warm]
-            fullest = in_process([*common, *worker], gpu)
-            found[name] = json.loads(path.read_text()) | {"device_memory_mib": fullest}
-    found["agrees"] = all(found["relative_differences"][name] <= limit for name, limit in LIMITS.items())
-    print(json.dumps(found, indent=1))
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
+    since = time.perf_counter()
+    found: dict[str, Result] = {}
+    for name in options.parts.split(","):
+        if name not in PARTS:
+            parser.error(f"--parts {name!r}: expected some of {', '.join(PARTS)}")
+        left = options.budget - (time.perf_counter() - since)
+        if left < 10:
+            found[name] = {"failed": "left out: the budget is used up"}
+        else:
+            found[name] = in_process(name, options, min(left, PARTS[name]))
+        print(name, json.dumps(found[name]), flush=True)
         (options.out / "gpu.json").write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    sys.exit(not found["agrees"])
+    sys.exit(any(map(failed, found.values())))
 
 
 if __name__ == "__main__":

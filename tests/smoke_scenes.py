@@ -59,6 +59,8 @@ def medium(extinction: np.ndarray, to_world: mi.ScalarTransform4f, scale: float 
             "type": "gridvolume",
             "grid": mi.VolumeGrid(grid if grid.ndim == 4 else grid[..., None]),
             "to_world": to_world @ mi.ScalarTransform4f().translate(-0.5),
+            # Textures of a GPU interpolate with weights of 8 bits.
+            "accel": False,
         },
     }
 

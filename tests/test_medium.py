@@ -10,6 +10,7 @@ from fields import smooth_noise
 from smoke_scenes import EXTINCTION, affine, medium, orthographic, smoke_scene
 
 import tnst_mi
+from tnst_mi.boundary import SceneMedium
 
 SHAPE = (7, 9, 6)
 
@@ -221,7 +222,7 @@ def test_whether_the_shape_is_the_box_of_the_grid(boundary: dict, fills: bool) -
     placed = affine(edges, centre) if boundary["type"] == "cube" else mi.ScalarTransform4f().translate(centre.tolist())
     shape = {"type": boundary["type"], "to_world": placed @ scaled}
     scene = smoke_scene(np.ones(SHAPE), orthographic(SHAPE), {}, edges, centre, boundary=shape)
-    assert tnst_mi.medium.GridMedium(scene).fills_box is fills
+    assert SceneMedium(scene).fills_box is fills
 
 
 def test_refresh_takes_over_new_data_and_scale() -> None:
@@ -248,7 +249,7 @@ def test_media_that_cannot_be_resolved_are_named(change: dict, named: str) -> No
     ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": medium(np.ones(SHAPE), affine(np.eye(3), [0] * 3))}
     scene = mi.load_dict({"type": "scene", "ball": ball | change})
     with pytest.raises(RuntimeError, match=rf"emission_absorption: .*{named}"):
-        tnst_mi.medium.GridMedium(scene)
+        SceneMedium(scene)
 
 
 def test_a_volume_without_a_gradient_is_named_and_keeps_its_data() -> None:

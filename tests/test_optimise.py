@@ -19,6 +19,7 @@ from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.advection import revert_mask, step
+from tnst_mi.backend import torch_device
 from tnst_mi.frame import Frame
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.images import read_image
@@ -26,7 +27,7 @@ from tnst_mi.interrupt import deferred_interrupt
 from tnst_mi.losses import Match, Semantic, Style
 from tnst_mi.optimise import optimise
 from tnst_mi.recipe import Recipe
-from tnst_mi.scene import GridScene
+from tnst_mi.renderer import EmissionAbsorptionRenderer
 from tnst_mi.stylized import Progress, Stylized
 
 SHAPE = (16, 24, 16)
@@ -70,14 +71,15 @@ def test_chain_from_potentials_to_loss_against_central_differences(objective, ne
     h, lam, views = 1.8, 0.5, [(0.0, 0.0), (9.0, -4.0)]
     phi, psi = 3 * smooth_noise(rng, *SHAPE, passes=4), 3 * smooth_noise(rng, *SHAPE, 3, passes=4)
     density = mi.TensorXf(smoke.density)
-    scene = GridScene(SHAPE, 0.1, "paper", h, len(views))
+    renderer = EmissionAbsorptionRenderer(SHAPE, 0.1, "paper", h)
+    network = network.to(torch_device())
     bound = objective.bind(network, *SHAPE[1:])
     # Differences of a loss of order 1000 need more digits than float32 has.
     precise = objective.bind(copy.deepcopy(network).double(), *SHAPE[1:])
     reverted = revert_mask(density, tnst_mi.velocity(mi.TensorXf(phi), mi.TensorXf(psi), lam, h), h)
 
     def images(p: mi.TensorXf, q: mi.TensorXf) -> mi.TensorXf:
-        return scene.render(step(density, tnst_mi.velocity(p, q, lam, h), h=h, reverted=reverted), views) * 0.1
+        return renderer.render(step(density, tnst_mi.velocity(p, q, lam, h), h=h, reverted=reverted), views) * 0.1
 
     def loss(p: np.ndarray, q: np.ndarray) -> float:
         with torch.no_grad():
@@ -101,13 +103,13 @@ def test_two_phases_give_the_gradient_of_one(network: GoogLeNet, smoke: Frame) -
     """The density's gradient, pushed once through the transport, equals differentiating the whole graph at once."""
     rng = np.random.default_rng(3)
     views = [(0.0, 0.0), (9.0, -4.0), (-6.0, 2.0)]
-    density, scene = mi.TensorXf(smoke.density), GridScene(SHAPE, 0.1, "paper", 1.0, 3)
+    density, renderer = mi.TensorXf(smoke.density), EmissionAbsorptionRenderer(SHAPE, 0.1, "paper", 1.0)
     weight = mi.TensorXf(smooth_noise(rng, 3, *SHAPE[1:]))
     phi = mi.TensorXf(3 * smooth_noise(rng, *SHAPE, passes=4))
 
     dr.enable_grad(phi)
     moved = tnst_mi.advect(density, tnst_mi.velocity(phi, None, 1.0))
-    dr.backward(dr.sum(scene.render(moved, views) * weight, axis=None))
+    dr.backward(dr.sum(renderer.render(moved, views) * weight, axis=None))
     at_once = dr.grad(phi).numpy()
 
     by_view = np.zeros(SHAPE, np.float32)

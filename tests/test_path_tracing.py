@@ -31,7 +31,8 @@ def test_transmittance_is_unbiased(density: np.ndarray, slack: float) -> None:
     spp, exact = 1024, transmittance(density)
     traced = PathTracer(density, VIEWS, GAMMA, slack).transmittance(spp, seed=3)
     assert traced.shape == (len(VIEWS), *SHAPE[1:])
-    np.testing.assert_array_equal(traced * spp, np.rint(traced * spp))
+    # Multiples of 1/spp; the weights of a GPU's paths are quotients with an error in their last bit.
+    np.testing.assert_allclose(traced * spp, np.rint(traced * spp), rtol=2.0**-22, atol=0)
     testable = spp * exact * (1 - exact) >= 5
     assert testable.sum() > 20
     z = (traced - exact)[testable] / np.sqrt(exact * (1 - exact) / spp)[testable]

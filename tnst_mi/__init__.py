@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tnst_mi.io import load_frames, save_frames
     from tnst_mi.potentials import velocity
     from tnst_mi.recipe import Recipe
-    from tnst_mi.scene import render
+    from tnst_mi.renderer import render
     from tnst_mi.stylization import Result, stylize
     from tnst_mi.views import sample_views
 
@@ -34,7 +34,7 @@ _PUBLIC = {
     "Result": "stylization",
     "advect": "advection",
     "load_frames": "io",
-    "render": "scene",
+    "render": "renderer",
     "sample_views": "views",
     "save_frames": "io",
     "stylize": "stylization",
@@ -62,7 +62,7 @@ def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tnst_mi' has no attribute {name!r}")
     # The field and Mitsuba modules need an active variant when they are imported.
-    if _PUBLIC[name] in ("advection", "potentials", "scene"):
+    if _PUBLIC[name] in ("advection", "potentials", "renderer"):
         activate()
     value = getattr(importlib.import_module(f"tnst_mi.{_PUBLIC[name]}"), name)
     globals()[name] = value

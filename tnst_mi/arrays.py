@@ -54,10 +54,16 @@ def _as_tensor(value: Any) -> mi.TensorXf:
 def _call_from_torch(function: Callable, arguments: dict[str, Any], given: dict[str, Any]) -> Any:
     import torch
 
+    from tnst_mi.backend import torch_device
+
     others = {name: value for name, value in arguments.items() if name not in given}
+    tensors = {name: torch.as_tensor(value) for name, value in given.items()}
+    home = next(value.device for value in given.values() if _is_torch(value))
 
     @dr.wrap(source="torch", target="drjit")
     def call(tensors: dict[str, mi.TensorXf]) -> mi.TensorXf:
         return function(**tensors, **others)
 
-    return call({name: torch.as_tensor(value).float().contiguous() for name, value in given.items()})
+    # Dr.Jit takes each tensor for its own backend's: those of another device than the variant's would not mix.
+    device = torch_device()
+    return call({name: tensor.to(device).float().contiguous() for name, tensor in tensors.items()}).to(home)

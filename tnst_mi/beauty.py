@@ -7,7 +7,10 @@ sky turn together with the azimuth, as if the smoke stood on a turntable: every 
 
 from __future__ import annotations
 
+import functools
 import math
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,8 +23,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.grid import Shape
 from tnst_mi.looks import look_file
-from tnst_mi.scene import View
-from tnst_mi.views import camera_frame
+from tnst_mi.views import View, camera_frame
 
 _DENSITY = "smoke.interior_medium.sigma_t.data"
 _CAMERA = "camera.to_world"
@@ -199,10 +201,14 @@ class Denoiser:
 
 
 def find_denoiser(size: tuple[int, int]) -> Denoiser | None:
-    """The denoiser, or None where the variant or the driver lacks OptiX."""
-    if not mi.variant().startswith("cuda") or not hasattr(mi, "OptixDenoiser"):
+    """The denoiser, or None where the variant or the driver lacks OptiX, or the driver lacks the denoiser's weights."""
+    if not mi.variant().startswith("cuda") or not hasattr(mi, "OptixDenoiser") or not _denoiser_answers():
         return None
-    try:
-        return Denoiser(size)
-    except RuntimeError:
-        return None
+    return Denoiser(size)
+
+
+@functools.cache
+def _denoiser_answers() -> bool:
+    """Whether OptiX can make a denoiser, tried in another process: Mitsuba ends the process where it cannot."""
+    attempt = f"import mitsuba as mi; mi.set_variant({mi.variant()!r}); mi.OptixDenoiser(input_size=[16, 16])"
+    return subprocess.run([sys.executable, "-c", attempt], capture_output=True, check=False).returncode == 0

@@ -1,9 +1,50 @@
-"""Tracing rays to the convex shape around a medium, and through it to the other surfaces of a scene."""
+"""A medium in a scene: the convex shape around it, and tracing rays to that shape and through it to other surfaces."""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+
+from tnst_mi.medium import GridMedium
+
+
+class SceneMedium(GridMedium):
+    """The one medium of a scene, with the shape that bounds it.
+
+    Attributes:
+        shape: the Mitsuba shape that bounds the medium.
+        fills_box: the shape is the box of the grid.
+
+    Raises:
+        RuntimeError: the scene has no medium, or several, or one that the integrator cannot march through.
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        found = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
+        if len(found) != 1:
+            raise RuntimeError(
+                f"emission_absorption: the scene has {len(found)} shapes with an interior medium, expected one"
+            )
+        self.shape = found[0]
+        if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
+            raise RuntimeError("emission_absorption: the shape around the medium must have a `null` BSDF")
+        super().__init__(self.shape.interior_medium())
+        self.fills_box = self._is_the_box()
+
+    def _is_the_box(self) -> bool:
+        """Whether the shape around the medium is the box of the grid, so that no ray need be traced to find it."""
+        if not isinstance(self.shape, mi.Mesh) or self.shape.face_count() != 12:
+            return False
+        vertices = np.array(mi.traverse(self.shape)["vertex_positions"], np.float64).reshape(-1, 3)
+        local = (vertices - self.transform.centre) @ self.transform.matrix.T + 0.5
+        corners = np.round(local)
+        on_corners = np.abs(local - corners).max() < 1e-4 and np.isin(corners, (0, 1)).all()
+        return bool(on_corners and len(np.unique(corners, axis=0)) == 8)
+
+    def belongs_to(self, scene: mi.Scene) -> bool:
+        """Whether this is the medium of `scene`."""
+        return any(shape is self.shape for shape in scene.shapes())
 
 
 def crossing(scene: mi.Scene, shape: mi.Shape, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:

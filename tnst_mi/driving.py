@@ -10,36 +10,36 @@ import numpy as np
 
 from tnst_mi.grid import Shape
 from tnst_mi.recipe import LIGHTS, Recipe, shipped_lights
-from tnst_mi.scattering import Lighting, ScatteringScene
-from tnst_mi.scene import GridScene, grid_scene
+from tnst_mi.renderer import EmissionAbsorptionRenderer, Renderer
+from tnst_mi.scattering import Lighting, ScatteringRenderer
 
 STILL_SPP = 256
 """Paths per pixel of a path-traced still; an iteration of an optimisation can do with far fewer."""
 
 
-def driving_scene(recipe: Recipe, shape: Shape, h: float, view_count: int, spp: int | None = None) -> GridScene:
-    """The scene that a recipe's views are rendered in, for grids of a shape (D, H, W) and cell size h.
+def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = None) -> Renderer:
+    """The renderer of a recipe's views, for grids of a shape (D, H, W) and cell size h.
 
     `spp`, paths per pixel, is the recipe's where None; emission–absorption has no use for it.
     Raises `InputError` where the recipe's light cannot be used.
     """
     if recipe.integrator == "emission_absorption":
-        return grid_scene(shape, recipe.gamma, recipe.quadrature, h, view_count)
+        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h)
     light = LIGHTS / f"{recipe.light}.xml" if recipe.light in shipped_lights() else Path(recipe.light)
     lighting = Lighting(recipe.albedo, recipe.anisotropy, light, recipe.spp if spp is None else spp)
-    return _cached_scene(mi.variant(), shape, recipe.gamma, h, view_count, lighting)
+    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting)
 
 
 def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed.
 
-    Where it is path traced, the same density has the same noise each time. Raises `InputError` as `driving_scene`.
+    Where it is path traced, the same density has the same noise each time. Raises `InputError` as `driving_renderer`.
     """
-    scene = driving_scene(recipe, density.shape, 1.0, 1, STILL_SPP)
-    scene.reseed([recipe.seed])
-    return scene.render(mi.TensorXf(density), [recipe.main_view]).numpy()[0]
+    renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP)
+    return renderer.render(mi.TensorXf(density), [recipe.main_view], [recipe.seed]).numpy()[0]
 
 
 @functools.lru_cache(maxsize=4)
-def _cached_scene(variant: str, *arguments: object) -> ScatteringScene:
-    return ScatteringScene(*arguments)
+def _scattering(variant: str, *arguments: object) -> ScatteringRenderer:
+    """Loading a scene is slow, and Mitsuba does not give back all its memory."""
+    return ScatteringRenderer(*arguments)

@@ -12,15 +12,14 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from tnst_mi.driving import driving_scene
+from tnst_mi.driving import driving_renderer
 from tnst_mi.errors import InputError
 from tnst_mi.googlenet import GoogLeNet
 from tnst_mi.grid import Octave, opaque
 from tnst_mi.objective import Objective
 from tnst_mi.parameterisation import Parameterisation
 from tnst_mi.recipe import Recipe
-from tnst_mi.scene import View
-from tnst_mi.views import sample_views
+from tnst_mi.views import View, sample_views
 
 #: How far the views that results are judged from reach.
 _JUDGED_REACH = 0.8
@@ -127,6 +126,5 @@ class OctaveProblem:
     def _rendered(
         self, density: mi.TensorXf, views: Sequence[View], recipe: Recipe, seed: Sequence[int]
     ) -> mi.TensorXf:
-        scene = driving_scene(recipe, self.octave.shape, self.octave.cell_size, len(views))
-        scene.reseed(seed)
-        return scene.render(density, views) * opaque(self.exposure)
+        renderer = driving_renderer(recipe, self.octave.shape, self.octave.cell_size)
+        return renderer.render(density, views, seed) * opaque(self.exposure)

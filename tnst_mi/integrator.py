@@ -13,10 +13,11 @@ import mitsuba as mi
 from mitsuba.ad.integrators.common import RBIntegrator
 
 from tnst_mi.back_projection import BackProjection
-from tnst_mi.boundary import crossing, first_surface
+from tnst_mi.boundary import SceneMedium, crossing, first_surface
 from tnst_mi.grid import RepeatableSum, opaque
-from tnst_mi.medium import GridMedium, Lattice, ParallelRays
+from tnst_mi.medium import GridMedium, Lattice
 from tnst_mi.occupancy import Occupancy
+from tnst_mi.orthographic import ParallelRays
 from tnst_mi.quadrature import QUADRATURES
 from tnst_mi.stencil import ClampedStencil
 
@@ -65,16 +66,16 @@ class EmissionAbsorption(RBIntegrator):
             )
         if "step" in props and not 0 < self.step < math.inf:
             raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
-        self._medium: GridMedium | None = None
+        self._medium: SceneMedium | None = None
 
     def parameters_changed(self, keys: list[str]) -> None:
         """Forget what was resolved from the scene."""
         self._medium = None
 
-    def resolve(self, scene: mi.Scene) -> GridMedium:
+    def resolve(self, scene: mi.Scene) -> SceneMedium:
         """The scene's medium, with its current extinction tensor."""
         if self._medium is None or not self._medium.belongs_to(scene):
-            self._medium = GridMedium(scene)
+            self._medium = SceneMedium(scene)
         else:
             self._medium.refresh()
         return self._medium
@@ -82,8 +83,8 @@ class EmissionAbsorption(RBIntegrator):
     def sample(
         self,
         mode: dr.ADMode,
-        scene: mi.Scene,
-        sampler: mi.Sampler,
+        scene: mi.Scene | GridMedium,
+        sampler: mi.Sampler | None,
         ray: mi.Ray3f,
         δL: mi.Spectrum | None,
         state_in: Any,
@@ -93,10 +94,16 @@ class EmissionAbsorption(RBIntegrator):
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
         """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
 
-        To tell that the rays are `parallel` makes the adjoint faster.
+        A `GridMedium` in place of the scene is marched by itself, before black: nothing is traced, and on a GPU no
+        OptiX is needed. To tell that the rays are `parallel` makes the adjoint faster.
         """
-        medium = self.resolve(scene)
-        lattice, background, valid = self._intersect(scene, medium, ray, active)
+        if isinstance(scene, mi.Scene):
+            medium = self.resolve(scene)
+            lattice, background, valid = self._intersect(scene, medium, ray, active)
+        else:
+            medium, background = scene, None
+            lattice = Lattice(medium, ray, self._sample_distance(medium))
+            valid = active & (lattice.exit > lattice.entry)
         lattice.rays = parallel
         if mode == dr.ADMode.Primal:
             L = self._radiance(medium, lattice, background)
@@ -111,11 +118,14 @@ class EmissionAbsorption(RBIntegrator):
     # Where a ray passes through the medium, and what it sees behind
     # --------------------------------------------------------------------
 
+    def _sample_distance(self, medium: GridMedium) -> float:
+        return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
+
     def _intersect(
-        self, scene: mi.Scene, medium: GridMedium, ray: mi.Ray3f, active: mi.Bool
+        self, scene: mi.Scene, medium: SceneMedium, ray: mi.Ray3f, active: mi.Bool
     ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
-        step = self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
-        lattice = Lattice(medium, ray, step, None if medium.fills_box else crossing(scene, medium.shape, ray, active))
+        bounds = None if medium.fills_box else crossing(scene, medium.shape, ray, active)
+        lattice = Lattice(medium, ray, self._sample_distance(medium), bounds)
         through = active & (lattice.exit > lattice.entry)
 
         alone = len(scene.shapes()) == 1

@@ -15,25 +15,22 @@ import numpy as np
 
 from tnst_mi.grid import Shape, opaque
 from tnst_mi.occupancy import Occupancy
+from tnst_mi.orthographic import ParallelRays
 from tnst_mi.stencil import ClampedStencil
 
 
-class _Children(mi.TraversalCallback):
-    """Collects the child objects that a Mitsuba object announces, by name."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.objects: dict[str, mi.Object] = {}
-
-    def put(self, name: str, value: object, *_: object) -> None:
-        if isinstance(value, mi.Object):
-            self.objects[name] = value
-
-
 def _children(node: mi.Object) -> dict[str, mi.Object]:
-    callback = _Children()
-    node.traverse(callback)
-    return callback.objects
+    """The child objects that a Mitsuba object announces, by name."""
+    objects: dict[str, mi.Object] = {}
+
+    # Here, since its base belongs to the active variant.
+    class Children(mi.TraversalCallback):
+        def put(self, name: str, value: object, *_: object) -> None:
+            if isinstance(value, mi.Object):
+                objects[name] = value
+
+    node.traverse(Children())
+    return objects
 
 
 @dataclass(frozen=True)
@@ -97,53 +94,33 @@ def probe_transform(volume: mi.Volume) -> GridTransform:
 
 
 class GridMedium:
-    """The one heterogeneous medium of a scene, resolved to its extinction tensor.
+    """A heterogeneous medium, resolved to its extinction tensor; it fills the box of its grid.
 
     Attributes:
-        shape: the Mitsuba shape that bounds the medium.
-        extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the scene's is.
+        medium: the Mitsuba medium.
+        parameters: those of the medium, as `mi.traverse` gives them.
+        extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the medium's is.
         scale: the medium's `scale`.
         transform: world space to the grid's unit cube.
-        fills_box: the shape is the box of the grid.
+
+    Raises:
+        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` no `gridvolume`.
     """
 
-    def __init__(self, scene: mi.Scene) -> None:
-        found = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
-        if len(found) != 1:
-            raise RuntimeError(
-                f"emission_absorption: the scene has {len(found)} shapes with an interior medium, expected one"
-            )
-        self.shape = found[0]
-        self.medium = self.shape.interior_medium()
-        self.volume = _children(self.medium).get("sigma_t")
-        self._parameters = mi.traverse(self.medium)
+    def __init__(self, medium: mi.Medium) -> None:
+        self.medium = medium
+        self.parameters = mi.traverse(medium)
         self._occupancy: Occupancy | None = None
-        if self.volume is None or "data" not in mi.traverse(self.volume):
+        volume = _children(medium).get("sigma_t")
+        if volume is None or "data" not in mi.traverse(volume):
             raise RuntimeError("emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t")
-        if not mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null):
-            raise RuntimeError("emission_absorption: the shape around the medium must have a `null` BSDF")
-        self.transform = probe_transform(self.volume)
-        self.fills_box = self._is_the_box()
+        self.transform = probe_transform(volume)
         self.refresh()
 
-    def _is_the_box(self) -> bool:
-        """Whether the shape around the medium is the box of the grid, so that no ray need be traced to find it."""
-        if not isinstance(self.shape, mi.Mesh) or self.shape.face_count() != 12:
-            return False
-        vertices = np.array(mi.traverse(self.shape)["vertex_positions"], np.float64).reshape(-1, 3)
-        local = (vertices - self.transform.centre) @ self.transform.matrix.T + 0.5
-        corners = np.round(local)
-        on_corners = np.abs(local - corners).max() < 1e-4 and np.isin(corners, (0, 1)).all()
-        return bool(on_corners and len(np.unique(corners, axis=0)) == 8)
-
-    def belongs_to(self, scene: mi.Scene) -> bool:
-        """Whether this is the medium of `scene`."""
-        return any(shape is self.shape for shape in scene.shapes())
-
     def refresh(self) -> None:
-        """Take over the current extinction and scale, which `params.update()` may have replaced."""
-        self.extinction = self._parameters["sigma_t.data"]
-        self.scale = float(self._parameters["scale"])
+        """Take over the current extinction and scale, which `parameters.update()` may have replaced."""
+        self.extinction = self.parameters["sigma_t.data"]
+        self.scale = float(self.parameters["scale"])
 
     @property
     def channels(self) -> int:
@@ -163,20 +140,6 @@ class GridMedium:
         if self._occupancy is None or self._occupancy.values.index != values.index:
             self._occupancy = Occupancy(values, self.grid_shape, self.channels)
         return self._occupancy
-
-
-@dataclass(frozen=True)
-class ParallelRays:
-    """Tells that rays are those of one orthographic view, and so their samples a regular lattice.
-
-    Attributes:
-        width, height: the rays go through this many evenly spaced pixels, row by row, of at least two each.
-        direction: of all rays in world space, a unit vector (3,).
-    """
-
-    width: int
-    height: int
-    direction: np.ndarray
 
 
 class Lattice:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -29,6 +30,7 @@ from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.exr import read_exr, write_exr
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
 from tnst_mi.io.png import write_png
+from tnst_mi.io.video import can_encode
 from tnst_mi.recipe import KINDS, Recipe
 
 #: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
@@ -189,7 +191,11 @@ class RunFolder:
             for name in names:
                 yield name, read_exr(images / f"{name}_before.exr"), read_exr(images / f"{name}_after.exr")
 
-        write_preview(images / "preview.mp4", ((before, after) for _, before, after in pictures()), frames_per_second)
+        if can_encode():
+            pairs = ((before, after) for _, before, after in pictures())
+            write_preview(images / "preview.mp4", pairs, frames_per_second)
+        else:
+            print("note: preview.mp4 is not written: pip install imageio-ffmpeg", file=sys.stderr)
         write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
         losses = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
         changes = sequence["relative_changes"]

@@ -15,7 +15,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.grid import opaque_int
-from tnst_mi.scene import View, scene_description
+from tnst_mi.scene import scene_description
+from tnst_mi.views import View
 
 _EXTINCTION = "smoke.interior_medium.sigma_t.data"
 

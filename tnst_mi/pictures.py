@@ -11,7 +11,8 @@ import numpy as np
 from tnst_mi.beauty import Smoke, Studio, find_denoiser
 from tnst_mi.frame import Frame
 from tnst_mi.io.png import srgb
-from tnst_mi.scene import View, render
+from tnst_mi.renderer import render
+from tnst_mi.views import View
 
 Attributes = dict[str, float | str | View]
 

@@ -13,8 +13,7 @@ import mitsuba as mi
 
 from tnst_mi.backend import check_llvm
 
-#: In the order of their imports.
-_MODULES = ("tnst_mi.medium", "tnst_mi.integrator", "tnst_mi.sensor")
+_MODULES = ("tnst_mi.integrator", "tnst_mi.sensor")
 
 
 def register() -> None:

@@ -16,7 +16,12 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.grid import Shape
-from tnst_mi.scene import GridScene, View, scene_description
+from tnst_mi.renderer import Renderer
+from tnst_mi.scene import scene_description
+from tnst_mi.views import View
+
+_DENSITY = "smoke.interior_medium.sigma_t.data"
+_SCALE = "smoke.interior_medium.scale"
 
 _MAX_DEPTH = 32
 _RUSSIAN_ROULETTE_DEPTH = 8
@@ -46,60 +51,75 @@ class Lighting:
     spp: int
 
 
-class ScatteringScene(GridScene):
-    """A scene like `GridScene`, path traced: each image has new noise, and so has each derivative.
+class ScatteringRenderer(Renderer):
+    """Smoke that scatters light, path traced: each seed has its own noise, and the derivative has noise of its own.
 
     Args:
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
         h: size of a cell in full-resolution cells.
-        view_count: number of views rendered in one launch.
         lighting: the smoke's scattering and its light.
 
     Raises:
         InputError: the light's file cannot be used.
     """
 
-    def __init__(self, shape: Shape, gamma: float, h: float, view_count: int, lighting: Lighting) -> None:
-        self.shape, self.gamma, self.view_count, self.spp = shape, gamma, view_count, lighting.spp
-        self._h, self._lighting = h, lighting
-        self._majorant = 0.0
-        self.reseed([0])
-        self._load(1.0)
+    def __init__(self, shape: Shape, gamma: float, h: float, lighting: Lighting) -> None:
+        self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
+        # Kept: emitters refer to the scene that they were loaded with.
+        self._light = load_light(lighting.light)
+        #: By number of views.
+        self._scenes: dict[int, _LoadedScene] = {}
 
-    def reseed(self, seed: Sequence[int]) -> None:
-        """Start the sequence of seeds that belongs to some whole numbers ≥ 0, such as the run's and the iteration's."""
-        self._seeds = np.random.default_rng(seed)
-
-    def next_seed(self) -> int:
-        """A seed for the next pass, unlike that of any other: primal and adjoint share no random numbers."""
-        return int(self._seeds.integers(1 << 32))
-
-    def show(self, density: mi.TensorXf, views: Sequence[View]) -> None:
-        """Put a density (D, H, W) and a set of views into the scene."""
-        largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
-        if _LEAST_SLACK * largest > self._majorant:
-            self._load(_SLACK * largest)
-        self.place(density, views)
-
-    def image(self) -> mi.TensorXf:
-        """What the views show, (V, H, W)."""
-        image = self.scene.integrator().render(
-            self.scene, self.sensor, seed=self.next_seed(), spp=self.spp, evaluate=False
+    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+        """What the views show, (V, H, W), without derivatives."""
+        loaded = self._show(density, views)
+        primal, _ = _seeds(seed)
+        image = loaded.scene.integrator().render(
+            loaded.scene, loaded.sensor, seed=primal, spp=self.lighting.spp, evaluate=False
         )
-        return mi.TensorXf(image.array, (self.view_count, *self.shape[1:]))
+        return mi.TensorXf(image.array, (len(views), *self.shape[1:]))
 
-    def back_project(self, images: mi.TensorXf, image_gradient: mi.TensorXf) -> None:
-        """Accumulate a gradient (V, H, W) with respect to `image` in that of the density, along paths of its own."""
+    def gradient(
+        self,
+        density: mi.TensorXf,
+        views: Sequence[View],
+        seed: Sequence[int],
+        images: mi.TensorXf,
+        image_gradient: mi.TensorXf,
+    ) -> mi.TensorXf:
+        """An estimate of the derivative (D, H, W) with respect to the density, along paths of its own."""
         _, rows, columns = self.shape
-        gradient = mi.TensorXf(image_gradient.array, (self.view_count * rows, columns, 1))
-        self.scene.integrator().render_backward(
-            self.scene, self.parameters, gradient, self.sensor, seed=self.next_seed(), spp=self.spp
-        )
+        _, adjoint = _seeds(seed)
+        with dr.resume_grad():
+            σ_t = dr.detach(density)
+            dr.enable_grad(σ_t)
+            loaded = self._show(σ_t, views)
+            gradient = mi.TensorXf(image_gradient.array, (len(views) * rows, columns, 1))
+            with dr.suspend_grad():
+                loaded.scene.integrator().render_backward(
+                    loaded.scene, loaded.parameters, gradient, loaded.sensor, seed=adjoint, spp=self.lighting.spp
+                )
+            return mi.TensorXf(dr.grad(loaded.parameters[_DENSITY]).array, self.shape)
 
-    def _load(self, majorant: float) -> None:
-        lighting = self._lighting
-        description = scene_description(self.shape, self.gamma, "exact", self._h, self.view_count)
+    def _show(self, density: mi.TensorXf, views: Sequence[View]) -> _LoadedScene:
+        """A scene with this density and these views, its majorant larger than the extinction."""
+        count = len(views)
+        loaded = self._scenes.get(count) or self._load(count, 1.0)
+        largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
+        if _LEAST_SLACK * largest > loaded.majorant:
+            loaded = self._load(count, _SLACK * largest)
+        self._scenes[count] = loaded
+        loaded.sensor.set_views(views)
+        # σ_t = γ d without a copy: the medium's scale is γ.
+        loaded.parameters[_SCALE] = self.gamma
+        loaded.parameters[_DENSITY] = mi.TensorXf(density.array, (*self.shape, 1))
+        loaded.parameters.update()
+        return loaded
+
+    def _load(self, view_count: int, majorant: float) -> _LoadedScene:
+        lighting = self.lighting
+        description = scene_description(self.shape, self.gamma, "exact", self.h, view_count)
         description["integrator"] = {
             "type": "prbvolpath",
             "max_depth": _MAX_DEPTH,
@@ -112,13 +132,23 @@ class ScatteringScene(GridScene):
         medium["phase"] = {"type": "hg", "g": lighting.anisotropy} if lighting.anisotropy else {"type": "isotropic"}
         # Mitsuba multiplies it by the medium's scale, which is γ.
         medium["sigma_t"]["max_value"] = majorant / self.gamma
-        # Kept: emitters refer to the scene that they were loaded with.
-        self._light = load_light(lighting.light)
         emitters = {f"light_{index}": emitter for index, emitter in enumerate(self._light.emitters())}
-        self.scene = mi.load_dict(description | emitters)
-        self.parameters = mi.traverse(self.scene)
-        self.sensor = self.scene.sensors()[0]
-        self._majorant = majorant
+        scene = mi.load_dict(description | emitters)
+        return _LoadedScene(scene, mi.traverse(scene), scene.sensors()[0], majorant)
+
+
+@dataclass(frozen=True)
+class _LoadedScene:
+    scene: mi.Scene
+    parameters: mi.SceneParameters
+    sensor: mi.Sensor
+    majorant: float
+
+
+def _seeds(seed: Sequence[int]) -> tuple[int, int]:
+    """Seeds of the primal and the adjoint pass, unlike each other: they share no random numbers."""
+    primal, adjoint = np.random.default_rng(list(seed)).integers(1 << 32, size=2)
+    return int(primal), int(adjoint)
 
 
 def load_light(path: Path) -> mi.Scene:

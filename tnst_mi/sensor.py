@@ -5,16 +5,12 @@ Importing this module registers the plugin for the active variant; `tnst_mi.plug
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
-import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from tnst_mi.grid import Divisor, opaque, opaque_int
-from tnst_mi.medium import ParallelRays
-from tnst_mi.views import camera_frame
+from tnst_mi.orthographic import OrthographicRays
+from tnst_mi.views import View
 
 
 class OrthographicViews(mi.Sensor):
@@ -49,16 +45,14 @@ class OrthographicViews(mi.Sensor):
             raise ValueError(
                 f'orthographic_views: a film of height {height} cannot show "view_count" = {self.view_count} views'
             )
-        self.view_width, self.view_height = int(width), int(height) // self.view_count
+        self._width, self._height = int(width), int(height) // self.view_count
         self.set_views([(0.0, 0.0)] * self.view_count)
 
-    def set_views(self, views: Sequence[tuple[float, float]]) -> None:
+    def set_views(self, views: Sequence[View]) -> None:
         """Point the views at new (azimuth, elevation) angles in degrees; as many as `view_count`."""
         if len(views) != self.view_count:
             raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
-        self.views = [(float(azimuth), float(elevation)) for azimuth, elevation in views]
-        #: right, up and towards-the-camera vectors of every view: 9 numbers each.
-        self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
+        self.rays = OrthographicRays(self._width, self._height, self.spacing, self.distance, views)
 
     def sample_ray(
         self,
@@ -69,38 +63,9 @@ class OrthographicViews(mi.Sensor):
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """Ray through a position `sample2` of the film, in [0, 1]²."""
-        width, height = (opaque(n) for n in (self.view_width, self.view_height))
-        row = sample2.y * height * opaque(self.view_count)
-        view = dr.clip(mi.UInt32(row / height), 0, mi.UInt32(opaque_int(self.view_count - 1)))
-        spacing = opaque(self.spacing)
-        x = (sample2.x * width - width * 0.5) * spacing
-        y = (height * 0.5 - (row - mi.Float(view) * height)) * spacing
-
-        right, up, towards = (
-            mi.Vector3f(*(dr.gather(mi.Float, self.frames, view * 9 + 3 * v + i, active) for i in range(3)))
-            for v in range(3)
-        )
-        ray = dr.zeros(mi.Ray3f, dr.width(row))
-        ray.o = mi.Point3f(right * x + up * y + towards * opaque(self.distance))
-        ray.d = -towards
-        ray.maxt = dr.inf
+        ray = self.rays.through(sample2, active)
         ray.time = time
         return ray, mi.Spectrum(1)
-
-    def pixel_rays(self, first: int, count: int) -> mi.Ray3f:
-        """Rays through the pixel centres of `count` views from number `first`, row by row."""
-        pixel = dr.arange(mi.UInt32, count * self.view_height * self.view_width)
-        row, column = Divisor(self.view_width).split(pixel)
-        row += mi.UInt32(opaque_int(first * self.view_height))
-        x = (mi.Float(column) + 0.5) / opaque(self.view_width)
-        y = (mi.Float(row) + 0.5) / opaque(self.view_count * self.view_height)
-        return self.sample_ray(0.0, 0.0, mi.Point2f(x, y), mi.Point2f(0.5))[0]
-
-    def parallel_rays(self, view: int) -> ParallelRays | None:
-        """What the rays through the pixel centres of a view have in common; None where they are but one row."""
-        if min(self.view_width, self.view_height) < 2:
-            return None
-        return ParallelRays(self.view_width, self.view_height, -_camera_frame(*self.views[view])[2])
 
     def sample_ray_differential(self, *arguments: object, **named: object) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
         """As `sample_ray`; no textures are filtered in these scenes, so the differentials are left out."""
@@ -110,10 +75,6 @@ class OrthographicViews(mi.Sensor):
     def to_string(self) -> str:
         """One line for Mitsuba's log."""
         return f"OrthographicViews[view_count = {self.view_count}, spacing = {self.spacing}]"
-
-
-#: Within an iteration the same views are set several times.
-_camera_frame = functools.lru_cache(maxsize=256)(camera_frame)
 
 
 mi.register_sensor("orthographic_views", OrthographicViews)

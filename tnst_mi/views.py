@@ -12,6 +12,9 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 
+#: (azimuth, elevation) in degrees.
+View = tuple[float, float]
+
 # Darts thrown at one radius before the radius shrinks, the first radius relative to the densest packing, the factor
 # it shrinks by, and the fraction of the first radius below which points may coincide (ranges so narrow that floats
 # run out), so the search ends.

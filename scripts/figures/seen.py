@@ -13,7 +13,7 @@ from figures.setting import Run, Setting
 from tnst_mi import GoogLeNet, render
 from tnst_mi.backend import torch_device
 from tnst_mi.objective import Objective
-from tnst_mi.scene import View
+from tnst_mi.views import View
 
 FRONT = (0.0, 0.0)
 

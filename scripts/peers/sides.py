@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from peers import drjit_peer, torch_peer
+from tnst_mi.backend import torch_device
 from tnst_mi.grid import Octave
 from tnst_mi.parameterisation import Transport
-from tnst_mi.scene import GridScene
+from tnst_mi.renderer import EmissionAbsorptionRenderer
 
 GAMMA = 0.1
 
@@ -26,7 +27,7 @@ class Ours:
 
     def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
         self.density, self.views = mi.TensorXf(density), views
-        self.scene = GridScene(density.shape, GAMMA, "paper", 1.0, len(views))
+        self.renderer = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0)
         self.transport = Transport(1.0)
         self.transport.restore({"phi": wavy_potential(density.shape)}, Octave(density.shape, 1.0))
 
@@ -45,13 +46,13 @@ class Ours:
 
     def render_forward(self) -> object:
         """The images of all views."""
-        return self.scene.render(self.density, self.views)
+        return self.renderer.render(self.density, self.views)
 
     def render_backward(self) -> object:
         """The derivative of the sum of squared pixels with respect to the density."""
         seen = dr.detach(self.density)
         dr.enable_grad(seen)
-        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
+        dr.backward(dr.sum(dr.square(self.renderer.render(seen, self.views).array)))
         return dr.grad(seen)
 
     def both_backward(self) -> object:
@@ -60,7 +61,7 @@ class Ours:
         moved = self.transport.density(self.density)
         seen = dr.detach(moved)
         dr.enable_grad(seen)
-        dr.backward(dr.sum(dr.square(self.scene.render(seen, self.views).array)))
+        dr.backward(dr.sum(dr.square(self.renderer.render(seen, self.views).array)))
         dr.set_grad(moved, dr.grad(seen))
         dr.enqueue(dr.ADMode.Backward, moved)
         dr.traverse(dr.ADMode.Backward)
@@ -81,8 +82,8 @@ class Torch:
     """PyTorch's, with `grid_sample` and autograd."""
 
     def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
-        self.density, self.views = torch.from_numpy(density), views
-        self.phi = torch.from_numpy(wavy_potential(density.shape)).requires_grad_()
+        self.density, self.views = torch.from_numpy(density).to(torch_device()), views
+        self.phi = torch.from_numpy(wavy_potential(density.shape)).to(torch_device()).requires_grad_()
 
     def transport_forward(self) -> object:
         """The transported density."""

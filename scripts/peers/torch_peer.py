@@ -25,23 +25,24 @@ def velocity(phi: Tensor) -> Tensor:
     return torch.stack(torch.gradient(phi, dim=(2, 1, 0)), dim=-1)
 
 
-def _cell_centres(shape: Sequence[int]) -> Tensor:
-    """(D, H, W, 3) integer positions (x, y, z)."""
-    z, y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float32) for n in shape), indexing="ij")
+def _cell_centres(field: Tensor) -> Tensor:
+    """(D, H, W, 3) integer positions (x, y, z) of the cells of a field (D, H, W)."""
+    axes = (torch.arange(n, dtype=torch.float32, device=field.device) for n in field.shape)
+    z, y, x = torch.meshgrid(*axes, indexing="ij")
     return torch.stack([x, y, z], dim=-1)
 
 
 def _sample(field: Tensor, position: Tensor) -> Tensor:
     """Trilinear interpolation of (D, H, W) at positions (…, 3) in cells; 0 outside."""
     d, h, w = field.shape
-    size = torch.tensor([w, h, d], dtype=torch.float32)
+    size = torch.tensor([w, h, d], dtype=torch.float32, device=field.device)
     normalised = (2 * position + 1) / size - 1
     return functional.grid_sample(field[None, None], normalised[None], padding_mode="zeros", align_corners=False)[0, 0]
 
 
 def advect(density: Tensor, motion: Tensor) -> Tensor:
     """MacCormack with reverting limiter (Selle et al. 2008), one Euler back-trace, 0 outside."""
-    centres = _cell_centres(density.shape)
+    centres = _cell_centres(density)
     departure = centres - motion
     forward = _sample(density, departure)
     backward = _sample(forward, centres + motion)
@@ -72,12 +73,12 @@ def render(density: Tensor, views: Sequence[tuple[float, float]], gamma: float) 
 
 def _render_view(density: Tensor, azimuth: float, elevation: float, gamma: float) -> Tensor:
     a, e = math.radians(azimuth), math.radians(elevation)
-    towards = torch.tensor([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
-    right = torch.tensor([math.cos(a), 0.0, -math.sin(a)])
+    towards = density.new_tensor([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+    right = density.new_tensor([math.cos(a), 0.0, -math.sin(a)])
     up = torch.linalg.cross(towards, right)
     d, h, w = density.shape
-    middle = torch.tensor([w - 1.0, h - 1.0, d - 1.0]) / 2
-    local = _cell_centres(density.shape) - middle
+    middle = density.new_tensor([w - 1.0, h - 1.0, d - 1.0]) / 2
+    local = _cell_centres(density) - middle
     position = local @ torch.stack([right, up, towards]) + middle
     # The camera is on the side of large z.
     seen = _sample(density, position).flip(0)
@@ -98,9 +99,9 @@ def _blurred(field: Tensor, kernel: Tensor, padding: str) -> Tensor:
 def normalised(gradient: Tensor, levels: int, sigma: float = 1.2) -> Tensor:
     """Blurred, the bands of its Laplacian pyramid divided by their root mean square, and merged."""
     reach = math.ceil(4 * sigma)
-    gaussian = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
+    gaussian = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, device=gradient.device) / sigma) ** 2)
     field = _blurred(gradient, gaussian / gaussian.sum(), "replicate")
-    binomial = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+    binomial = gradient.new_tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
     bands = []
     for _ in range(levels):
         coarse = _blurred(field, binomial, "replicate")[::2, ::2, ::2]
@@ -122,11 +123,13 @@ class StyleIteration:
     def __init__(
         self, density: np.ndarray, phi: np.ndarray, recipe: Recipe, network: GoogLeNet, exposure: float
     ) -> None:
-        self.density, self.phi = torch.from_numpy(density), torch.from_numpy(phi).requires_grad_()
+        device = next(network.parameters()).device
+        self.density, self.phi = (torch.from_numpy(field).to(device) for field in (density, phi))
+        self.phi.requires_grad_()
         self.recipe, self.network, self.exposure = recipe, network, exposure
         self.layers = list(recipe.style_layers)
         # Any picture costs the same.
-        picture = torch.rand(1, 3, *density.shape[1:], generator=torch.Generator().manual_seed(0))
+        picture = torch.rand(1, 3, *density.shape[1:], generator=torch.Generator().manual_seed(0)).to(device)
         with torch.no_grad():
             features = network(picture, layers=self.layers)
             self.targets = {layer: gram(values)[0] for layer, values in features.items()}

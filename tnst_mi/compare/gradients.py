@@ -15,7 +15,8 @@ import numpy as np
 
 from tnst_mi.compare.values import Advance, launches, relative_rms, seed_of
 from tnst_mi.path_tracing import PathTracer, smoke_region
-from tnst_mi.scene import GridScene, View, grid_scene
+from tnst_mi.renderer import EmissionAbsorptionRenderer
+from tnst_mi.views import View
 
 #: The path tracer's samples are divided into this many independent estimates, whose scatter gives the error.
 REPLICATES = 16
@@ -205,15 +206,15 @@ class _Objective:
         weights: np.ndarray,
     ) -> None:
         self.density, self.views, self.gamma, self.weights = density, views, gamma, weights
-        self.scene: GridScene = grid_scene(density.shape, gamma, quadrature, 1.0, len(views), step)
+        self.renderer = EmissionAbsorptionRenderer(density.shape, gamma, quadrature, 1.0, step)
 
     def images(self, density: np.ndarray) -> np.ndarray:
-        return self.scene.render(mi.TensorXf(density), self.views).numpy()
+        return self.renderer.render(mi.TensorXf(density), self.views).numpy()
 
     def gradient(self) -> np.ndarray:
         leaf = mi.TensorXf(self.density)
         dr.enable_grad(leaf)
-        dr.backward(dr.sum(self.scene.render(leaf, self.views) * mi.TensorXf(self.weights), axis=None))
+        dr.backward(dr.sum(self.renderer.render(leaf, self.views) * mi.TensorXf(self.weights), axis=None))
         return dr.grad(leaf).numpy()
 
     def central_difference(self, direction: np.ndarray) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 
 from tnst_mi.compare.closed_form import closed_form, column_density, inclusive_sums
 from tnst_mi.path_tracing import PathTracer
-from tnst_mi.scene import View, grid_scene
+from tnst_mi.renderer import EmissionAbsorptionRenderer
+from tnst_mi.views import View
 
 #: Called with the number of paths that were traced.
 Advance = Callable[[int], None]
@@ -222,8 +223,8 @@ def our_images(
     density: np.ndarray, views: Sequence[View], gamma: float, quadrature: str, step: float = 1.0
 ) -> np.ndarray:
     """Our images (V, H, W) of a density, float64."""
-    scene = grid_scene(density.shape, gamma, quadrature, 1.0, len(views), step)
-    return scene.render(mi.TensorXf(density), views).numpy().astype(np.float64)
+    renderer = EmissionAbsorptionRenderer(density.shape, gamma, quadrature, 1.0, step)
+    return renderer.render(mi.TensorXf(density), views).numpy().astype(np.float64)
 
 
 def launches(spp: int, largest: int) -> list[int]:

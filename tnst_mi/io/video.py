@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +18,11 @@ _COLOURS = ["-vf", "scale=out_color_matrix=bt709"]
 _COLOURS += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"]
 
 _PLAYS_WHILE_LOADING = ["-movflags", "+faststart"]
+
+
+def can_encode() -> bool:
+    """Whether the package that carries ffmpeg is installed."""
+    return importlib.util.find_spec("imageio_ffmpeg") is not None
 
 
 class Video:

@@ -1,0 +1,7 @@
+"""`python -m tnst_mi`: the command `tnst-mi`, where its script is not on the PATH."""
+
+import sys
+
+from tnst_mi.cli import main
+
+sys.exit(main())
