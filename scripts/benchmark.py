@@ -35,18 +35,18 @@ import torch
 from peers import torch_peer
 from peers.sides import GAMMA, Ours, PlainDrJit, Torch, wavy_potential
 
-from tnst_mi.backend import torch_device
-from tnst_mi.environment import device, peak_memory, versions
-from tnst_mi.goals import objective_of
-from tnst_mi.googlenet import GoogLeNet
-from tnst_mi.grid import Octave
+from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.resampling import resample_density
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.optimise import optimise
-from tnst_mi.parameterisation import Transport
-from tnst_mi.resample import resample_density
-from tnst_mi.sequence import SequenceOptimisation
-from tnst_mi.store import MemoryStore
-from tnst_mi.stylized import Progress
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.machine.environment import device, peak_memory, versions
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.goals import objective_of
+from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.optimisation.result import Progress
+from tnst_mi.optimisation.runner import SequenceOptimisation
+from tnst_mi.optimisation.single_frame import optimise
+from tnst_mi.optimisation.store import MemoryStore
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 VIEWS = 9
@@ -110,7 +110,7 @@ def parts(size: int, repeat: int) -> dict[str, dict[str, float]]:
 
 def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
     """A whole iteration, ours as `stylize` does it, and PyTorch's: transport, 9 views, network, normalised step."""
-    from tnst_mi.frame_gradient import OctaveProblem
+    from tnst_mi.optimisation.gradient import OctaveProblem
 
     density = bundled_density(size)
     recipe = tnst_mi.Recipe.from_dict(STYLE)

@@ -23,16 +23,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tnst_mi import Frame, GoogLeNet, Recipe, activate, load_frames
-from tnst_mi.backend import torch_device
-from tnst_mi.driving import driving_scene, main_view
-from tnst_mi.environment import device, versions
+from tnst_mi.fields.pyramid import gaussian
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.mask import soft_mask
-from tnst_mi.objective import BoundObjective
-from tnst_mi.optimise import objective_of, optimise
-from tnst_mi.parameterisation import GRADIENT_SIGMA
-from tnst_mi.progress import ProgressBar
-from tnst_mi.pyramid import gaussian
+from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.machine.environment import device, versions
+from tnst_mi.optimisation.mask import soft_mask
+from tnst_mi.optimisation.parameterisation import GRADIENT_SIGMA
+from tnst_mi.optimisation.single_frame import objective_of, optimise
+from tnst_mi.rendering.driving import driving_scene, main_view
+from tnst_mi.run.progress import ProgressBar
 
 FRAME = Path(__file__).resolve().parents[1] / "scenes" / "suzanne" / "frame_0010.npz"
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]

@@ -22,9 +22,9 @@ from PIL import Image
 from torch import Tensor
 
 from tnst_mi import Frame, GoogLeNet, Recipe, load_frames, render
-from tnst_mi.losses import Style
-from tnst_mi.objective import as_rgb
-from tnst_mi.optimise import optimise
+from tnst_mi.losses.objective import as_rgb
+from tnst_mi.losses.terms import Style
+from tnst_mi.optimisation.single_frame import optimise
 
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]
 TAGS = "spiral,net,flower,fire,stripes,dots,stars,scales,rings,hearts"

@@ -47,7 +47,7 @@ import tnst_mi  # before torch: it lets torch's idle threads sleep
 # isort: split
 import numpy as np
 
-from tnst_mi.backend import torch_device
+from tnst_mi.machine.backend import torch_device
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAME = ROOT / "scenes" / "suzanne" / "frame_0010.npz"
@@ -86,7 +86,7 @@ def environment(options: argparse.Namespace) -> Result:
     import drjit as dr
     import torch
 
-    from tnst_mi.environment import device, versions
+    from tnst_mi.machine.environment import device, versions
 
     libraries = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True, check=False).stdout
     found = sorted({word for word in libraries.split() if word.startswith(("libnvoptix", "libcuda.so"))})
@@ -125,11 +125,11 @@ def first_iteration(
     import mitsuba as mi
     from benchmark import GAMMA, PAPER, bundled_density
 
-    from tnst_mi.goals import objective_of
-    from tnst_mi.googlenet import GoogLeNet
-    from tnst_mi.grid import Octave
-    from tnst_mi.parameterisation import Transport
-    from tnst_mi.renderer import EmissionAbsorptionRenderer
+    from tnst_mi.fields.grid import Octave
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.optimisation.goals import objective_of
+    from tnst_mi.optimisation.parameterisation import Transport
+    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
     found: dict[str, np.ndarray] = {}
 
@@ -219,8 +219,8 @@ def whole_frame(options: argparse.Namespace, shape: tuple[int, int, int], iterat
     """Seconds and memory of stylizing one frame."""
     from benchmark import PAPER, bundled_density, memory
 
-    from tnst_mi.googlenet import GoogLeNet
-    from tnst_mi.optimise import optimise
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.optimisation.single_frame import optimise
 
     frame, network = tnst_mi.Frame(bundled_density(shape)), GoogLeNet.load(options.weights)
     found: Result = {"shape": shape, "iterations": iterations}
@@ -274,12 +274,12 @@ def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], 
     from benchmark import GAMMA, PAPER, bundled_density
     from peers.sides import wavy_potential
 
-    from tnst_mi.frame_gradient import OctaveProblem
-    from tnst_mi.goals import objective_of
-    from tnst_mi.googlenet import GoogLeNet
-    from tnst_mi.grid import Octave
-    from tnst_mi.parameterisation import Transport
-    from tnst_mi.renderer import EmissionAbsorptionRenderer
+    from tnst_mi.fields.grid import Octave
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.optimisation.goals import objective_of
+    from tnst_mi.optimisation.gradient import OctaveProblem
+    from tnst_mi.optimisation.parameterisation import Transport
+    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
     density = bundled_density(shape)
     octave, smoke = Octave(density.shape, 1.0), mi.TensorXf(density)
@@ -390,9 +390,9 @@ def precision(options: argparse.Namespace) -> Result:
     import torch
     from benchmark import PAPER, STYLE, bundled_density
 
-    from tnst_mi import objective
-    from tnst_mi.goals import objective_of
-    from tnst_mi.googlenet import GoogLeNet
+    from tnst_mi.losses import objective
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.optimisation.goals import objective_of
 
     count = 3 if options.dry_run else 9
     density = bundled_density(24 if options.dry_run else (200, 300, 200))

@@ -17,8 +17,8 @@ import time
 from pathlib import Path
 
 import tnst_mi  # before torch: it sets how torch's threads wait
-from tnst_mi import environment
 from tnst_mi.errors import InputError
+from tnst_mi.machine import environment
 
 
 def main() -> int:

@@ -32,8 +32,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
-from tnst_mi.googlenet import GoogLeNet
-from tnst_mi.weight_readers.network_weights import (
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.readers.network_weights import (
     BLOCKS,
     BRANCH_LAYERS,
     CLASSIFIER,
@@ -42,7 +42,7 @@ from tnst_mi.weight_readers.network_weights import (
     STEM,
     NetworkWeights,
 )
-from tnst_mi.weight_readers.quantised import write_quantised
+from tnst_mi.network.readers.quantised import write_quantised
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 SHIPPED = CHECKOUT / "tnst_mi" / "data" / "googlenet_patterns.safetensors"

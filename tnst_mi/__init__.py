@@ -10,35 +10,35 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from tnst_mi.backend import activate, let_idle_threads_sleep, select_llvm
 from tnst_mi.errors import InputError
+from tnst_mi.machine.backend import activate, let_idle_threads_sleep, select_llvm
 
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from tnst_mi.advection import advect
+    from tnst_mi.fields.advection import advect
+    from tnst_mi.fields.potentials import velocity
     from tnst_mi.frame import Frame
-    from tnst_mi.googlenet import GoogLeNet
     from tnst_mi.io import load_frames, save_frames
-    from tnst_mi.potentials import velocity
-    from tnst_mi.recipe import Recipe
-    from tnst_mi.renderer import render
-    from tnst_mi.stylization import Result, stylize
-    from tnst_mi.views import sample_views
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.recipe.recipe import Recipe
+    from tnst_mi.rendering.cameras.views import sample_views
+    from tnst_mi.rendering.renderer import render
+    from tnst_mi.run.api import Result, stylize
 
 #: Public names and the modules they live in; a module is imported at the first use of its name.
 _PUBLIC = {
     "Frame": "frame",
-    "GoogLeNet": "googlenet",
-    "Recipe": "recipe",
-    "Result": "stylization",
-    "advect": "advection",
+    "GoogLeNet": "network.googlenet",
+    "Recipe": "recipe.recipe",
+    "Result": "run.api",
+    "advect": "fields.advection",
     "load_frames": "io",
-    "render": "renderer",
-    "sample_views": "views",
+    "render": "rendering.renderer",
+    "sample_views": "rendering.cameras.views",
     "save_frames": "io",
-    "stylize": "stylization",
-    "velocity": "potentials",
+    "stylize": "run.api",
+    "velocity": "fields.potentials",
 }
 
 __all__ = [
@@ -74,7 +74,7 @@ def __dir__() -> list[str]:
 
 
 def _register_plugins(old: str | None, new: str | None) -> None:
-    importlib.import_module("tnst_mi.plugins").register()
+    importlib.import_module("tnst_mi.rendering.plugins").register()
 
 
 def _install_plugins() -> None:

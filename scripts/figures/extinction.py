@@ -8,9 +8,9 @@ from figures.figure import Claim, Figure, Made, Panel
 from figures.measures import depth_of_change, visible_share
 from figures.seen import FRONT, JUDGED, images_of, losses_of
 from figures.setting import Setting
-from tnst_mi.looks import LOOKS
-from tnst_mi.losses import Style
-from tnst_mi.pictures import PathTraced
+from tnst_mi.choices import LOOKS
+from tnst_mi.losses.terms import Style
+from tnst_mi.rendering.pictures import PathTraced
 
 _GAMMAS = (0.01, 1.0)
 _KEYS = {

@@ -11,9 +11,9 @@ import torch
 from figures.measures import spread
 from figures.setting import Run, Setting
 from tnst_mi import GoogLeNet, render
-from tnst_mi.backend import torch_device
-from tnst_mi.objective import Objective
-from tnst_mi.views import View
+from tnst_mi.losses.objective import Objective
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.rendering.cameras.views import View
 
 FRONT = (0.0, 0.0)
 

@@ -10,7 +10,7 @@ from figures.figure import Claim, Figure, Made, Panel
 from figures.measures import spectral_centroid
 from figures.seen import before_and_after, motif_radius, network, smoke_box
 from figures.setting import Setting
-from tnst_mi.excitation import Ascent, excite
+from tnst_mi.atlas.excitation import Ascent, excite
 
 #: Layers from shallow to deep, and channels of the BVLC network (`tnst-mi atlas` shows them all).
 _CHANNELS = {

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.resampling import resample_potential
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import load_frames
-from tnst_mi.job import Job
-from tnst_mi.outputs import StoredArrays, holds_run
-from tnst_mi.recipe import STYLES, Recipe
-from tnst_mi.resample import resample_potential
+from tnst_mi.recipe.recipe import STYLES, Recipe
+from tnst_mi.run.folder import StoredArrays, holds_run
+from tnst_mi.run.job import Job
 
 _HERE = Path(__file__).resolve().parents[2]
 

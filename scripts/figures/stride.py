@@ -10,10 +10,10 @@ from figures.measures import by_phase, unevenness
 from figures.seen import smoke_box
 from figures.setting import Setting
 from tnst_mi import GoogLeNet, Recipe, render, sample_views
-from tnst_mi.backend import torch_device
-from tnst_mi.goals import objective_of
-from tnst_mi.objective import BoundObjective
-from tnst_mi.optimise import optimise
+from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.optimisation.goals import objective_of
+from tnst_mi.optimisation.single_frame import optimise
 
 #: Of the checkerboard, in pixels: two strides of 2, those of the first convolution and of the maximum after it.
 _PERIOD = 4

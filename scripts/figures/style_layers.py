@@ -6,7 +6,7 @@ from figures.figure import Claim, Figure, Made, Panel
 from figures.measures import spectral_centroid
 from figures.seen import before_and_after, motif_radius, smoke_box
 from figures.setting import Setting
-from tnst_mi.images import read_image
+from tnst_mi.losses.pictures import read_image
 
 _LAYERS = {"low": "conv2/3x3", "medium": "inception_3b/output", "high": "inception_4b/output"}
 _KEYS = {"small": {"octaves": 2, "iterations": 20, "views": 3}, "paper": {"octaves": 2, "iterations": 20, "views": 9}}

@@ -8,8 +8,8 @@ import os
 from figures.figure import Claim, Figure, Made, Panel
 from figures.seen import before_and_after, smoke_box
 from figures.setting import SCENES, Run, Setting
-from tnst_mi.grid import octaves
-from tnst_mi.recipe import Recipe
+from tnst_mi.fields.grid import octaves
+from tnst_mi.recipe.recipe import Recipe
 
 #: Minutes a frame in the paper, and the grid, (D, H, W).
 _PAPER = {

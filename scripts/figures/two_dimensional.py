@@ -8,8 +8,8 @@ from figures.figure import Claim, Figure, Made, Panel
 from figures.measures import mass_change, relative_divergence
 from figures.seen import FRONT, images_of, smoke_box
 from figures.setting import Setting
+from tnst_mi.fields.resampling import resample_potential
 from tnst_mi.frame import Frame
-from tnst_mi.resample import resample_potential
 
 #: Cells of the plane for one of the simulation it is cut from.
 _FINER = {"small": 3.0, "paper": 1.0}

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.grid import Shape
-from tnst_mi.views import camera_frame
+from tnst_mi.fields.grid import Shape
+from tnst_mi.rendering.cameras.views import camera_frame
 
 
 def _cells(shape: Shape) -> mi.Vector3i:

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from peers import drjit_peer, torch_peer
-from tnst_mi.backend import torch_device
-from tnst_mi.grid import Octave
-from tnst_mi.parameterisation import Transport
-from tnst_mi.renderer import EmissionAbsorptionRenderer
+from tnst_mi.fields.grid import Octave
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 GAMMA = 0.1
 

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tnst_mi.googlenet import GoogLeNet
-from tnst_mi.recipe import Recipe
-from tnst_mi.views import sample_views
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import sample_views
 
 
 def velocity(phi: Tensor) -> Tensor:

@@ -11,10 +11,10 @@ import tyro
 
 from tnst_mi.commands.base import Command, given, recipe_flags
 from tnst_mi.errors import StoppedError
-from tnst_mi.recipe import Recipe
+from tnst_mi.recipe.recipe import Recipe
 
 if TYPE_CHECKING:
-    from tnst_mi.atlas import Atlas as LayerAtlas
+    from tnst_mi.atlas.layer_atlas import Atlas as LayerAtlas
 
 _FOLDER = "tnst_mi-atlas"
 
@@ -48,13 +48,13 @@ class Atlas(Command):
 
     def run(self) -> int:
         """Make what is missing, write sheet and page, and say where they are."""
-        from tnst_mi.backend import activate
+        from tnst_mi.machine.backend import activate
 
         recipe = Recipe().updated_by_flags(given(self.resources))
         activate(recipe.variant)
-        from tnst_mi.atlas import Atlas as LayerAtlas
-        from tnst_mi.atlas import channel_numbers
-        from tnst_mi.googlenet import GoogLeNet
+        from tnst_mi.atlas.layer_atlas import Atlas as LayerAtlas
+        from tnst_mi.atlas.layer_atlas import channel_numbers
+        from tnst_mi.network.googlenet import GoogLeNet
 
         network = GoogLeNet.load(recipe.weights)
         layer = network.resolve(self.layer)

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import KINDS, Recipe, documentation
-from tnst_mi.recipe_keys import Number, Texts
+from tnst_mi.recipe.keys import Number, Texts
+from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

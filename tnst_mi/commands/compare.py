@@ -12,8 +12,8 @@ import tyro
 
 from tnst_mi.commands.base import Command, Folder, view_of
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import KINDS
-from tnst_mi.recipe_keys import Integer
+from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.recipe import KINDS
 
 _SPP, _QUICK_SPP = 256, 64
 _DIRECTIONS, _QUICK_DIRECTIONS = 64, 16
@@ -65,10 +65,10 @@ class Compare(Command):
 
         from tqdm import tqdm
 
-        from tnst_mi.backend import activate
-        from tnst_mi.environment import device, peak_memory, versions
         from tnst_mi.io import open_frames
-        from tnst_mi.writable import require_writable
+        from tnst_mi.machine.backend import activate
+        from tnst_mi.machine.disk import require_writable
+        from tnst_mi.machine.environment import device, peak_memory, versions
 
         remedy = None if self.overwrite else "give another folder, or write into this one with --overwrite"
         require_writable(self.out, remedy=remedy)

@@ -11,7 +11,7 @@ import tyro
 
 from tnst_mi.commands.base import Command
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import Recipe
+from tnst_mi.recipe.recipe import Recipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -102,7 +102,7 @@ class Convert(Command):
     def _files(self, frames: FrameFiles) -> list[Path]:
         """The files that the frames go to."""
         from tnst_mi.io.formats import FORMATS, files_around, require_format
-        from tnst_mi.writable import require_writable
+        from tnst_mi.machine.disk import require_writable
 
         if not self.output.suffix or self.output.is_dir():
             suffix = f".{self.format}" if self.format else FORMATS[0]

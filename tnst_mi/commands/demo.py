@@ -7,7 +7,8 @@ from pathlib import Path
 
 from tnst_mi.commands.base import Command, Folder
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import Recipe
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import scene_file
 
 
 @dataclass(kw_only=True)
@@ -21,10 +22,10 @@ class Demo(Command):
         """Stylize the scene suzanne and say where the pictures are."""
         from tnst_mi.commands.stylize import run_job
         from tnst_mi.io import open_frames
-        from tnst_mi.job import Job
-        from tnst_mi.outputs import frame_names, holds_run
+        from tnst_mi.run.folder import frame_names, holds_run
+        from tnst_mi.run.job import Job
 
-        scene = scene_folder("suzanne")
+        scene = scene_file("suzanne/recipe.toml").parent
         recipe = Recipe.from_toml(scene / "recipe.toml")
         earlier = holds_run(self.out)
         if earlier and set(frame_names(self.out)) != {file.stem for file in open_frames(scene).files}:
@@ -33,12 +34,3 @@ class Demo(Command):
         for picture in sorted((self.out / "images").glob("*.png")):
             print(f"picture   {picture}")
         return code
-
-
-def scene_folder(name: str) -> Path:
-    """The folder of a bundled scene, in the installed package or in the checkout."""
-    package = Path(__file__).resolve().parents[1]
-    for scenes in (package / "scenes", package.parent / "scenes"):
-        if (scenes / name / "recipe.toml").is_file():
-            return scenes / name
-    raise InputError(f"{package / 'scenes' / name}: the bundled scene is missing; install the package again")

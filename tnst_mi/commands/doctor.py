@@ -13,7 +13,7 @@ class Doctor(Command):
 
     def run(self) -> int:
         """Print the checks; 0 if the main job can run, else 1."""
-        from tnst_mi.doctor import examine
+        from tnst_mi.commands.examination import examine
 
         checks = examine()
         for check in checks:

@@ -13,11 +13,11 @@ import tyro
 
 from tnst_mi.commands.base import Command, Folder, given, recipe_flags, view_of
 from tnst_mi.errors import InputError
-from tnst_mi.recipe import Recipe
+from tnst_mi.recipe.recipe import Recipe
 
 if TYPE_CHECKING:
     from tnst_mi.io.sequence import FrameFiles
-    from tnst_mi.pictures import Painter, Shot
+    from tnst_mi.rendering.pictures import Painter, Shot
 
 RendererFlags = recipe_flags(("gamma", "quadrature", "variant"))
 
@@ -80,9 +80,9 @@ class Render(Command):
 
     def run(self) -> int:
         """Render every view of every frame, or a turntable."""
-        from tnst_mi.backend import activate
         from tnst_mi.io import open_frames
-        from tnst_mi.writable import require_writable
+        from tnst_mi.machine.backend import activate
+        from tnst_mi.machine.disk import require_writable
 
         path_traced = (self.integrator or ("volpath" if self.look else "emission_absorption")) != "emission_absorption"
         self._check_flags(path_traced)
@@ -93,8 +93,8 @@ class Render(Command):
         require_writable(self.out, remedy=remedy)
         frames = open_frames(self.input)
         activate(recipe.variant)
-        from tnst_mi import pictures
-        from tnst_mi.looks import gamma
+        from tnst_mi.rendering import pictures
+        from tnst_mi.rendering.looks import gamma
 
         if self.turntable is None:
             shots = pictures.shots_of_views(len(frames), views)

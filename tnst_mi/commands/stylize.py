@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from tnst_mi.commands.base import Command, Folder, given, recipe_flags
-from tnst_mi.recipe import Goals, Method, Recipe, Resources
+from tnst_mi.recipe.recipe import Goals, Method, Recipe, Resources
 
 if TYPE_CHECKING:
-    from tnst_mi.job import Job, StylizedFrame
+    from tnst_mi.run.job import Job, StylizedFrame
 
 GoalFlags = recipe_flags(Goals.__annotations__)
 MethodFlags = recipe_flags(Method.__annotations__)
@@ -46,7 +46,7 @@ class Stylize(Command):
 
     def run(self) -> int:
         """Stylize, and report every frame."""
-        from tnst_mi.job import Job
+        from tnst_mi.run.job import Job
 
         recipe = Recipe() if self.recipe is None else Recipe.from_toml(self.recipe)
         for flags in (self.goals, self.method, self.resources):

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from tnst_mi import shipped
 from tnst_mi.commands.base import Command
-from tnst_mi.shipped import DOWNLOAD_COMMAND, PAPERS_FLAVOUR, PATTERNS
+from tnst_mi.network import shipped
+from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PAPERS_FLAVOUR, PATTERNS
 
 
 @dataclass(kw_only=True)
@@ -38,19 +38,19 @@ class Weights(Command):
         return 0
 
     def _download(self, flavours: tuple[str, ...]) -> None:
-        from tnst_mi.weights import download_weights
+        from tnst_mi.network.weights import download_weights
 
         for flavour in flavours:
             print(f"found      {flavour:12} {download_weights(flavour)} (hash verified)")
 
     def _list_tags(self) -> None:
-        from tnst_mi.weight_readers import read_weights
+        from tnst_mi.network.readers import read_weights
 
         for name in read_weights(shipped.shipped_weights()).class_names or ():
             print(name)
 
     def _list(self) -> None:
-        from tnst_mi.weights import ENVIRONMENT_VARIABLE, PUBLISHED, cache_folder, list_weights, shared_folder
+        from tnst_mi.network.weights import ENVIRONMENT_VARIABLE, PUBLISHED, cache_folder, list_weights, shared_folder
 
         found = list_weights()
         for weights in found:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tnst_mi.views import camera_frame
+from tnst_mi.rendering.cameras.views import camera_frame
 
 #: Rays integrated at once; bounds the memory.
 _RAYS = 2048

@@ -18,7 +18,7 @@ from tnst_mi.compare.verdict import (
     quadrature_checks,
     value_checks,
 )
-from tnst_mi.views import View
+from tnst_mi.rendering.cameras.views import View
 
 #: Told the name of what is measured and the share of all work, 0 to 1, that is done since the last call.
 Report = Callable[[str, float], None]

@@ -13,10 +13,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.compare.path_tracing import PathTracer, smoke_region
 from tnst_mi.compare.values import Advance, launches, relative_rms, seed_of
-from tnst_mi.path_tracing import PathTracer, smoke_region
-from tnst_mi.renderer import EmissionAbsorptionRenderer
-from tnst_mi.views import View
+from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 #: The path tracer's samples are divided into this many independent estimates, whose scatter gives the error.
 REPLICATES = 16

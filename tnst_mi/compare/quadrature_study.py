@@ -13,7 +13,7 @@ import numpy as np
 
 from tnst_mi.compare.closed_form import closed_form, column_density
 from tnst_mi.compare.values import our_images, relative_rms
-from tnst_mi.views import View
+from tnst_mi.rendering.cameras.views import View
 
 #: Steps in cells.
 STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)

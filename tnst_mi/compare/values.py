@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.compare.closed_form import closed_form, column_density, inclusive_sums
-from tnst_mi.path_tracing import PathTracer
-from tnst_mi.renderer import EmissionAbsorptionRenderer
-from tnst_mi.views import View
+from tnst_mi.compare.path_tracing import PathTracer
+from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 #: Called with the number of paths that were traced.
 Advance = Callable[[int], None]

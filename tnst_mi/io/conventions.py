@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.frame import Frame
+from tnst_mi.frame import Frame, Placement
 from tnst_mi.io.orientation import from_z_up, mirrored
 from tnst_mi.io.staggered import centred_velocity
-from tnst_mi.placement import Placement
 
 #: Velocities in files: cells per frame; cells, or units of length of the scene, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Placement
 from tnst_mi.io import companions
 from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
 from tnst_mi.io.npz import read_arrays, read_headers, write_arrays
@@ -21,7 +22,6 @@ from tnst_mi.io.orientation import to_z_up
 from tnst_mi.io.uni import FLAGS, INTEGER, OBSTACLE, REAL, VECTOR, read_uni, read_uni_header, write_uni
 from tnst_mi.io.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
 from tnst_mi.io.vol import read_vol, read_vol_shape, write_vol
-from tnst_mi.placement import Placement
 
 #: File name endings of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Placement
 from tnst_mi.io.conventions import (
     CELLS_PER_FRAME,
     CELLS_PER_TIME,
@@ -27,7 +28,6 @@ from tnst_mi.io.vdb.metadata import Value
 from tnst_mi.io.vdb.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.vdb.tree import Box, require_small
 from tnst_mi.io.vdb.writer import DenseGrid, write_vdb
-from tnst_mi.placement import Placement
 
 _DENSITY, _VELOCITY, _OBSTACLE, _FLAGS = ("density",), ("velocity", "vel", "v"), ("obstacle",), ("flags",)
 

@@ -1,0 +1,267 @@
+"""The command line: help, usage, precedence of flags, exit codes, and what the commands answer."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from command_line import Run, refused, run, smoke
+from jobs import FakeOptimiser, frames, optimiser
+from networks import random_googlenet
+
+from tnst_mi.cli import COMMANDS
+from tnst_mi.errors import InputError
+from tnst_mi.io import save_frames
+from tnst_mi.recipe.recipe import KINDS
+
+__all__ = ["optimiser", "run", "smoke"]
+
+
+# --- Commands, help and usage -----------------------------------------------------------------------------
+
+
+def test_help_names_every_command_and_every_flag(run: Run) -> None:
+    ran = run("--help")
+    assert ran.code == 0 and ran.errors == []
+    assert all(name in ran.out for name in COMMANDS)
+    assert run().out == ran.out
+    ran = run("stylize", "--help")
+    assert ran.code == 0 and ran.errors == []
+    for name in (*KINDS, "out", "recipe", "resume", "overwrite", "debug"):
+        assert f"--{name.replace('_', '-')} " in ran.out
+    for name in COMMANDS:
+        assert run(name, "--help").code == 0
+
+
+def test_help_loads_no_torch_and_starts_no_variant() -> None:
+    program = (
+        "import sys; from tnst_mi.cli import main; code = main(['stylize', '--help']); "
+        "import mitsuba; heavy = {'torch', 'matplotlib'} & set(sys.modules); "
+        "sys.exit(code or mitsuba.variant() or ', '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
+        ("frobnicate", "expected one of demo, stylize, render, compare, convert, atlas, info, weights, doctor"),
+        ("stylize", "Missing from tnst-mi stylize: INPUT .* --out FOLDER"),
+        ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),
+        ("stylize a --out", "Missing value for argument .*--out"),
+        ("stylize a --out b --lamm 1", "unexpected '--lamm'; did you mean --lam?"),
+        ("stylize a --out b --lamm=1", "unexpected '--lamm'; did you mean --lam?"),
+        ("stylize a --out b c", "unexpected 'c'"),
+        ("info", "expected one or more files"),
+        ("render a --out b --views 1,2,3", "--views 1,2,3: expected AZIMUTH,ELEVATION"),
+        ("render a --out b --views nan,0", "--views nan,0: expected"),
+        ("render a --out b --gamma 0", "--gamma 0: expected a number above 0"),
+        ("stylize a --out b --gamma x", "--gamma x: expected a number above 0"),
+        ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers LOW,HIGH, in this order, from"),
+        ("stylize a --out b --azimuth -10", "--azimuth -10: expected two numbers"),
+        ("stylize a --out b --quadrature Paper", '--quadrature Paper: expected one of "paper"'),
+        ("stylize a --out b --steps 0", "--steps 0: expected an integer"),
+        ("stylize a --out b --semantic conv2", "--semantic conv2: expected a list of layers"),
+        ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
+        ("stylize a --out b", "nothing to stylize towards"),
+        ("stylize a --out b --tag x --light lamp.xml", "--light: light = 'lamp.xml': no such file, nor one of"),
+        ("stylize a --out b --tag x --resume --overwrite", "expected only one of them"),
+        ("stylize nowhere.npz --out b --tag x", "nowhere.npz: no such file"),
+        ("stylize nowhere --out b --tag x", "nowhere: no such file or folder"),
+        ("stylize nowhere.vdb --out b --tag x", "nowhere.vdb: no such file or folder"),
+        ("info nowhere.npz", "nowhere.npz: no such file"),
+        ("render nowhere.npz --out b", "nowhere.npz: no such file"),
+    ],
+)
+def test_wrong_usage(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run, tmp_path, line.split(), message)
+
+
+# --- stylize ----------------------------------------------------------------------------------------------
+
+
+def test_flags_win_over_the_recipe_and_the_recipe_over_the_defaults(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    recipe = tmp_path / "r.toml"
+    recipe.write_text('style = ["net"]\neta = 0.01\ngamma = 0.5\nazimuth = [0, 1]\niterations = 1\nframes = "8:9"\n')
+    ran = run(
+        *("stylize", smoke, "--recipe", recipe, "--out", tmp_path / "out", "--gamma", "0.7"),
+        *("--style", "spirals", "--style=cells", "--azimuth", "-20,20", "--semantic", "conv2/3x3:1,2"),
+    )
+    assert ran.code == 0, ran.errors
+    assert optimiser.names == ["f_08", "f_09"]
+    used = optimiser.calls[0]["recipe"]
+    assert (used.eta, used.gamma, used.octaves, used.azimuth) == (0.01, 0.7, 3, (-20.0, 20.0))
+    assert [Path(path).stem for path in used.style] == ["spirals", "cells"]
+    assert used.semantic == ("conv2/3x3:1,2",)
+    assert str(tmp_path / "out") in ran.out
+    assert "mass 48 → 96, largest displacement 5 cells" in ran.out
+    assert any("octave 3/3" in line for line in ran.errors)
+
+
+@pytest.mark.parametrize("flags", [("--azimuth", "-10,-.5"), ("--azimuth=-10,-.5",)])
+def test_values_that_start_with_a_minus(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser, flags: tuple[str, ...]
+) -> None:
+    ran = run("stylize", smoke / "f_07.npz", "--out", tmp_path / "out", "--tag", "volcano", *flags)
+    assert ran.code == 0, ran.errors
+    assert optimiser.calls[0]["recipe"].azimuth == (-10.0, -0.5)
+
+
+def test_an_interrupted_run_says_where_its_results_are(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    optimiser.interrupt_at = "f_08"
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--iterations", "1")
+    ran = run(*arguments)
+    assert ran.code == 3
+    assert f"interrupted; --resume continues the run in {tmp_path / 'out'} where it stopped" in ran.errors[-1]
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["status"] == "interrupted"
+    refused(run, tmp_path, list(arguments), "is not empty; continue its run with --resume")
+    optimiser.interrupt_at = ""
+    assert run(*arguments, "--resume").code == 0
+    assert optimiser.names == ["f_07", "f_08", "f_09"]
+
+
+def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
+    optimiser.failure = RuntimeError("two\nlines")
+    ran = run(*arguments)
+    assert (ran.code, ran.errors[2:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    assert ran.errors[0] == "network: bvlc, none" and ran.errors[1].startswith("memory: about ")
+    ran = run(*arguments, "--debug")
+    assert ran.code == 1
+    assert ran.errors[2].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    optimiser.failure = KeyboardInterrupt()
+    ran = run(*arguments)
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 3
+    optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
+    ran = run(*arguments)
+    assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
+
+
+def test_wrapped_failures_tell_their_cause(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    def wrapped(cause: Exception) -> RuntimeError:
+        outer = RuntimeError("outer")
+        outer.__cause__ = RuntimeError("middle")
+        outer.__cause__.__cause__ = cause
+        return outer
+
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
+    optimiser.failure = wrapped(OSError("the disk"))
+    ran = run(*arguments)
+    told = "tnst-mi: RuntimeError: outer, caused by OSError: the disk (--debug shows where)"
+    assert (ran.code, ran.errors[-1]) == (1, told)
+    optimiser.failure = wrapped(InputError("the picture"))
+    ran = run(*arguments)
+    assert (ran.code, ran.errors[-1]) == (2, "tnst-mi: the picture")
+
+
+def test_a_reader_that_leaves_early_is_no_failure(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", density=np.ones((2, 2, 2)))
+    program = "import sys; from tnst_mi.cli import main; sys.stdin.read(); sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "info", str(tmp_path / "a.npz")]
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **streams) as process:
+        process.stdout.close()
+        process.stdin.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
+
+
+def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tnst_mi.io.sequence.read_stored", interrupt)
+    for arguments in (("info", smoke), ("render", smoke, "--out", tmp_path / "out")):
+        ran = run(*arguments)
+        assert (ran.code, ran.errors) == (3, ["tnst-mi: interrupted"])
+
+
+def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    save_frames(tmp_path / "smoke", frames(1e30, 0.3, 0.0))
+    ran = run("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--tag", "volcano", "--gamma", "0.5")
+    assert ran.code == 0, ran.errors
+    warnings = [line for line in ran.errors if line.startswith("warning")]
+    assert warnings == ["warning: f_07 renders black at gamma 0.5 in the main view"]
+
+
+def test_demo_replaces_an_earlier_demo_only(
+    run: Run, tmp_path: Path, optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        ran = run("demo")
+        assert ran.code == 0, ran.errors
+    assert optimiser.names == ["frame_0010", "frame_0010"]
+    assert "picture   tnst_mi-demo/images/frame_0010_comparison.png" in ran.out
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").touch()
+    refused(run, tmp_path, ["demo", "--out", "mine"], "mine: is not empty; give an empty or new folder")
+    save_frames(tmp_path / "smoke", frames(0.3))
+    assert run("stylize", "smoke", "--out", "other", "--tag", "volcano").code == 0
+    refused(run, tmp_path, ["demo", "--out", "other"], "other: holds a run that is no demo")
+
+
+# --- The other commands -----------------------------------------------------------------------------------
+
+
+def test_render_uses_one_exposure_for_all_pictures(run: Run, smoke: Path, tmp_path: Path) -> None:
+    ran = run("render", smoke, "--out", tmp_path / "out", "--views", "0,0", "-90,0", "--gamma", "0.5")
+    assert ran.code == 0, ran.errors
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {f"f_{n:02d}_view_{v}.{e}" for n in (7, 8, 9) for v in ("0_0", "-90_0") for e in ("png", "exr")}
+
+    def pixels(name: str) -> tuple[np.ndarray, dict[str, object]]:
+        with OpenEXR.File(str(tmp_path / "out" / name)) as file:
+            header = {key: file.header()[key] for key in ("exposure", "gamma")}
+            return np.array(file.channels()["Y"].pixels), header
+
+    def column(density: float) -> float:
+        return density * sum(np.exp(-0.5 * density * k) for k in range(1, 5))
+
+    # Uniform grids: f_08 is the brightest, and every picture is a column sum over that of f_08.
+    for name, density in (("f_07", 0.2), ("f_08", 0.4), ("f_09", 0.3)):
+        image, header = pixels(f"{name}_view_0_0.exr")
+        np.testing.assert_allclose(image, np.full((6, 5), column(density) / column(0.4)), rtol=1e-4)
+        assert header["exposure"] == pytest.approx(1 / column(0.4), rel=1e-4)
+        assert header["gamma"] == 0.5
+
+
+def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
+    density = np.zeros((2, 2, 2))
+    density[0, 0] = 1.5, 0.5
+    np.savez(tmp_path / "a.npz", density=density, velocity=np.full((2, 2, 2, 3), [3.0, 4.0, 0.0]))
+    ran = run("info", tmp_path / "a.npz")
+    assert ran.code == 0 and ran.errors == []
+    assert "array 'velocity': float64, shape (2, 2, 2, 3)" in ran.out
+    assert "density: 0 to 1.5, mass 2, 75.0% of cells empty" in ran.out
+    assert "velocity: at most 5 cells per frame" in ran.out
+    np.savez(tmp_path / "v.npz", velocity=np.full((2, 2, 2, 3), [0.0, 3.0, 4.0], np.float32))
+    ran = run("info", tmp_path / "v.npz")
+    assert (ran.code, ran.errors) == (0, [])
+    assert ran.out.splitlines()[1:] == [
+        "  array 'velocity': float32, shape (2, 2, 2, 3)",
+        "  velocity: at most 5 cells per frame",
+    ]
+
+
+def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TNST_MI_WEIGHTS", str(tmp_path / "nowhere"))
+    refused(run, tmp_path, ["weights"], "nowhere: no such file")
+    monkeypatch.setenv("TNST_MI_WEIGHTS", str(random_googlenet(tmp_path / "tiny.safetensors", narrow=8)))
+    ran = run("weights")
+    assert ran.code == 0
+    assert f"{tmp_path / 'tiny.safetensors'} (not a published file)" in ran.out
+    assert "405fc5acd08a3bb12de8ee5e23a96bec22f08204" in ran.out and "https://" in ran.out

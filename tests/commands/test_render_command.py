@@ -1,0 +1,114 @@
+"""`tnst-mi render` with looks, path tracers and turntables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import OpenEXR
+import pytest
+from command_line import Run, refused, run, smoke
+from PIL import Image
+
+import tnst_mi
+from tnst_mi.rendering.looks import gamma
+from tnst_mi.rendering.pictures import shots_of_turn
+
+__all__ = ["run", "smoke"]
+
+STUDIO = ("--spp", 2, "--resolution", "24x32")
+
+
+def exr(path: Path) -> tuple[dict[str, np.ndarray], dict[str, object]]:
+    with OpenEXR.File(str(path)) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}, dict(file.header())
+
+
+def test_a_look_gives_linear_exr_and_srgb_png(run: Run, smoke: Path, tmp_path: Path) -> None:
+    file, out = smoke / "f_07.npz", tmp_path / "out"
+    ran = run("render", file, "--out", out, "--look", "thick", "--views", "0,0", "40,10", "--seed", 3, *STUDIO)
+    assert ran.code == 0, ran.errors
+    names = {f"f_07_view_{view}.{ending}" for view in ("0_0", "40_10") for ending in ("png", "exr")}
+    assert {path.name for path in out.iterdir()} == names
+    channels, header = exr(out / "f_07_view_40_10.exr")
+    linear = channels["RGB"]
+    assert linear.shape == (32, 24, 3) and linear.dtype == np.float32 and np.isfinite(linear).all()
+    assert (header["look"], header["integrator"], header["seed"]) == ("thick", "volpath", "3")
+    assert tuple(header["view"]) == (40.0, 10.0) and header["samples_per_pixel"] == 2
+    shown = np.asarray(Image.open(out / "f_07_view_40_10.png")) / 255
+    # The inverse of the sRGB curve.
+    undone = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(undone, np.clip(linear, 0, 1), atol=0.005)
+
+    again = tmp_path / "again"
+    run("render", file, "--out", again, "--look", "thick", "--views", "0,0", "40,10", "--seed", 3, *STUDIO)
+    assert (again / "f_07_view_40_10.exr").read_bytes() == (out / "f_07_view_40_10.exr").read_bytes()
+
+
+def test_a_turntable_of_a_sequence_is_a_video(run: Run, smoke: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ("--integrator", "prbvolpath", "--turntable", 4, "--views", "10,5", "--fps", 12, "--denoise")
+    ran = run("render", smoke, "--out", out, *arguments, *STUDIO)
+    assert ran.code == 0, ran.errors
+    # A computer without OptiX says so once, and goes on.
+    assert sum("--denoise" in line for line in ran.errors) <= 1
+    reader = imageio_ffmpeg.read_frames(str(out / "smoke_turntable.mp4"))
+    about, pictures = next(reader), list(reader)
+    assert about["size"] == (24, 32) and about["fps"] == 12.0 and len(pictures) == 4
+    headers = {path.name: exr(path)[1] for path in sorted(out.glob("*.exr"))}
+    assert [(name, *header["view"]) for name, header in headers.items()] == [
+        ("f_07_turntable_0.exr", 10.0, 5.0),
+        ("f_07_turntable_1.exr", 100.0, 5.0),
+        ("f_08_turntable_2.exr", 190.0, 5.0),
+        ("f_09_turntable_3.exr", 280.0, 5.0),
+    ]
+    assert {header["look"] for header in headers.values()} == {"medium"}
+
+
+def test_emission_absorption_takes_gamma_from_the_look(run: Run, smoke: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ("--integrator", "emission_absorption", "--look", "thick", "--turntable", 3)
+    ran = run("render", smoke / "f_08.npz", "--out", out, *arguments)
+    assert ran.code == 0, ran.errors
+    channels, header = exr(out / "f_08_turntable_1.exr")
+    density = tnst_mi.load_frames(smoke / "f_08.npz")[0].density
+    assert header["gamma"] == pytest.approx(gamma("thick", density.shape))
+    expected = tnst_mi.render(density, (120.0, 0.0), gamma("thick", density.shape)) * header["exposure"]
+    np.testing.assert_allclose(channels["Y"], expected, rtol=1e-5, atol=1e-6)
+    about = next(imageio_ffmpeg.read_frames(str(out / "f_08_turntable.mp4")))
+    assert about["size"] == (6, 6)  # of grids 5 cells wide and 6 high
+
+
+def test_a_sequence_plays_once_during_the_turn() -> None:
+    for frames, count in ((1, 5), (3, 3), (3, 8), (9, 4)):
+        shots = shots_of_turn(frames, (30.0, -2.0), count)
+        played = [shot.frame for shot in shots]
+        assert len(shots) == count and played == sorted(played) and played[0] == 0 and played[-1] < frames
+        seen = np.bincount(played, minlength=frames)
+        assert np.ptp(seen) <= 1
+        np.testing.assert_allclose(np.diff([shot.view[0] for shot in shots]), 360 / count)
+        assert {shot.view[1] for shot in shots} == {-2.0} and shots[0].view[0] == 30.0
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ("--look medium --gamma 0.5", "--gamma: is of emission_absorption; for a path tracer use --look"),
+        ("--integrator volpath --quadrature exact", "--quadrature: is of emission_absorption"),
+        ("--spp 4", "--spp: is of the path tracers.* add --look"),
+        ("--denoise", "--denoise: is of the path tracers"),
+        ("--integrator emission_absorption --look thin --gamma 1", "--look thin and --gamma 1: both say how dense"),
+        ("--look thin --spp 0", "--spp 0: expected a whole number from 1"),
+        ("--look thin --seed -1", "--seed -1: expected a whole number from 0"),
+        ("--look thin --resolution 12", "--resolution 12: expected WIDTHxHEIGHT"),
+        ("--look thin --resolution 12x99999", "--resolution 12x99999: expected WIDTHxHEIGHT"),
+        ("--look sooty", "invalid choice|sooty"),
+        ("--turntable 0", "--turntable 0: expected"),
+        ("--turntable 4 --fps nan", "--fps nan: expected"),
+        ("--turntable 4 --views 0,0 5,0", "--turntable: starts from one view"),
+        ("--look thin --views 0,-60", "view 0,-60: the camera would be below the ground"),
+    ],
+)
+def test_what_cannot_be_rendered(run: Run, smoke: Path, tmp_path: Path, arguments: str, message: str) -> None:
+    refused(run, tmp_path, ["render", smoke, "--out", tmp_path / "out", *arguments.split()], message)

@@ -1,0 +1,159 @@
+"""Objectives: their gradients and symmetries for every term, their algebra, names and scales."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from small_network import HEIGHT, TERMS, WIDTH, SmallNetwork, gradient, picture, value, views
+
+from tnst_mi.errors import InputError
+from tnst_mi.losses.objective import SMALLEST_SCALE, rms_scales
+from tnst_mi.losses.terms import ClassTag, Content, Semantic, Style
+
+
+@pytest.fixture
+def net() -> SmallNetwork:
+    return SmallNetwork()
+
+
+# ---- gradients and symmetries ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_gradients_agree_with_central_differences(net: SmallNetwork, kind: str) -> None:
+    bound = TERMS[kind].bind(net, HEIGHT, WIDTH)
+    bound.calibrate(views())
+    images = views().requires_grad_()
+    (analytic,) = torch.autograd.grad(bound(images), images)
+    step = 1e-5
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(8):
+        direction = torch.randn(images.shape, generator=generator, dtype=torch.float64)
+        with torch.no_grad():
+            difference = (bound(images + step * direction) - bound(images - step * direction)) / (2 * step)
+        assert difference.item() == pytest.approx((analytic * direction).sum().item(), rel=1e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_views_are_summed_whatever_their_order(net: SmallNetwork, kind: str) -> None:
+    images, order = views(4), [2, 0, 3, 1]
+    together = gradient(TERMS[kind], net, images)
+    torch.testing.assert_close(gradient(TERMS[kind], net, images[order]), together[order])
+    singles = [gradient(TERMS[kind], net, image[None]) for image in images]
+    torch.testing.assert_close(torch.cat(singles), together)
+    assert value(TERMS[kind], net, images) == pytest.approx(sum(value(TERMS[kind], net, i[None]) for i in images))
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_evaluation_changes_neither_its_input_nor_its_answer(net: SmallNetwork, kind: str) -> None:
+    bound = TERMS[kind].bind(net, HEIGHT, WIDTH)
+    images = views()
+    first = bound(images)
+    bound.gradient_square_sum(images)
+    assert torch.equal(images, views()) and not images.requires_grad
+    assert torch.equal(bound(images), first)
+
+
+# ---- algebra and scales ----------------------------------------------------------------------------------
+
+
+def test_objectives_add_and_scale(net: SmallNetwork) -> None:
+    a, b, c = Semantic("deep", (1,)), Style(picture(), {"deep": 1.0}), ClassTag("dog")
+    values = [value(term, net, views()) for term in (a, b, c)]
+    combined = 2 * (a + 0.5 * b) + -c * np.float32(3)
+    assert value(combined, net, views()) == pytest.approx(np.dot([2, 1, -3], values), rel=1e-12)
+    assert value(-(a + b), net, views()) == pytest.approx(-value(a + b, net, views()), rel=1e-12)
+    with pytest.raises(TypeError):
+        a + 1
+    with pytest.raises(TypeError):
+        a * b
+
+
+def test_names_are_readable_and_unique(net: SmallNetwork) -> None:
+    image = picture(name="fire.png")
+    objective = (
+        Style(image, {"deep": 1.0})
+        + Style(image, {"shallow": 1.0})
+        + Semantic("deep", (1, 4))
+        + Content(image, "deep")
+        + ClassTag("dog")
+    )
+    names = ["style fire.png", "style fire.png #2", "semantic deep:1,4", "content fire.png deep", "tag dog"]
+    assert objective.names == names
+    bound = objective.bind(net, HEIGHT, WIDTH)
+    bound(views())
+    assert list(bound.last_terms) == names
+
+
+def test_last_terms_are_the_raw_values(net: SmallNetwork) -> None:
+    a, b = Semantic("deep", (1,)), Style(picture(), {"deep": 1.0})
+    bound = (3 * a + 0.1 * b).bind(net, HEIGHT, WIDTH)
+    bound.calibrate(views())
+    bound(views().requires_grad_())
+    for term in (a, b):
+        last = bound.last_terms[term.name]
+        assert not last.requires_grad and last.item() == pytest.approx(value(term, net, views()), rel=1e-12)
+
+
+def test_calibration_gives_each_term_a_gradient_of_rms_one_times_its_weight(net: SmallNetwork) -> None:
+    terms = [1e6 * Semantic("deep", (1,)), 0.02 * Style(picture(), {"deep": 1e-4}), -ClassTag("dog")]
+    for objective, weight in zip(terms, (1e6, 0.02, 1.0), strict=True):
+        bound = objective.bind(net, HEIGHT, WIDTH)
+        bound.calibrate(views())
+        images = views().requires_grad_()
+        (g,) = torch.autograd.grad(bound(images), images)
+        assert g.square().mean().sqrt().item() == pytest.approx(weight, rel=1e-10)
+    together = (terms[0] + terms[1] + terms[2]).bind(net, HEIGHT, WIDTH)
+    together.calibrate(views())
+    for term in terms:
+        single = term.bind(net, HEIGHT, WIDTH)
+        single.calibrate(views())
+        assert together.scales[term.names[0]] == pytest.approx(single.scales[term.names[0]], rel=1e-12)
+
+
+def test_scales_pool_over_batches_like_one_batch_and_go_through_a_checkpoint(net: SmallNetwork) -> None:
+    objective = Semantic("deep", (1,)) + Style(picture(), {"deep": 1.0})
+    bound = objective.bind(net, HEIGHT, WIDTH)
+    pooled = rms_scales(bound.gradient_square_sum(batch) for batch in (views(5)[:1], views(5)[1:]))
+    bound.calibrate(views(5))
+    assert pooled == pytest.approx(bound.scales, rel=1e-12)
+    assert all(type(scale) is float for scale in bound.scales.values())
+    restored = objective.bind(net, HEIGHT, WIDTH)
+    restored.set_scales(dict(reversed(bound.scales.items())))
+    assert torch.equal(restored(views()), bound(views()))
+    with pytest.raises(InputError, match="loss scales"):
+        ClassTag("dog").bind(net, HEIGHT, WIDTH).set_scales(bound.scales)
+
+
+def test_a_term_at_its_minimum_is_not_amplified(net: SmallNetwork) -> None:
+    same = torch.from_numpy(picture().grey).double()[None]
+    bound = Content(picture(), "deep").bind(net, HEIGHT, WIDTH)
+    bound.calibrate(same)
+    assert list(bound.scales.values()) == [SMALLEST_SCALE]
+    images = same.requires_grad_()
+    assert torch.autograd.grad(bound(images), images)[0].abs().max() < 1e-3
+
+
+def test_scales_do_not_take_part_in_the_gradient_and_need_no_grad_mode(net: SmallNetwork) -> None:
+    bound = Style(picture(), {"deep": 1.0}).bind(net, HEIGHT, WIDTH)
+    with torch.no_grad():
+        bound.calibrate(views())
+    scale = bound.scales["style picture"]
+    torch.testing.assert_close(
+        gradient(Style(picture(), {"deep": 1.0 / scale}), net, views()),
+        torch.autograd.grad(bound(images := views().requires_grad_()), images)[0],
+    )
+
+
+def test_one_network_evaluation_serves_all_terms_of_a_view(net: SmallNetwork) -> None:
+    objective = Semantic("alias_of_deep", (1,)) + Style(picture(), {"deep": 1.0, "shallow": 1.0})
+    bound = objective.bind(net, HEIGHT, WIDTH)
+    net.asked.clear()
+    bound(views())
+    assert [sorted(layers) for layers in net.asked] == [["deep", "shallow"]] * len(views())
+
+
+def test_images_of_another_size_than_bound_are_refused(net: SmallNetwork) -> None:
+    with pytest.raises(ValueError, match="expected \\(N, 12, 10\\)"):
+        Semantic("deep", (1,)).bind(net, HEIGHT, WIDTH)(views()[:, 1:])

@@ -1,0 +1,183 @@
+"""Loss terms against closed forms on a small smooth network, and on the real one where it is at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from small_network import HEIGHT, WIDTH, SmallNetwork, features, picture, value, views
+
+from tnst_mi.errors import InputError
+from tnst_mi.losses.objective import Objective
+from tnst_mi.losses.pictures import GreyImage, resized
+from tnst_mi.losses.terms import ClassTag, Content, Match, Semantic, Style
+
+
+@pytest.fixture
+def net() -> SmallNetwork:
+    return SmallNetwork()
+
+
+@pytest.mark.parametrize("channels", [(0,), (5,), (1, 4), (4, 1, 4), tuple(range(6))])
+@pytest.mark.parametrize("damping", [0.0, 0.7])
+def test_semantic_is_the_negated_mean_plus_damping(net: SmallNetwork, channels: tuple, damping: float) -> None:
+    deep = features(net, views(), "deep")
+    others = np.delete(deep, channels, axis=1)
+    expected = -deep[:, list(set(channels))].mean((1, 2, 3)).sum()
+    if others.size:
+        expected += damping * np.abs(others).mean((1, 2, 3)).sum()
+    assert value(Semantic("deep", channels, damping), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+def test_class_tag_is_the_negated_logit(net: SmallNetwork) -> None:
+    assert value(ClassTag("cloud"), net, views()) == pytest.approx(-features(net, views(), "logits")[:, 3].sum())
+
+
+@pytest.mark.parametrize("shape", [(), (6, 1, 1), (5,), (6, 6, 5)])
+def test_match_is_the_mean_squared_difference_to_the_map(net: SmallNetwork, shape: tuple[int, ...]) -> None:
+    target = np.random.default_rng(2).normal(size=shape)
+    expected = np.square(features(net, views(), "deep") - target).mean((1, 2, 3)).sum()
+    assert value(Match("deep", target), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+def test_content_matches_the_features_of_the_cropped_and_resized_picture(net: SmallNetwork) -> None:
+    wide = picture(height=2 * HEIGHT, width=5 * WIDTH)
+    fitted = torch.from_numpy(wide.fitted(HEIGHT, WIDTH).grey).double()[None]
+    difference = features(net, views(), "deep") - features(net, fitted, "deep")
+    expected = np.square(difference).mean((1, 2, 3)).sum()
+    assert value(Content(wide, "deep"), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+def style_loss(rendered: np.ndarray, target: np.ndarray) -> float:
+    """Oracle: Eq. 6 and 7 with explicit sums, for one view (C, H, W)."""
+    gram, gram_target = (np.einsum("ahw,bhw->ab", f, f) for f in (rendered, target))
+    return ((gram - gram_target) ** 2).sum() / (gram_target**2).sum()
+
+
+def test_style_is_the_distance_of_gram_matrices(net: SmallNetwork) -> None:
+    weights = {"shallow": 2.0, "alias_of_deep": 0.5}
+    target = torch.from_numpy(picture().grey).double()[None]
+    expected = sum(
+        weight * style_loss(view, features(net, target, layer)[0])
+        for layer, weight in weights.items()
+        for view in features(net, views(), layer)
+    )
+    assert value(Style(picture(), weights), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("term", [Style(picture(), {"shallow": 1.0, "deep": 1.0}), Content(picture(), "deep")])
+def test_a_rendering_equal_to_the_picture_has_no_loss(net: SmallNetwork, term: Objective) -> None:
+    same = torch.from_numpy(picture().grey).double()[None]
+    assert value(term, net, same) < 1e-25 < 1e-6 < value(term, net, views(1))
+
+
+def test_style_ignores_where_things_are_and_content_does_not(net: SmallNetwork) -> None:
+    """A picture mirrored left to right: with a network of mirrored kernels the features just move."""
+    net.first.weight.copy_((net.first.weight + net.first.weight.flip(3)) / 2)
+    mirrored = GreyImage("mirrored", picture().grey[:, ::-1])
+    images = torch.from_numpy(picture().grey).double()[None]
+    assert value(Style(mirrored, {"shallow": 1.0}), net, images) < 1e-25
+    assert value(Content(mirrored, "shallow"), net, images) > 1e-3
+
+
+def test_alpha_takes_features_out_of_the_style(net: SmallNetwork) -> None:
+    """With the lower half masked the picture there does not matter, beyond the reach of the kernels."""
+    alpha = np.ones((HEIGHT, WIDTH), np.float32)
+    alpha[HEIGHT // 2 :] = 0.0
+    other = picture().grey.copy()
+    other[HEIGHT // 2 + 1 :] = 0.25  # the 3 x 3 kernel of the last visible row sees one row further
+    losses = [
+        value(Style(GreyImage("masked", grey, alpha), {"shallow": 1.0}), net, views())
+        for grey in (picture().grey, other)
+    ]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-12)
+    assert value(Style(picture(), {"shallow": 1.0}), net, views()) != pytest.approx(losses[0], rel=1e-3)
+    target = torch.from_numpy(picture().grey).double()[None]
+    masked = features(net, target, "shallow")[0] * alpha
+    expected = sum(style_loss(view, masked) for view in features(net, views(), "shallow"))
+    assert losses[0] == pytest.approx(expected, rel=1e-12), "the divisor keeps the whole area"
+
+
+def test_alpha_is_resized_to_the_feature_map(net: SmallNetwork) -> None:
+    alpha = np.random.default_rng(3).random((HEIGHT, WIDTH)).astype(np.float32)
+    image = GreyImage("masked", picture().grey, alpha)
+    target = torch.from_numpy(image.grey).double()[None]
+    masked = features(net, target, "deep")[0] * resized(alpha, HEIGHT // 2, WIDTH // 2)
+    expected = sum(style_loss(view, masked) for view in features(net, views(), "deep"))
+    assert value(Style(image, {"deep": 1.0}), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+# ---- bad input -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "make, complaint",
+    [
+        (lambda net: Semantic("nowhere", (0,)).bind(net, HEIGHT, WIDTH), "nowhere"),
+        (lambda net: Semantic("deep", (6,)).bind(net, HEIGHT, WIDTH), "channel"),
+        (lambda net: Semantic("deep", ()).bind(net, HEIGHT, WIDTH), "no channel"),
+        (lambda net: Style(picture(), {"nowhere": 1.0}).bind(net, HEIGHT, WIDTH), "nowhere"),
+        (lambda net: Style(picture(), {"logits": 1.0}).bind(net, HEIGHT, WIDTH), "positions"),
+        (lambda net: Style(picture(), {}), "style layers"),
+        (lambda net: Style("nowhere.png", {"deep": 1.0}), "nowhere.png"),
+        (lambda net: Content("nowhere.png", "deep"), "nowhere.png"),
+        (lambda net: Match("deep", np.zeros((5, 6, 5))).bind(net, HEIGHT, WIDTH)(views()), "broadcasts"),
+        (lambda net: Match("deep", np.zeros((2, 6, 6, 5))).bind(net, HEIGHT, WIDTH)(views()), "broadcasts"),
+        (lambda net: Objective([]), "no term"),
+    ],
+)
+def test_bad_input_is_named_in_one_line(net: SmallNetwork, make: object, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint) as error:
+        make(net)
+    assert "\n" not in str(error.value)
+
+
+# ---- files, and the real network -------------------------------------------------------------------------
+
+
+def test_a_picture_file_serves_as_style(net: SmallNetwork, tmp_path: Path) -> None:
+    pixels = np.random.default_rng(4).integers(0, 256, (30, 40, 4), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "style.png")
+    grey = GreyImage("style.png", pixels[..., :3].mean(-1) / 255, pixels[..., 3] / 255)
+    from_file, from_arrays = Style(tmp_path / "style.png", {"deep": 1.0}), Style(grey, {"deep": 1.0})
+    assert from_file.name == "style style.png"
+    assert value(from_file, net, views()) == pytest.approx(value(from_arrays, net, views()), rel=1e-6)
+
+
+def test_terms_on_googlenet(bvlc_weights: Path, asset: object) -> None:
+    from tnst_mi.network.googlenet import GoogLeNet
+
+    net = GoogLeNet.load(bvlc_weights)
+    layers = {"conv2/3x3": 1.0, "inception_3b/output": 1.0, "inception_4b/output": 1.0}
+    fire = Style(asset("styles/fire.png"), layers)
+    images = torch.rand((2, 48, 32), generator=torch.Generator().manual_seed(0))
+    same = torch.from_numpy(fire.picture.fitted(48, 32).grey)[None]
+    alone = fire.bind(net, 48, 32)
+    assert alone(same).item() < 1e-8 * alone(images[:1]).item()
+
+    bound = (fire + Semantic("inception_4b/pool_proj", (16,)) + ClassTag("volcano")).bind(net, 48, 32)
+    bound.calibrate(images)
+    for name, (square_sum, count) in bound.gradient_square_sum(images).items():
+        assert np.sqrt(square_sum / count) == pytest.approx(bound.scales[name], rel=1e-4)
+    volcano = net.class_index("volcano")
+    logits = net(images[:, None].repeat(1, 3, 1, 1), layers=["logits"])["logits"]
+    bound(images)
+    assert bound.last_terms["tag volcano"].item() == pytest.approx(-logits[:, volcano].sum().item(), rel=1e-4)
+
+
+def test_a_layer_named_twice_counts_twice(net: SmallNetwork) -> None:
+    """By its name and by an alias."""
+    twice = value(Style(picture(), {"deep": 1.0, "alias_of_deep": 0.5}), net, views())
+    assert twice == pytest.approx(value(Style(picture(), {"deep": 1.5}), net, views()), rel=1e-12)
+
+
+def test_a_picture_that_is_transparent_where_it_is_used_is_refused(net: SmallNetwork) -> None:
+    """Opaque only at its left edge, which the crop to the smoke's aspect leaves out."""
+    alpha = np.zeros((20, 80), np.float32)
+    alpha[:, :8] = 1
+    image = GreyImage("edge.png", np.full((20, 80), 0.5, np.float32), alpha)
+    with pytest.raises(InputError, match=r"edge\.png: transparent where it is used"):
+        Style(image, {"deep": 1.0}).bind(net, HEIGHT, WIDTH)

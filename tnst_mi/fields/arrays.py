@@ -1,0 +1,69 @@
+"""Public functions take numpy, Dr.Jit or torch arrays and answer in the kind they were given."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.machine.backend import VARIANTS, activate
+
+
+def _is_torch(value: Any) -> bool:
+    return type(value).__module__.split(".")[0] == "torch"
+
+
+def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
+    """Decorator for a function of `mi.TensorXf` arguments called `names` that returns one `mi.TensorXf`.
+
+    Dr.Jit tensors pass through, with their derivatives. Torch tensors enter through `dr.wrap`, so that torch's
+    autograd differentiates the function. Numpy arrays (and anything numpy converts) give a numpy array back.
+    """
+
+    def decorate(function: Callable) -> Callable:
+        signature = inspect.signature(function)
+
+        @functools.wraps(function)
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            if mi.variant() not in VARIANTS:
+                activate()
+            bound = signature.bind(*args, **kwargs)
+            bound.apply_defaults()
+            given = {name: bound.arguments[name] for name in names if bound.arguments[name] is not None}
+            if any(_is_torch(value) for value in given.values()):
+                return _call_from_torch(function, bound.arguments, given)
+            if any(dr.is_array_v(value) for value in given.values()):
+                return function(**(bound.arguments | {name: _as_tensor(value) for name, value in given.items()}))
+            tensors = {name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()}
+            return function(**(bound.arguments | tensors)).numpy()
+
+        return wrapper
+
+    return decorate
+
+
+def _as_tensor(value: Any) -> mi.TensorXf:
+    return value if isinstance(value, mi.TensorXf) else mi.TensorXf(value)
+
+
+def _call_from_torch(function: Callable, arguments: dict[str, Any], given: dict[str, Any]) -> Any:
+    import torch
+
+    from tnst_mi.machine.backend import torch_device
+
+    others = {name: value for name, value in arguments.items() if name not in given}
+    tensors = {name: torch.as_tensor(value) for name, value in given.items()}
+    home = next(value.device for value in given.values() if _is_torch(value))
+
+    @dr.wrap(source="torch", target="drjit")
+    def call(tensors: dict[str, mi.TensorXf]) -> mi.TensorXf:
+        return function(**tensors, **others)
+
+    # Dr.Jit takes each tensor for its own backend's: those of another device than the variant's would not mix.
+    device = torch_device()
+    return call({name: tensor.to(device).float().contiguous() for name, tensor in tensors.items()}).to(home)

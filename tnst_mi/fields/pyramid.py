@@ -1,0 +1,257 @@
+"""Smoothing and band normalisation of the gradient, the step that makes every iteration the same small change.
+
+The Laplacian pyramid (Burt and Adelson 1983) splits a field into bands; each is divided by its root mean square,
+so that low frequencies move as much as high ones (paper section 4; reference kernel [1, 4, 6, 4, 1]/16 per axis).
+
+What these filters cost is reading neighbours. Those of adjacent cells overlap, so a thread computes a run or a block
+of cells and reads each neighbour once. No derivatives are taken of this.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import drjit as dr
+import mitsuba as mi
+
+from tnst_mi.fields.grid import Divisor, opaque, opaque_int
+
+#: Bands are divided by no less than this: an empty one stays empty.
+FLOOR = 1e-10
+
+#: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.
+_AXES = (0, 1, 2)
+
+#: Results along the axis that one thread computes of the blur and of the reduction. More share more reads; too many
+#: leave too little of what is read in the cache.
+_BLUR_RUN, _REDUCE_RUN = 8, 4
+
+#: Coarse cells in a row that one thread interpolates between; each becomes two fine cells on every axis.
+_BLOCK = 4
+
+#: No cell is written twice, so the writes of a thread need not wait for each other (in a kernel each).
+_ONCE = dr.ReduceMode.NoConflicts
+
+
+class _Runs:
+    """A pass along one axis: each thread reads a part of a line of cells, and writes `run` cells of the result.
+
+    Args:
+        field: (D, H, W) or (D, H, W, C).
+        axis: the axis of the pass.
+        length: cells of the result along the axis.
+        run: how many of them a thread computes.
+        boundary: "nearest", "reflect" or "zero": what is read outside the field, up to `margin` cells from it.
+    """
+
+    def __init__(
+        self, field: mi.TensorXf, axis: int, length: int, run: int, boundary: str = "nearest", margin: int = 0
+    ) -> None:
+        shape = list(field.shape)
+        self.source, self.source_length, shape[axis] = field.array, shape[axis], length
+        self.shape, self.boundary, self.margin = tuple(shape), boundary, margin
+        self.result = dr.empty(mi.Float, math.prod(shape))
+
+        inner, runs = math.prod(shape[axis + 1 :]), -(-length // run)
+        row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape[:axis]) * runs * inner))
+        outer, number = Divisor(runs).split(row)
+        #: Position of the thread's first result along the axis.
+        self.first = mi.Int32(number) * run
+        self.length, self.last, self.inner = opaque_int(length), opaque_int(self.source_length - 1), opaque_int(inner)
+        self.source_start = mi.Int32(outer) * opaque_int(self.source_length * inner) + mi.Int32(offset)
+        self.start = mi.Int32(outer) * opaque_int(length * inner) + mi.Int32(offset)
+
+    def read(self, position: mi.Int32) -> mi.Float:
+        """The source at a position along the axis."""
+        inside: mi.Bool | bool = True
+        if self.boundary == "zero":
+            inside = (position >= 0) & (position <= self.last)
+        elif self.boundary == "reflect":
+            # The reflections at both ends, taken together, repeat after two lengths.
+            period = 2 * self.source_length
+            ahead = opaque_int(period * -(-self.margin // period))
+            position = mi.Int32(Divisor(period).split(mi.UInt32(position + ahead))[1])
+            position = dr.minimum(position, opaque_int(period - 1) - position)
+        index = self.source_start + dr.clip(position, 0, self.last) * self.inner
+        return dr.gather(mi.Float, self.source, mi.UInt32(index), inside)
+
+    def write(self, values: list[mi.Float]) -> mi.TensorXf:
+        """The results, from those of one thread."""
+        for step, value in enumerate(values):
+            position = self.first + step
+            index = mi.UInt32(self.start + position * self.inner)
+            dr.scatter(self.result, value, index, position < self.length, _ONCE)
+        dr.eval(self.result)
+        return mi.TensorXf(self.result, self.shape)
+
+
+def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect", axes: Sequence[int] = _AXES) -> mi.TensorXf:
+    """Gaussian blur along z, y and x, truncated at 4 σ and normalised; channels are blurred separately.
+
+    Args:
+        field: (D, H, W) or (D, H, W, C).
+        sigma: standard deviation in cells; 0 returns the field.
+        boundary: "reflect" (the border cell is duplicated), "nearest", or "zero".
+        axes: which of the axes 0, 1 and 2 to blur along.
+    """
+    if sigma <= 0:
+        return field
+    radius = math.floor(4 * sigma + 0.5)
+    half = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(radius + 1)]
+    total = half[0] + 2 * math.fsum(half[1:])
+    weights = [opaque(w / total) for w in half]
+    for axis in axes:
+        field = _blurred(field, axis, weights, boundary)
+    return field
+
+
+def _blurred(field: mi.TensorXf, axis: int, weights: list[mi.Float], boundary: str) -> mi.TensorXf:
+    radius = len(weights) - 1
+    runs = _Runs(field, axis, field.shape[axis], _BLUR_RUN, boundary, radius)
+    values = [runs.read(runs.first + k) for k in range(-radius, _BLUR_RUN + radius)]
+    return runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(_BLUR_RUN)])
+
+
+def _weighted(values: list[mi.Float], weights: list[mi.Float]) -> mi.Float:
+    """Sum of an odd number of values with symmetric weights, given from the middle outwards."""
+    middle = len(values) // 2
+    total = values[middle] * weights[0]
+    for i in range(1, middle + 1):
+        total = dr.fma(values[middle - i] + values[middle + i], weights[i], total)
+    return total
+
+
+def reduce(field: mi.TensorXf) -> mi.TensorXf:
+    """Blur with [1, 4, 6, 4, 1]/16 and keep every second cell, ⌈n/2⌉ of n, on each spatial axis."""
+    for axis in _AXES:
+        field = _reduced(field, axis)
+    return field
+
+
+def _reduced(field: mi.TensorXf, axis: int) -> mi.TensorXf:
+    weights = [mi.Float(6 / 16), mi.Float(4 / 16), mi.Float(1 / 16)]
+    runs = _Runs(field, axis, (field.shape[axis] + 1) // 2, _REDUCE_RUN)
+    values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * _REDUCE_RUN + 1)]
+    return runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(_REDUCE_RUN)])
+
+
+def _interpolated(values: list) -> list:
+    """Twice as many fine values, from coarse ones with a neighbour at either end (a constant stays that constant)."""
+    result = []
+    for before, here, after in zip(values, values[1:], values[2:], strict=False):
+        result += [(before + 6 * here + after) * (1 / 8), (here + after) * 0.5]
+    return result
+
+
+class _Expansion:
+    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 `_BLOCK` fine cells per thread."""
+
+    def __init__(self, coarse: mi.TensorXf, shape: tuple[int, ...]) -> None:
+        self.coarse, self.shape = coarse, shape
+        self.channels = math.prod(shape[3:])
+        blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * _BLOCK))]
+        self.threads = math.prod(blocks) * self.channels
+        rest, self.channel = Divisor(self.channels).split(dr.arange(mi.UInt32, self.threads))
+        rest, x = Divisor(blocks[2]).split(rest)
+        z, y = Divisor(blocks[1]).split(rest)
+        #: Coarse cell that the block starts from: z, y, x.
+        self.first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * _BLOCK]
+
+    def _index(self, shape: tuple[int, ...], z: mi.Int32, y: mi.Int32, x: mi.Int32) -> mi.UInt32:
+        row = dr.fma(z, opaque_int(shape[1]), y)
+        return mi.UInt32(dr.fma(row, opaque_int(shape[2]), x)) * self.channels + self.channel
+
+    def _read(self, z: int, y: int, x: int) -> mi.Float:
+        steps, sizes = (z, y, x), self.coarse.shape
+        cell = [dr.clip(self.first[a] + steps[a], 0, opaque_int(sizes[a] - 1)) for a in _AXES]
+        return dr.gather(mi.Float, self.coarse.array, self._index(sizes, *cell))
+
+    def cells(self) -> Iterator[tuple[mi.Float, mi.UInt32, mi.Bool]]:
+        """The fine cells of a thread: the interpolated value, the index, and whether it lies in the grid."""
+        lines = [
+            [_interpolated([self._read(z, y, x) for x in range(-1, _BLOCK + 1)]) for y in range(-1, 2)]
+            for z in range(-1, 2)
+        ]
+        for x in range(2 * _BLOCK):
+            planes = [_interpolated([line[x] for line in plane]) for plane in lines]
+            for y in range(2):
+                for z, value in enumerate(_interpolated([plane[y] for plane in planes])):
+                    cell = [2 * first + step for first, step in zip(self.first, (z, y, x), strict=True)]
+                    inside = (cell[0] < opaque_int(self.shape[0])) & (cell[1] < opaque_int(self.shape[1]))
+                    inside &= cell[2] < opaque_int(self.shape[2])
+                    yield value, self._index(self.shape, *cell), inside
+
+
+def expand(field: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
+    """Interpolate a reduced field back to `shape` with the same kernel (a constant stays that constant)."""
+    result = dr.empty(mi.Float, math.prod(shape))
+    for value, index, inside in _Expansion(field, shape).cells():
+        dr.scatter(result, value, index, inside, _ONCE)
+    dr.eval(result)
+    return mi.TensorXf(result, shape)
+
+
+def _band(field: mi.TensorXf, coarse: mi.TensorXf) -> tuple[mi.TensorXf, mi.Float]:
+    """What the coarse field leaves out, field − expand(coarse), and its root mean square."""
+    shape = tuple(field.shape)
+    result, squares = dr.empty(mi.Float, math.prod(shape)), mi.Float(0)
+    for value, index, inside in _Expansion(coarse, shape).cells():
+        difference = dr.gather(mi.Float, field.array, index, inside) - value
+        dr.scatter(result, difference, index, inside, _ONCE)
+        squares += dr.select(inside, dr.square(difference), 0)
+    dr.eval(result, squares)
+    return mi.TensorXf(result, shape), dr.sqrt(dr.sum(squares) * (1 / opaque(math.prod(shape))))
+
+
+def _joined(band: mi.TensorXf, size: mi.Float, coarse: mi.TensorXf) -> mi.TensorXf:
+    """band / size + expand(coarse)."""
+    shape = tuple(band.shape)
+    result, scale = dr.empty(mi.Float, math.prod(shape)), 1 / size
+    for value, index, inside in _Expansion(coarse, shape).cells():
+        value = dr.fma(dr.gather(mi.Float, band.array, index, inside), scale, value)
+        dr.scatter(result, value, index, inside, _ONCE)
+    dr.eval(result)
+    return mi.TensorXf(result, shape)
+
+
+def split(field: mi.TensorXf, levels: int) -> list[mi.TensorXf]:
+    """Bands from the finest to the coarsest, then the residual: `levels` + 1 tensors."""
+    bands = []
+    for _ in range(levels):
+        coarse = reduce(field)
+        bands.append(_band(field, coarse)[0])
+        field = coarse
+    return [*bands, field]
+
+
+def merge(bands: list[mi.TensorXf]) -> mi.TensorXf:
+    """Inverse of `split`, exact up to rounding."""
+    field = bands[-1]
+    for band in reversed(bands[:-1]):
+        field = _joined(band, opaque(1.0), field)
+    return field
+
+
+def root_mean_square(field: mi.TensorXf) -> mi.Float:
+    """Root of the mean square over all cells and channels, as a number that stays on the device."""
+    return dr.sqrt(dr.mean(dr.square(field.array)))
+
+
+def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
+    """Divide every band by its root mean square (one number for all channels, floor 1e-10) and merge them.
+
+    Args:
+        field: gradient (D, H, W) or (D, H, W, 3).
+        levels: number of bands besides the residual; 0 normalises the field as a whole.
+    """
+    bands = []
+    for _ in range(levels):
+        coarse = reduce(field)
+        bands.append(_band(field, coarse))
+        field = coarse
+    result = mi.TensorXf(field.array / dr.maximum(root_mean_square(field), FLOOR), tuple(field.shape))
+    while bands:
+        band, size = bands.pop()
+        result = _joined(band, dr.maximum(size, FLOOR), result)
+    return result

@@ -1,0 +1,119 @@
+"""Moving fields between octaves, in physical position.
+
+Every octave is a grid of cubic cells that shares the centre of the full grid, so cell i of n cells of size h lies at
+(i − (n − 1)/2) h on its axis. Resampling is separable: one small interpolation matrix per axis, applied in numpy. It
+happens once per octave and nothing is differentiated through it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tnst_mi.fields.grid import Shape
+
+
+def _source_coordinates(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
+    """Where the target cells lie, in cell coordinates of the source axis."""
+    position = (np.arange(n_to) - (n_to - 1) / 2) * h_to
+    return position / h_from + (n_from - 1) / 2
+
+
+def cubic_matrix(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
+    """Catmull–Rom interpolation along one axis, shape (n_to, n_from); positions outside repeat the end cell."""
+    x = np.clip(_source_coordinates(n_from, h_from, n_to, h_to), 0, n_from - 1)
+    base = np.floor(x).astype(int)
+    t = x - base
+    weights = np.stack(
+        [
+            ((-0.5 * t + 1.0) * t - 0.5) * t,
+            (1.5 * t - 2.5) * t * t + 1.0,
+            ((-1.5 * t + 2.0) * t + 0.5) * t,
+            (0.5 * t - 0.5) * t * t,
+        ],
+        axis=1,
+    )
+    matrix = np.zeros((n_to, n_from))
+    for tap in range(4):
+        np.add.at(matrix, (np.arange(n_to), np.clip(base + tap - 1, 0, n_from - 1)), weights[:, tap])
+    return matrix
+
+
+def linear_matrix(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
+    """Linear interpolation along one axis, shape (n_to, n_from); the field is 0 outside the source cells' centres."""
+    x = _source_coordinates(n_from, h_from, n_to, h_to)
+    return np.maximum(0.0, 1.0 - np.abs(x[:, None] - np.arange(n_from)[None, :]))
+
+
+def prefilter_matrix(n: int, h_from: float, h_to: float) -> np.ndarray:
+    """Gaussian that removes what a coarser grid cannot hold, shape (n, n); the field is 0 outside.
+
+    Its variance is that of a target cell minus that of a source cell, (h_to² − h_from²)/12, so that together with the
+    source cells it matches an average over the target cell. A finer target needs none: the identity.
+    """
+    variance = (h_to**2 - h_from**2) / 12 / h_from**2
+    if variance <= 0:
+        return np.eye(n)
+    offset = np.arange(n)[:, None] - np.arange(n)[None, :]
+    # Normalised over the infinite line, so that what lies beyond the border counts as zeros.
+    reach = np.arange(-n, n + 1)
+    return np.exp(-(offset**2) / (2 * variance)) / np.exp(-(reach**2) / (2 * variance)).sum()
+
+
+def _apply(field: np.ndarray, matrices: list[np.ndarray]) -> np.ndarray:
+    for axis, matrix in enumerate(matrices):
+        moved = np.tensordot(matrix.astype(np.float32), field, axes=(1, axis))
+        field = np.moveaxis(moved, 0, axis)
+    return np.ascontiguousarray(field, np.float32)
+
+
+def resample_mask(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear, clamped to ≥ 0.
+
+    The field reads 0 outside its grid, except along an axis of one cell, along which nothing varies. Cell sizes are in
+    full-resolution cells.
+    """
+    if tuple(field.shape) == tuple(shape) and h_from == h_to:
+        return np.ascontiguousarray(field, np.float32)
+    matrices = [
+        np.eye(1) if n == m == 1 else linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
+        for n, m in zip(field.shape, shape, strict=True)
+    ]
+    return np.maximum(_apply(field, matrices), 0)
+
+
+def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a density (D, H, W) to another octave, as a mask.
+
+    Smoke of one cell along an axis is as thick as a cell, so that it has to thin out where cells grow: images then keep
+    their brightness.
+    """
+    flat = sum(n == m == 1 for n, m in zip(field.shape, shape, strict=True))
+    return resample_mask(field, h_from, shape, h_to) * np.float32((h_from / h_to) ** flat)
+
+
+def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a potential (D, H, W) or (D, H, W, 3) to another octave with cubic interpolation.
+
+    Values outside the grid repeat the border. Potentials are stored in full-resolution cells² at every octave, so that
+    no factor is needed. Cell sizes are in full-resolution cells.
+    """
+    if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
+        return np.ascontiguousarray(field, np.float32)
+    pairs = list(zip(field.shape[:3], shape, strict=True))
+    return _apply(field, [cubic_matrix(n, h_from, m, h_to) for n, m in pairs])
+
+
+def resample_velocity(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+    """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, by components.
+
+    Values outside the grid repeat the border. Velocities are in full-resolution cells per frame at every octave, so
+    that no factor is needed. Cell sizes are in full-resolution cells.
+    """
+    if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
+        return np.ascontiguousarray(field, np.float32)
+    matrices = []
+    for n, m in zip(field.shape[:3], shape, strict=True):
+        matrix = linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
+        # What the zeros outside would take off is given back: near the border, the average of what is inside.
+        matrices.append(matrix / matrix.sum(axis=1, keepdims=True))
+    return _apply(field, matrices)

@@ -1,0 +1,213 @@
+"""What a picture of the smoke should look like: loss terms on GoogLeNet features.
+
+    objective = Style("fire.png", {"conv2/3x3": 1.0}) + 0.5 * Semantic("inception_4b/pool_proj", (16,))
+    bound = objective.bind(net, height, width)      # once per octave: computes the targets
+    bound.calibrate(first_images)                   # each term's image gradient gets RMS 1
+    loss = bound(images)                            # (N, H, W) → scalar
+
+Every term is summed over the views of a batch; lower is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tnst_mi.errors import InputError
+from tnst_mi.losses.objective import BoundTerm, Features, Term, as_rgb
+from tnst_mi.losses.pictures import GreyImage, read_image, resized
+from tnst_mi.network.googlenet import GoogLeNet
+
+
+@dataclass(frozen=True, eq=False)
+class Semantic(Term):
+    """Make channels of a layer fire: L = -mean F_c + damping · mean |F_k| over the other channels k.
+
+    The authors' program maximises the mean in this way; the paper's Eq. 5 is `Match`.
+    """
+
+    layer: str
+    channels: Sequence[int]
+    damping: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The layer and its channels."""
+        return f"semantic {self.layer}:{','.join(map(str, self.channels))}"
+
+    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
+        """Check the layer and the channels; there are no targets."""
+        if not self.channels:
+            raise InputError(f"semantic layer {self.layer!r}: no channel is given; name at least one")
+        net.check_channels(self.layer, self.channels)
+        layer = net.resolve(self.layer)
+        chosen = sorted(set(self.channels))
+
+        def loss(features: Features) -> Tensor:
+            values = features[layer]
+            total = -values[:, chosen].flatten(1).mean(1).sum()
+            others = [channel for channel in range(values.shape[1]) if channel not in chosen]
+            if self.damping and others:
+                total = total + self.damping * values[:, others].abs().flatten(1).mean(1).sum()
+            return total
+
+        return BoundTerm((layer,), loss)
+
+
+@dataclass(frozen=True, eq=False)
+class ClassTag(Term):
+    """Make the picture be taken for a class, such as "volcano": L = -logit."""
+
+    tag: str
+
+    @property
+    def name(self) -> str:
+        """The tag."""
+        return f"tag {self.tag}"
+
+    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
+        """Look the tag up."""
+        return Semantic("logits", (net.class_index(self.tag),)).bind_term(net, height, width)
+
+
+@dataclass(frozen=True, eq=False)
+class Match(Term):
+    """Match a map M of features: L = mean (F - M)² (paper Eq. 5); M broadcasts to the layer's (C, H, W)."""
+
+    layer: str
+    target_map: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """The layer."""
+        return f"match {self.layer}"
+
+    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
+        """Move the map to the network; raises `InputError`, when evaluated, where it does not broadcast."""
+        target = torch.as_tensor(np.asarray(self.target_map)).to(_parameter(net))
+        return _match(net.resolve(self.layer), target)
+
+
+@dataclass(frozen=True, eq=False)
+class Content(Term):
+    """Match the features of a picture: L = mean (F - F_picture)² (paper Eq. 5).
+
+    The picture, a path or a `GreyImage`, is greyed, cropped and resized like that of `Style`; its alpha is
+    not used.
+    """
+
+    image: str | Path | GreyImage
+    layer: str
+    picture: GreyImage = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the picture now; raises `InputError` where it cannot be used."""
+        object.__setattr__(self, "picture", _grey_image(self.image))
+
+    @property
+    def name(self) -> str:
+        """The picture and the layer."""
+        return f"content {self.picture.name} {self.layer}"
+
+    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
+        """Evaluate the network on the picture."""
+        layer = net.resolve(self.layer)
+        return _match(layer, _picture_features(net, self.picture.fitted(height, width), [layer])[layer][0])
+
+
+@dataclass(frozen=True, eq=False)
+class Style(Term):
+    """Match the Gram matrices G = FᵀF of a picture (paper Eq. 6 and 7).
+
+    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance. Eq. 7 divides by
+    4 area_l² channels_l² instead, which leaves each layer the magnitude of its own features: equal weights then
+    let one layer decide (conv2/3x3 of the BVLC network outweighs inception_3b/output by 38 to 1). Divided by the
+    target's norm, equal weights mean equal shares.
+
+    The picture, a path or a `GreyImage`, is centre-cropped and resized to the image, so that the areas are equal;
+    its alpha, resized to the feature map, multiplies its features.
+    """
+
+    image: str | Path | GreyImage
+    layers: Mapping[str, float]
+    picture: GreyImage = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the picture now; raises `InputError` where it cannot be used."""
+        if not self.layers:
+            raise InputError("style layers: there is none; name at least one")
+        object.__setattr__(self, "picture", _grey_image(self.image))
+
+    @property
+    def name(self) -> str:
+        """The picture."""
+        return f"style {self.picture.name}"
+
+    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
+        """Evaluate the network on the picture."""
+        weights: dict[str, float] = {}
+        for layer, weight in self.layers.items():
+            # A layer may be named twice, by its name and by an alias.
+            weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
+        picture = self.picture.fitted(height, width)
+        grams = {}
+        for layer, values in _picture_features(net, picture, list(weights)).items():
+            if values.ndim != 4:
+                raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
+            if picture.alpha is not None:
+                rows, columns = values.shape[2:]
+                values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)
+            grams[layer] = mean_gram(values)
+            if not grams[layer].any():
+                raise InputError(
+                    f"{picture.name}: transparent where it is used (its centre, with the aspect {width}:{height}); "
+                    "use a picture that is opaque there"
+                )
+        scales = {layer: weights[layer] / gram.square().sum() for layer, gram in grams.items()}
+
+        def loss(features: Features) -> Tensor:
+            distances = [
+                scales[layer] * (mean_gram(features[layer]) - gram).square().sum() for layer, gram in grams.items()
+            ]
+            return torch.stack(distances).sum()
+
+        return BoundTerm(tuple(grams), loss)
+
+
+def mean_gram(values: Tensor) -> Tensor:
+    """FᵀF / area, (N, C, C), of features (N, C, H, W): the mean of the products of channels over the positions."""
+    flat = values.flatten(2)
+    return flat @ flat.transpose(1, 2) / flat.shape[2]
+
+
+def _match(layer: str, target: Tensor) -> BoundTerm:
+    def loss(features: Features) -> Tensor:
+        values = features[layer]
+        try:
+            target.expand(values.shape[1:])
+        except RuntimeError:
+            raise InputError(
+                f"match {layer}: the map has shape {tuple(target.shape)}, expected one that broadcasts "
+                f"to {tuple(values.shape[1:])}"
+            ) from None
+        return (values - target).square().flatten(1).mean(1).sum()
+
+    return BoundTerm((layer,), loss)
+
+
+def _grey_image(image: str | Path | GreyImage) -> GreyImage:
+    return image if isinstance(image, GreyImage) else read_image(image)
+
+
+def _picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str]) -> Features:
+    return net(as_rgb(torch.as_tensor(picture.grey)[None].to(_parameter(net))), layers=layers)
+
+
+def _parameter(net: GoogLeNet) -> Tensor:
+    """Some tensor with the network's device and precision."""
+    return next(net.parameters())

@@ -1,0 +1,1 @@
+"""GoogLeNet: the network itself (`googlenet`), and where its weights come from (`weights`, `readers`, `download`)."""

@@ -1,0 +1,254 @@
+"""Finding GoogLeNet weights: what is published, where it is looked for, and the download.
+
+Places, in this order: the file or folder asked for; $TNST_MI_WEIGHTS; the user's cache; a folder
+`shared/weights` beside the checkout; the network that ships with the package. The first two are decisive:
+where they hold no usable weights, that is an error and not a reason to look further, so a result never comes
+from another network than the one meant. Only a flavour that is asked for by name is downloaded.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import platformdirs
+
+from tnst_mi.errors import InputError
+from tnst_mi.network import shipped
+from tnst_mi.network.download import Unreachable, download, file_hash
+from tnst_mi.network.readers import flavour_of
+from tnst_mi.network.readers.network_weights import FLAVOURS
+from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS, shipped_weights
+from tnst_mi.resources import DATA
+
+ENVIRONMENT_VARIABLE = "TNST_MI_WEIGHTS"
+
+
+@dataclass(frozen=True)
+class PublishedFile:
+    """A weights file known by its name; `digest` is the start of its hexadecimal hash by `algorithm`."""
+
+    flavour: str
+    name: str
+    algorithm: str
+    digest: str
+    url: str | None = None
+
+
+PUBLISHED = (
+    PublishedFile(
+        "bvlc",
+        "googlenet_bvlc.safetensors",
+        "sha256",
+        "8d4a38bb3ec8bb01a9a6c13bf9ee55877a8f5b23ad09f297eb9f03d96b05ea3b",
+    ),
+    PublishedFile(
+        "bvlc",
+        "bvlc_googlenet.caffemodel",
+        "sha1",
+        "405fc5acd08a3bb12de8ee5e23a96bec22f08204",
+        # The published address is http; the hash vouches for the file.
+        "http://dl.caffe.berkeleyvision.org/bvlc_googlenet.caffemodel",
+    ),
+    PublishedFile(
+        "inception5h",
+        "tensorflow_inception_graph.pb",
+        "sha1",
+        "c8a5a000ee8d8dd75886f152a50a9c5b53d726a5",
+    ),
+    PublishedFile(
+        "inception5h",
+        "inception5h.zip",
+        "sha1",
+        "e3b84c7e240ce8025b30d868f5e840b4bba9761d",
+        "https://storage.googleapis.com/download.tensorflow.org/models/inception5h.zip",
+    ),
+    PublishedFile(
+        "torchvision",
+        "googlenet-1378be20.pth",
+        "sha256",
+        "1378be20",
+        "https://download.pytorch.org/models/googlenet-1378be20.pth",
+    ),
+)
+"""The preferred file first."""
+
+
+@dataclass(frozen=True)
+class FoundWeights:
+    """A weights file on this machine; `hash_ok` is None for a file that is not one of the published ones."""
+
+    flavour: str
+    path: Path
+    hash_ok: bool | None
+
+
+class ChosenWeights(NamedTuple):
+    """The weights file to use; `fallback` if nobody asked for this network and no other was found."""
+
+    path: Path
+    flavour: str
+    fallback: bool = False
+
+
+def cache_folder() -> Path:
+    """The folder that downloads go to."""
+    return platformdirs.user_cache_path("tnst_mi", appauthor=False) / "weights"
+
+
+def shared_folder() -> Path:
+    """`shared/weights` beside the checkout (it need not exist)."""
+    return DATA.parents[2] / "shared" / "weights"
+
+
+def find_weights(source: str | Path | None = None, flavour: str | None = None) -> ChosenWeights:
+    """The weights file to use and its flavour.
+
+    `source`, and $TNST_MI_WEIGHTS likewise, is a file, a folder of files under their published names, or the
+    str "patterns": the network that ships with the package. `flavour` is one of `FLAVOURS`. Without it, the
+    first of them that is found is taken; with it, a published network that is nowhere is downloaded.
+    Raises `InputError` where `source` or $TNST_MI_WEIGHTS has no weights of that flavour, where a file under
+    a published name has the wrong hash, and where a flavour is nowhere and cannot be downloaded.
+    """
+    if flavour is not None and flavour not in FLAVOURS:
+        raise InputError(f"flavour {flavour!r}: unknown; expected one of {', '.join(FLAVOURS)}")
+    if source is not None:
+        return _at(source, flavour, "weights")
+    if flavour == PATTERNS:
+        return ChosenWeights(shipped_weights(), PATTERNS)
+    if named := os.environ.get(ENVIRONMENT_VARIABLE):
+        return _at(named, flavour, f"${ENVIRONMENT_VARIABLE}")
+    for wanted in FLAVOURS if flavour is None else (flavour,):
+        for folder in (cache_folder(), shared_folder()):
+            for published in _published(wanted, folder):
+                return ChosenWeights(_verified(folder / published.name, published), wanted)
+    if flavour is None:
+        return ChosenWeights(shipped_weights(), PATTERNS, fallback=True)
+    return ChosenWeights(download_weights(flavour), flavour)
+
+
+@functools.cache
+def announce_fallback() -> None:
+    """Say on stderr, once in a process, that the shipped network stands in for one of those trained on ImageNet."""
+    print(
+        f"no ImageNet weights found: using the shipped network {PATTERNS}; "
+        f"`{DOWNLOAD_COMMAND}` gets the paper's network",
+        file=sys.stderr,
+    )
+
+
+def list_weights() -> list[FoundWeights]:
+    """Every weights file in the places of `find_weights`, hashes checked; for reports.
+
+    Raises `InputError` where $TNST_MI_WEIGHTS names nothing, or a file that is no GoogLeNet's.
+    """
+    found, folders = [], [cache_folder(), shared_folder()]
+    named = os.environ.get(ENVIRONMENT_VARIABLE)
+    if named and named != PATTERNS:
+        path = Path(named).expanduser()
+        if path.is_dir():
+            folders.insert(0, path)
+        else:
+            _require_exists(path, f"${ENVIRONMENT_VARIABLE}")
+            found.append(_described(path))
+    for folder in folders:
+        for flavour in FLAVOURS:
+            found.extend(_described(folder / published.name) for published in _published(flavour, folder))
+    if shipped.FILE.is_file():
+        found.insert(0 if named == PATTERNS else len(found), FoundWeights(PATTERNS, shipped.FILE, None))
+    return found
+
+
+def download_weights(flavour: str) -> Path:
+    """Fetch the published weights of a flavour into the cache, unless they are there; returns the file.
+
+    Raises `InputError` where the flavour is not published, or cannot be fetched or written.
+    """
+    known = next((known for known in PUBLISHED if known.flavour == flavour and known.url), None)
+    if known is None:
+        downloadable = dict.fromkeys(known.flavour for known in PUBLISHED if known.url)
+        raise InputError(f"download {flavour!r}: no such network; expected one of {', '.join(downloadable)}")
+    target = cache_folder() / known.name
+    if target.is_file() and _described(target).hash_ok:
+        return target
+    try:
+        download(known.url, target, known.algorithm, known.digest)
+    except Unreachable as error:
+        raise InputError(f"{flavour} weights: no download ({error}); {_instructions(flavour)}") from None
+    return target
+
+
+def _published(flavour: str, folder: Path) -> Iterator[PublishedFile]:
+    """The published files of a flavour that the folder has, the preferred one first."""
+    return (known for known in PUBLISHED if known.flavour == flavour and (folder / known.name).is_file())
+
+
+def _described(path: Path) -> FoundWeights:
+    known = next((known for known in PUBLISHED if known.name == path.name), None)
+    if known is None:
+        return FoundWeights(flavour_of(path), path, None)
+    return FoundWeights(known.flavour, path, file_hash(path, known.algorithm).startswith(known.digest))
+
+
+def _at(source: str | Path, flavour: str | None, origin: str) -> ChosenWeights:
+    """The weights at a place that was named: that file, or the preferred published file in that folder."""
+    # Only the bare word: a Path, or `./patterns`, is a file or folder of that name.
+    if source == PATTERNS:
+        if flavour not in (None, PATTERNS):
+            raise InputError(f"{origin} {PATTERNS}: the shipped network, expected {flavour}; {_instructions(flavour)}")
+        return ChosenWeights(shipped_weights(), PATTERNS)
+    path = Path(source).expanduser()
+    _require_exists(path, origin)
+    if path.is_dir():
+        for wanted in FLAVOURS if flavour is None else (flavour,):
+            for published in _published(wanted, path):
+                return ChosenWeights(_verified(path / published.name, published), wanted)
+        raise InputError(
+            f"{origin} {path}: no {flavour or 'GoogLeNet'} weights in this folder; {_instructions(flavour)}"
+        )
+    known = next((known for known in PUBLISHED if known.name == path.name), None)
+    if known is not None:
+        _verified(path, known)
+    found = known.flavour if known else flavour_of(path)
+    if flavour not in (None, found):
+        raise InputError(f"{origin} {path}: flavour {found}, expected {flavour}; {_instructions(flavour)}")
+    return ChosenWeights(path, found)
+
+
+def _require_exists(path: Path, origin: str) -> None:
+    if not path.exists():
+        raise InputError(f"{origin} {path}: no such file or folder; expected GoogLeNet weights, or {PATTERNS}")
+
+
+def _verified(path: Path, known: PublishedFile) -> Path:
+    """The path, if the file is the published one."""
+    try:
+        found = file_hash(path, known.algorithm)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if not found.startswith(known.digest):
+        raise InputError(
+            f"{path}: wrong hash: {known.algorithm} {found}, expected {known.digest} (damaged, or another "
+            f"network); delete it and run `tnst-mi weights --download {known.flavour}`, or rename it to use it as it is"
+        )
+    return path
+
+
+def _instructions(flavour: str | None) -> str:
+    """Which files would do, their URLs and hashes, and where to put them."""
+    if flavour == PATTERNS:
+        return f"name it with --weights {PATTERNS}"
+    files = [
+        f"{known.name} ({known.algorithm} {known.digest}{f', {known.url}' if known.url else ''})"
+        for known in PUBLISHED
+        if flavour in (None, known.flavour)
+    ]
+    return (
+        f"put one of {', '.join(files)} into {cache_folder()}, "
+        f"or name a file or folder with --weights or ${ENVIRONMENT_VARIABLE}"
+    )

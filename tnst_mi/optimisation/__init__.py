@@ -1,0 +1,1 @@
+"""The optimisation: the paper's Algorithm 1 and its parts."""

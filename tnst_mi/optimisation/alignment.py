@@ -1,0 +1,79 @@
+"""Temporal coherence: fields of neighbouring frames, transported to one frame and averaged (paper Eq. 8 and 9).
+
+T_i^t(f_i) carries a field from frame i to frame t by the simulation's velocities: with u_j from a frame j to the next
+one, with −u_j back again. The transport is MacCormack without a limiter, which is linear, so that the windowed sum
+
+    Σ_i ω_|i−t| T_i^t(f_i),    i = t − w … t + w,
+
+can be nested: all that comes from the past is added up on its way to t, and so is all that comes from the future. That
+takes 2w transports for a frame, where summing term by term takes w (w + 1). Vector potentials are transported by
+components, as the paper does: they are moved with the smoke but not turned or stretched by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.advection import step
+from tnst_mi.fields.grid import opaque
+
+#: Below this share of smoke an average over smoke has no meaning, and the mask of the frame itself is as good as 0.
+_LEAST_SHARE = 1e-6
+
+
+def transported_sums(
+    own: dict[str, mi.TensorXf],
+    weights: np.ndarray,
+    window: range,
+    frame: int,
+    neighbours: Iterator[tuple[dict[str, mi.TensorXf], mi.TensorXf]],
+    h: float,
+) -> dict[str, mi.TensorXf]:
+    """Σ_i ω_|i−t| T_i^t(f_i) over a window, nested, for some fields that are moved alike.
+
+    Args:
+        own: fields of frame t itself by name, (D, H, W) or (D, H, W, 3).
+        weights: ω by distance, see `window_weights`.
+        window: the frames i, t among them.
+        frame: t.
+        neighbours: for each frame in `reading_order`, its fields, and the velocity (D, H, W, 3) in full-resolution
+            cells per frame between it and the frame one nearer to t: u_i for the past, u_{i−1} for the future.
+        h: size of a cell in full-resolution cells.
+
+    Returns:
+        The sums by name, in the shapes of `own`.
+    """
+    totals = {name: field * opaque(weights[0]) for name, field in own.items()}
+    for side, direction in ((range(window.start, frame), 1.0), (range(window.stop - 1, frame, -1), -1.0)):
+        carried: dict[str, mi.TensorXf] = {}
+        for i in side:
+            fields, velocity = next(neighbours)
+            displacement = velocity * opaque(direction)
+            for name, field in fields.items():
+                weighted = field * opaque(weights[abs(i - frame)])
+                joined = carried[name] + weighted if name in carried else weighted
+                carried[name] = step(joined, displacement, "maccormack_unlimited", h, "zero")
+        for name, field in carried.items():
+            totals[name] = totals[name] + field
+    dr.eval(totals)
+    return totals
+
+
+def averaging_gain(mask: mi.TensorXf, transported_mask: mi.TensorXf, own_weight: float) -> mi.TensorXf:
+    """Factor that turns a windowed sum of masked fields into the frame's mask times their average over smoke.
+
+    m_t / Σ_i ω_i T_i^t(m_i): where smoke is newly born or leaves, the frames without it do not count. The sum is at
+    least the frame's own share ω_0 m_t, from which the transport's overshoots might take it.
+
+    Args:
+        mask: m_t, (D, H, W) in [0, 1].
+        transported_mask: the windowed sum of the masks.
+        own_weight: ω_0.
+    """
+    share = dr.maximum(transported_mask.array, mask.array * opaque(own_weight))
+    gain = dr.select(mask.array > 0, mask.array / dr.maximum(share, opaque(_LEAST_SHARE)), mi.Float(0))
+    return mi.TensorXf(gain, tuple(mask.shape))

@@ -1,0 +1,56 @@
+"""What a recipe stylizes towards, as an objective (paper Eq. 2): semantic, tag and content terms, and style terms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tnst_mi.errors import InputError
+from tnst_mi.losses import terms as losses
+from tnst_mi.losses.objective import Objective
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS
+from tnst_mi.network.weights import ENVIRONMENT_VARIABLE
+from tnst_mi.recipe.recipe import Recipe
+
+#: Layer whose features a content picture is matched in: deep enough for shapes rather than strokes.
+CONTENT_LAYER = "inception_4d/output"
+
+
+def objective_of(recipe: Recipe) -> Objective:
+    """The sum of the recipe's terms; of a style that changes over the frames, the pictures of all keys."""
+    recipe = recipe.located(Path.cwd())
+    terms = [
+        *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
+        *(losses.ClassTag(tag) for tag in recipe.tag),
+        *(losses.Content(path, CONTENT_LAYER) for path in recipe.content),
+        *(losses.Style(path, recipe.style_layers) for path in recipe.style),
+    ]
+    weighted = [weight * term for weight, term in zip(term_weights(recipe), terms, strict=True)]
+    return Objective(pair for term in weighted for pair in term.weighted_terms)
+
+
+def term_weights(recipe: Recipe) -> list[float]:
+    """Weights of the terms of `objective_of`, in their order, for the recipe of one frame."""
+    semantic = len(recipe.semantic) + len(recipe.tag) + len(recipe.content)
+    style = [recipe.style_weight * share for share in recipe.style_shares]
+    return [recipe.semantic_weight] * semantic + style
+
+
+def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
+    """Refuse channel numbers of another network on `patterns`, which a recipe means only if it says so.
+
+    Nothing in a number shows which network it was chosen for; recipes name channels of those trained on ImageNet.
+    Names of classes, and pictures, mean the same to any network. `fallback`: it is `patterns` as no other was found.
+    """
+    if network.flavour != PATTERNS or recipe.weights is not None or not recipe.semantic:
+        return
+    if fallback:
+        reason, remedy = "no other was found", f"get the paper's network with `{DOWNLOAD_COMMAND}`"
+    else:
+        reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
+    tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
+    raise InputError(
+        f"semantic {recipe.semantic[0]!r}: channel numbers are those of one network, and this run would be on the "
+        f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
+        f"meant, or choose a tag, such as {tags}"
+    )

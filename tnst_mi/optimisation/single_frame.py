@@ -1,0 +1,58 @@
+"""Stylizing one frame by itself (paper Eq. 4 and section 4): a sequence of one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tnst_mi.frame import Frame
+from tnst_mi.losses.objective import Objective
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.result import Progress, Stylized
+from tnst_mi.optimisation.runner import SequenceOptimisation
+from tnst_mi.optimisation.store import MemoryStore
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import main_view
+
+
+def optimise(
+    frame: Frame,
+    recipe: Recipe,
+    network: GoogLeNet,
+    exposure: float | None = None,
+    on_iteration: Callable[[Progress], None] | None = None,
+    step_scale: float = 1.0,
+    objective: Objective | None = None,
+) -> Stylized:
+    """Stylize one frame.
+
+    Ctrl-C ends the optimisation after the current iteration; a second one at once.
+
+    Args:
+        frame: the frame; one that is empty or renders black comes back unchanged, with a note.
+        recipe: what to stylize towards, and how.
+        network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
+        exposure: factor from rendered images to the network's [0, 1]; None takes 1 / max of this frame's main view.
+        on_iteration: called after every iteration.
+        step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
+        objective: what to minimise, in place of the recipe's terms; for terms that no recipe can name, such as
+            `losses.Match`.
+
+    Raises:
+        InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.
+    """
+    brightest = float(main_view(frame.density, recipe.at(frame.number)).max())
+    if exposure is None:
+        exposure = 1 / brightest if brightest > 0 else 1.0
+    run = SequenceOptimisation(
+        [frame],
+        [frame.name],
+        [frame.number],
+        recipe,
+        network,
+        MemoryStore(),
+        exposure,
+        [step_scale if brightest > 0 else 0.0],
+        objective,
+    )
+    ((_, stylized),) = run.run(on_iteration)
+    return stylized

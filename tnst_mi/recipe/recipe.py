@@ -1,0 +1,262 @@
+"""The recipe of a stylization: one flat, documented set of keys for TOML files and the command line.
+
+Every key (`tnst_mi.recipe.sections` has them all) is one of TOML and, with dashes for underscores, a flag of
+`tnst-mi stylize`. Values are taken from the defaults, then from the recipe file, then from the flags; the last one
+given wins. In a file some may change over the frames (`tnst_mi.recipe.keyframes`); `Recipe.at` gives the recipe of one
+frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import re
+import reprlib
+import textwrap
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from tnst_mi.errors import InputError
+from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
+from tnst_mi.recipe.sections import KINDS, Goals, Method, Resources, documentation
+from tnst_mi.resources import DATA
+
+#: Style pictures that ship with the package; a recipe names them without folder and extension.
+STYLES = DATA / "styles"
+
+#: Mitsuba scenes whose emitters light the smoke, likewise.
+LIGHTS = DATA / "lights"
+
+_LARGEST_FILE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Recipe(Resources, Method, Goals):
+    """Everything that decides a stylization, apart from the frames themselves.
+
+    Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) may be given a table {frame number: value} in place of one value.
+    Their attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
+
+    Raises:
+        InputError: a value has the wrong type or is out of range.
+    """
+
+    keyframes: Mapping[str, Keyframes] = field(default_factory=dict)
+    """The keys given such tables, each as (frame number, value) in the order of the frames; they win over the
+    attributes. Made from the tables, never a key of a file."""
+    style_shares: tuple[float, ...] = ()
+    """How much of each picture of `style` is meant, 0 or more: all 1 but in a recipe from `at`. Never a key of a file,
+    nor written to one."""
+
+    def __post_init__(self) -> None:
+        """Check every value and bring it into its normal form."""
+        keyframes = {}
+        for name in dict.fromkeys((*KINDS, *self.keyframes)):
+            value = converted(name, self._given(name), "recipe: ", _checked)
+            if is_keyframed(name, value):
+                keys = keyframes[name] = tuple(value.items())
+                value = pictures_of(keys) if name == "style" else keys[0][1]
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "keyframes", keyframes)
+        if all(share == 1.0 for share in self.style_shares):
+            object.__setattr__(self, "style_shares", (1.0,) * len(self.style))
+        elif len(self.style_shares) != len(self.style):
+            raise InputError(
+                f"recipe: style_shares = {self.style_shares}: expected a number for each of the {len(self.style)} "
+                "pictures of style"
+            )
+        if self.frames is not None and self.frame_range[0] > self.frame_range[1]:
+            raise InputError(f"recipe: frames = {self.frames!r}: expected the smaller number first")
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Recipe:
+        """Read a recipe file; relative paths in it count from its folder.
+
+        Raises:
+            InputError: the file is missing or no TOML, a key is unknown, a value has the wrong type or is out
+                of range, or a picture does not exist.
+        """
+        path = Path(path)
+        try:
+            if path.stat().st_size > _LARGEST_FILE:
+                raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 1 MiB")
+            values = tomllib.loads(path.read_text("utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such recipe file") from None
+        except (OSError, UnicodeDecodeError, RecursionError) as error:
+            raise InputError(f"{path}: cannot be read as a recipe ({error})") from None
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{path}: not valid TOML ({error})") from None
+        return cls.from_dict(values, source=f"{path}: ", folder=path.parent)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None) -> Recipe:
+        """Make a recipe from TOML values; errors start with `source`, relative paths are in `folder`."""
+        return cls().updated(values, source, folder or Path.cwd())
+
+    def updated(self, values: Mapping[str, Any], source: str, folder: Path) -> Recipe:
+        """Return a copy with some keys replaced, keyframes included (see `from_dict`)."""
+        replaced: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in KINDS:
+                nearest = difflib.get_close_matches(str(name), KINDS, n=1, cutoff=0.0)[0]
+                raise InputError(f"{source}unknown key {name!r}; the nearest known key is {nearest!r}")
+            checked = converted(name, value, source, _checked)
+            replaced[name] = converted(name, checked, source, functools.partial(_located, folder=folder))
+        kept = {name: keys for name, keys in self.keyframes.items() if name not in values}
+        shares = () if "style" in values else self.style_shares
+        return dataclasses.replace(self, **replaced, keyframes=kept, style_shares=shares)
+
+    def located(self, folder: Path) -> Recipe:
+        """Return a copy with absolute paths, keyframes and shares kept; relative ones are in `folder`.
+
+        Raises:
+            InputError: a picture or a light does not exist.
+        """
+        locate = functools.partial(_located, folder=folder)
+        values = {name: converted(name, self._given(name), "recipe: ", locate) for name in KINDS}
+        return dataclasses.replace(self, **values, keyframes={})
+
+    def at(self, number: int | None) -> Recipe:
+        """Return the recipe of one frame, without keyframes; itself where it has none.
+
+        Values are linear between keys, and constant before the first and after the last. `style` keeps the pictures
+        of all keys, and `style_shares` fades from those of one key to those of the next.
+
+        Raises:
+            InputError: there are keyframes, and the frame has no number (None).
+        """
+        if not self.keyframes:
+            return self
+        if number is None:
+            raise InputError(
+                f"recipe: {', '.join(self.keyframes)}: frames without numbers cannot be keyframed; number the frames, "
+                "or give one value"
+            )
+        values = {name: value_at(keys, number) for name, keys in self.keyframes.items() if name != "style"}
+        if "style" in self.keyframes:
+            values["style_shares"] = shares_at(self.keyframes["style"], number)
+        return dataclasses.replace(self, **values, keyframes={})
+
+    def updated_by_flags(self, texts: Mapping[str, str | tuple[str, ...]]) -> Recipe:
+        """Return a copy with keys replaced by texts of flags; relative paths are in the current folder."""
+        recipe = self
+        for name, text in texts.items():
+            flag = "--" + name.replace("_", "-")
+            try:
+                value = KINDS[name].check(KINDS[name].read(text))
+            except (ValueError, OverflowError):
+                shown = text if isinstance(text, str) else " ".join(text)
+                raise InputError(f"{flag} {shown}: expected {KINDS[name].expected}") from None
+            recipe = recipe.updated({name: value}, f"{flag}: ", Path.cwd())
+        return recipe
+
+    def to_toml(self) -> str:
+        """Write the recipe as TOML, every key under its documentation; keys that are not set are comments."""
+        document = tomlkit.document()
+        for name, text in documentation().items():
+            for line in textwrap.wrap(text, 100):
+                document.add(tomlkit.comment(line))
+            value = self._given(name)
+            if value is None:
+                document.add(tomlkit.comment(f"{name} is not set"))
+            else:
+                document.add(name, _toml_value(name, value))
+            document.add(tomlkit.nl())
+        return tomlkit.dumps(document)
+
+    def _given(self, name: str) -> Any:
+        """The value of a key, or its table of keyframes."""
+        return dict(self.keyframes[name]) if name in self.keyframes else getattr(self, name)
+
+    @property
+    def main_view(self) -> tuple[float, float]:
+        """The centre of the camera ranges, (azimuth, elevation) in degrees."""
+        return sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0
+
+    @property
+    def components(self) -> int:
+        """Numbers that are optimised at a cell: 1 of Φ where λ > 0 and 3 of Ψ where λ < 1, in any frame."""
+        if self.parameterisation == "density":
+            return 1
+        lams = [value for _, value in self.keyframes.get("lam", ((0, self.lam),))]
+        return (max(lams) > 0) + 3 * (min(lams) < 1)
+
+    @property
+    def frame_range(self) -> tuple[int, int] | None:
+        """First and last frame number, both included, or None for all frames."""
+        if self.frames is None:
+            return None
+        first, last = self.frames.split(":")
+        return int(first), int(last)
+
+    @property
+    def semantic_channels(self) -> list[tuple[str, tuple[int, ...]]]:
+        """The semantic targets as (layer, channels)."""
+        targets = []
+        for target in self.semantic:
+            layer, _, channels = target.partition(":")
+            targets.append((layer, tuple(int(channel) for channel in channels.split(","))))
+        return targets
+
+
+def shipped_styles() -> list[str]:
+    """Names of the style pictures that ship with the package."""
+    return sorted(path.stem for path in STYLES.glob("*.png"))
+
+
+def shipped_lights() -> list[str]:
+    """Names of the lights that ship with the package."""
+    return sorted(path.stem for path in LIGHTS.glob("*.xml"))
+
+
+def _checked(name: str, value: Any, source: str) -> Any:
+    try:
+        return KINDS[name].check(value)
+    except (ValueError, OverflowError):
+        shown = reprlib.repr(value)
+        raise InputError(f"{source}{name} = {shown}: expected {KINDS[name].expected}") from None
+
+
+def _located(name: str, value: Any, source: str, folder: Path) -> Any:
+    """Make the paths in a checked value absolute."""
+    if name in ("style", "content"):
+        return tuple(_picture(name, entry, source, folder) for entry in value)
+    if name == "light" and value not in shipped_lights():
+        if not (folder / value).is_file():
+            raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
+        return str((folder / value).resolve())
+    if name == "weights" and value not in (None, PATTERNS) and (folder / value).exists():
+        return str((folder / value).resolve())
+    return value
+
+
+def _picture(name: str, entry: str, source: str, folder: Path) -> str:
+    path = folder / entry
+    if path.exists():
+        return str(path.resolve())
+    if re.fullmatch(r"[\w-]+", entry) and (STYLES / f"{entry}.png").exists():
+        return str(STYLES / f"{entry}.png")
+    shipped = ", ".join(shipped_styles())
+    raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+
+
+def _toml_value(name: str, value: Any) -> Any:
+    if isinstance(value, dict):
+        table = tomlkit.inline_table()
+        table.update({str(key): _toml_value(name, entry) for key, entry in value.items()})
+        return table
+    if name in ("style", "content"):
+        return [_shipped_name(path) for path in value]
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _shipped_name(path: str) -> str:
+    return Path(path).stem if Path(path).parent == STYLES else path

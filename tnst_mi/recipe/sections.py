@@ -1,0 +1,159 @@
+"""The keys of a recipe by section, each with its default, the kind of its values, and its documentation."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import itertools
+from dataclasses import dataclass, field
+from typing import Annotated, get_type_hints
+
+from tnst_mi.choices import QUADRATURES, WINDOW_WEIGHTS
+from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
+
+
+@dataclass(frozen=True)
+class Goals:
+    """What to stylize towards."""
+
+    style: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["fire.png"]')] = ()
+    """Picture whose style the smoke takes on: a file (relative to the recipe), or the name of a picture
+    that ships with the package (spirals, net, flames, cells). Repeatable."""
+    style_layers: Annotated[dict[str, float], LayerWeights()] = field(
+        default_factory=lambda: {"conv2/3x3": 1.0, "inception_3b/output": 1.0, "inception_4b/output": 1.0}
+    )
+    """Layers whose Gram matrices are matched to the style pictures, with weights. Low layers give fine
+    strokes, high layers large shapes."""
+    semantic: Annotated[
+        tuple[str, ...],
+        Texts(
+            "LAYER:CHANNEL[,CHANNEL…]",
+            'a list of layers with channels, such as ["inception_4b/pool_proj:16"]',
+            r"[^:]+:\d{1,6}(,\d{1,6})*",
+        ),
+    ] = ()
+    """Channels of a layer to make fire: the smoke takes on the motif that they recognise. Their numbers
+    hold for one network alone. Repeatable."""
+    tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["spiral"]')] = ()
+    """Class that the network shall see in the smoke, by its name (tnst-mi weights --tags lists those of the
+    network patterns, which ships with the package). Repeatable."""
+    content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
+    """Picture whose features (of inception_4d/output) the smoke shall match. Repeatable."""
+    style_weight: Annotated[float, Number(low=0.0)] = 1.0
+    """Weight of the style terms, 0 or more."""
+    semantic_weight: Annotated[float, Number(low=0.0)] = 1.0
+    """Weight of the semantic, tag and content terms, 0 or more."""
+    damping: Annotated[float, Number(low=0.0)] = 0.0
+    """Weight of an L1 penalty on the other channels of a semantic layer, 0 or more."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """How to get there."""
+
+    lam: Annotated[float, Number(0.0, 1.0)] = 1.0
+    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 moves smoke apart and together, 0 is free of
+    divergence."""
+    gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
+    """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
+    looks."""
+    quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
+    """Sum along the viewing rays: the paper's program, the exact integral, or opacity alone."""
+    octaves: Annotated[int, Integer(1, 16)] = 3
+    """Number of resolutions, coarse to fine, 1 or more."""
+    scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
+    """Ratio of the resolutions of neighbouring octaves, above 1."""
+    iterations: Annotated[int, Integer(1, 100_000)] = 20
+    """Iterations in each octave, 1 or more."""
+    views: Annotated[int, Integer(1, 10_000)] = 9
+    """Viewpoints per iteration, redrawn each time; the first is the main view."""
+    azimuth: Annotated[tuple[float, float], Range(-360.0, 360.0)] = (-10.0, 10.0)
+    """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
+    elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
+    """Range of camera elevations in degrees, + upwards; the main view is its centre."""
+    eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
+    """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
+    cells of size h, where the normalised gradient is 1."""
+    pyramid_levels: Annotated[int, Integer(0, 16)] = 3
+    """Bands of the Laplacian pyramid that normalises the gradient, 0 or more."""
+    mask_strength: Annotated[float, Number(low=0.0, high=100.0)] = 1.0
+    """Power of the mask that keeps changes to the smoke, from 0 (changes everywhere but in obstacles) to 100; 1 is the
+    paper's, more keeps changes to the dense inside."""
+    window: Annotated[int, Integer(1, 99, odd=True)] = 1
+    """Frames over which the stylization is kept coherent in time, odd; 1 is none. Needs their velocities."""
+    window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
+    """Weights of the frames in a window: all alike, or less for those far off."""
+    coherence: Annotated[float, Number(low=0.0)] = 0.0
+    """With a window, how much of each step goes to making the change of the smoke move with the smoke, relative to
+    the stylization's own, 0 or more; 0 is the paper's algorithm."""
+    steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
+    """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest
+    displacement."""
+    parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
+    """Optimise velocities that transport the smoke, or change density values in place."""
+    integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"
+    """Renderer inside the optimisation: light emitted by the smoke, or Mitsuba's scattering path tracer, for
+    which the next four are."""
+    albedo: Annotated[float, Number(0.0, 1.0)] = 0.9
+    """prbvolpath: scattered share of the extinguished light, from 0 to 1."""
+    anisotropy: Annotated[float, Number(-0.99, 0.99)] = 0.0
+    """prbvolpath: mean cosine g of the phase function (Henyey and Greenstein's), from -0.99 (back) to 0.99
+    (on); 0 scatters evenly."""
+    light: Annotated[str, Text("FILE|key|environment", "a Mitsuba scene file, key or environment")] = "key"
+    """prbvolpath: where light comes from: the emitters of a Mitsuba scene file, or key (upper left, and some
+    from everywhere) or environment (from everywhere alike)."""
+    spp: Annotated[int, Integer(1, 4096)] = 16
+    """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
+    blend: Annotated[float, Number(0.0, 1.0)] = 1.0
+    """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
+    seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
+    """Seed of the random views; equal seeds give equal bits."""
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What to read, compute with and write."""
+
+    frames: Annotated[
+        str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
+    ] = None
+    """Numbers of the first and the last frame of a sequence to stylize; all where not set. In a recipe file style,
+    style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
+    between keys: gamma = {49 = 0.1, 72 = 1.0}."""
+    weights: Annotated[
+        str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
+    ] = None
+    """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. Searched for
+    where not set (tnst-mi weights lists the places)."""
+    variant: Annotated[
+        str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
+    ] = None
+    """Mitsuba variant: GPU or CPU; the GPU where not set and one answers."""
+    format: Annotated[str | None, Text("npz|vol|uni|vdb", "npz, vol, uni or vdb", "npz|vol|uni|vdb")] = None
+    """File format of the results; the input's where not set."""
+    fps: Annotated[float, Number(above=0.0, high=240.0)] = 24.0
+    """Frames per second of a sequence's preview video, above 0."""
+
+
+_SECTIONS = (Goals, Method, Resources)
+
+#: The kind of value that each key of a recipe holds, in the order of the file.
+KINDS: dict[str, Kind] = {
+    name: hint.__metadata__[0]
+    for section in _SECTIONS
+    for name, hint in get_type_hints(section, include_extras=True).items()
+}
+
+
+@functools.cache
+def documentation() -> dict[str, str]:
+    """The documentation of each key, one paragraph: the text below its field in this file."""
+    paragraphs = {}
+    for section in _SECTIONS:
+        (body,) = ast.parse(inspect.getsource(section)).body
+        for field_node, text_node in itertools.pairwise(body.body):
+            if isinstance(field_node, ast.AnnAssign):
+                paragraphs[field_node.target.id] = " ".join(text_node.value.value.split())
+    return paragraphs

@@ -1,0 +1,83 @@
+"""Rays of several centred orthographic views of one grid."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.grid import Divisor, opaque, opaque_int
+from tnst_mi.rendering.cameras.views import View, camera_frame
+
+
+@dataclass(frozen=True)
+class ParallelRays:
+    """Tells that rays are those of one orthographic view, and so their samples a regular lattice.
+
+    Attributes:
+        width, height: the rays go through this many evenly spaced pixels, row by row, of at least two each.
+        direction: of all rays in world space, a unit vector (3,).
+    """
+
+    width: int
+    height: int
+    direction: np.ndarray
+
+
+class OrthographicRays:
+    """The rays of V views that look at the origin, which is the centre of their images; the images are stacked.
+
+    Args:
+        width, height: pixels of one view.
+        spacing: distance between pixels in world units.
+        distance: of the rays' origins from the centre, in world units.
+        views: V pairs (azimuth, elevation) in degrees.
+    """
+
+    def __init__(self, width: int, height: int, spacing: float, distance: float, views: Sequence[View]) -> None:
+        self.width, self.height, self.spacing, self.distance = width, height, spacing, distance
+        self.views = [(float(azimuth), float(elevation)) for azimuth, elevation in views]
+        #: right, up and towards-the-camera vectors of every view: 9 numbers each.
+        self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
+
+    def through(self, position: mi.Point2f, active: mi.Bool | bool = True) -> mi.Ray3f:
+        """Rays through positions in [0, 1]² of the stack of images, from its upper left corner."""
+        width, height, count = opaque(self.width), opaque(self.height), len(self.views)
+        row = position.y * height * opaque(count)
+        view = dr.clip(mi.UInt32(row / height), 0, mi.UInt32(opaque_int(count - 1)))
+        spacing = opaque(self.spacing)
+        x = (position.x * width - width * 0.5) * spacing
+        y = (height * 0.5 - (row - mi.Float(view) * height)) * spacing
+
+        right, up, towards = (
+            mi.Vector3f(*(dr.gather(mi.Float, self.frames, view * 9 + 3 * v + i, active) for i in range(3)))
+            for v in range(3)
+        )
+        ray = dr.zeros(mi.Ray3f, dr.width(row))
+        ray.o = mi.Point3f(right * x + up * y + towards * opaque(self.distance))
+        ray.d = -towards
+        ray.maxt = dr.inf
+        return ray
+
+    def through_pixels(self, first: int, count: int) -> mi.Ray3f:
+        """Rays through the pixel centres of `count` views from number `first`, row by row."""
+        pixel = dr.arange(mi.UInt32, count * self.height * self.width)
+        row, column = Divisor(self.width).split(pixel)
+        row += mi.UInt32(opaque_int(first * self.height))
+        x = (mi.Float(column) + 0.5) / opaque(self.width)
+        y = (mi.Float(row) + 0.5) / opaque(len(self.views) * self.height)
+        return self.through(mi.Point2f(x, y))
+
+    def parallel(self, view: int) -> ParallelRays | None:
+        """What the rays through the pixel centres of a view have in common; None where they are but one row."""
+        if min(self.width, self.height) < 2:
+            return None
+        return ParallelRays(self.width, self.height, -_camera_frame(*self.views[view])[2])
+
+
+#: Within an iteration the same views are asked for several times.
+_camera_frame = functools.lru_cache(maxsize=256)(camera_frame)

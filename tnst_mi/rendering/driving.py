@@ -1,0 +1,45 @@
+"""The renderer that drives a stylization, as its recipe says: emission–absorption, or the scattering path tracer."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.grid import Shape
+from tnst_mi.recipe.recipe import LIGHTS, Recipe, shipped_lights
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
+from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
+
+STILL_SPP = 256
+"""Paths per pixel of a path-traced still; an iteration of an optimisation can do with far fewer."""
+
+
+def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = None) -> Renderer:
+    """The renderer of a recipe's views, for grids of a shape (D, H, W) and cell size h.
+
+    `spp`, paths per pixel, is the recipe's where None; emission–absorption has no use for it.
+    Raises `InputError` where the recipe's light cannot be used.
+    """
+    if recipe.integrator == "emission_absorption":
+        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h)
+    light = LIGHTS / f"{recipe.light}.xml" if recipe.light in shipped_lights() else Path(recipe.light)
+    lighting = Lighting(recipe.albedo, recipe.anisotropy, light, recipe.spp if spp is None else spp)
+    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting)
+
+
+def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
+    """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed.
+
+    Where it is path traced, the same density has the same noise each time. Raises `InputError` as `driving_renderer`.
+    """
+    renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP)
+    return renderer.render(mi.TensorXf(density), [recipe.main_view], [recipe.seed]).numpy()[0]
+
+
+@functools.lru_cache(maxsize=4)
+def _scattering(variant: str, *arguments: object) -> ScatteringRenderer:
+    """Loading a scene is slow, and Mitsuba does not give back all its memory."""
+    return ScatteringRenderer(*arguments)

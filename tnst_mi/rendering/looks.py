@@ -1,0 +1,27 @@
+"""The looks of the beauty renders: Mitsuba scenes in `scenes/looks` that differ in how dense the smoke appears."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from tnst_mi.resources import scene_file
+
+
+def look_file(look: str) -> Path:
+    """The scene of a look; raises `InputError` where the installation lacks it."""
+    return scene_file(f"looks/{look}.xml")
+
+
+def extinction(look: str) -> float:
+    """Optical thickness of smoke of density 1 along the longest edge of the grid, which the look's scene states."""
+    default = ElementTree.parse(look_file(look)).find("default[@name='extinction']")
+    return float(default.get("value"))
+
+
+def gamma(look: str, shape: tuple[int, int, int]) -> float:
+    """The same as γ, extinction per unit of density and cell, for a grid (D, H, W): 100 / 300 for "thick" and 300 rows.
+
+    The paper's own γ, for grids of 300 rows, are 0.01 to 1: the same smoke from a veil to a solid body.
+    """
+    return extinction(look) / max(shape)

@@ -1,0 +1,132 @@
+"""The transpose of interpolation at the samples of parallel rays, in gather form: each voxel collects from its samples.
+
+Scattering needs eight additions to memory per sample, which have to be exact for a repeatable sum. Here every voxel
+reads the samples around it, of which there are about eight as well, and adds them up in a fixed order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.grid import Cells, opaque, opaque_int
+from tnst_mi.fields.stencil import larger, smaller
+from tnst_mi.rendering.march.medium import GridMedium, Lattice
+
+_RUN = 2
+"""Voxels per thread, neighbours along z: they share most of the samples that they read."""
+
+
+class BackProjection:
+    r"""Values at the samples of one view, and their transport to the cells.
+
+    The samples of parallel rays through a pixel grid are an affine lattice: sample j of the ray of column p and row q
+    lies at x = o + p a + q b + j c (in cells). Interpolation gives voxel v the weight Π_i max(0, 1 − |x_i − v_i|), with
+    x clamped to the grid. It vanishes unless x is within one cell of v on every axis, that is, unless (p, q, j) is
+    within Σ_i |M⁻¹|_{·i} of M⁻¹ (v − o), with M = [a b c]: a box of lattice points that each voxel goes through.
+
+    Args:
+        medium: the grid and its place in the world.
+        lattice: the samples of parallel rays.
+    """
+
+    def __init__(self, medium: GridMedium, lattice: Lattice) -> None:
+        self.shape, self.rays = medium.grid_shape, lattice.rays
+        rays = lattice.rays
+        # Enough to cover the grid to both sides of its centre.
+        extent = np.abs(rays.direction @ np.linalg.inv(medium.transform.matrix)).sum()
+        before = math.ceil(extent / (2 * lattice.spacing)) + 1
+        planes = 2 * before + 1
+        # Not `opaque`, which would share them with other numbers that happen to be equal in some of the views.
+        before, self.last_plane = dr.opaque(mi.Float, before), dr.opaque(mi.Float, planes - 1)
+        pixels = rays.width * rays.height
+        self.pixels = opaque_int(pixels)
+        #: Samples that no ray visits stay 0.
+        self.values = dr.zeros(mi.Float, pixels * planes)
+        self.first = mi.Int32(lattice.first + before) * self.pixels + dr.arange(mi.Int32, pixels)
+
+        start = lattice.stencil(-lattice.first - before).position
+        increment = lattice.increment + mi.Vector3f(dr.zeros(mi.Float, pixels))
+        dr.eval(start, increment)
+        corner, right, below = (
+            dr.gather(mi.Vector3f, start, opaque_int(i)) for i in (0, rays.width - 1, pixels - rays.width)
+        )
+        #: Along p, q and j: from one lattice point to the next, and between their values in storage.
+        self.steps = [
+            (right - corner) / opaque(rays.width - 1),
+            (below - corner) / opaque(rays.height - 1),
+            dr.gather(mi.Vector3f, increment, 0),
+        ]
+        self.strides = [opaque_int(1), opaque_int(rays.width), self.pixels]
+        self.origin = corner
+        self.to_lattice = dr.rcp(mi.Matrix3f(*([step[i] for step in self.steps] for i in range(3))))
+        dr.eval(self.origin, self.steps, self.to_lattice)
+
+    def store(self, k: mi.UInt32, value: mi.Float, active: mi.Bool | bool = True) -> None:
+        """Set the value at sample k of every ray of the lattice."""
+        dr.scatter(self.values, value, mi.UInt32(dr.fma(mi.Int32(k), self.pixels, self.first)), active)
+
+    def add_to(self, total: mi.Float) -> None:
+        """Add what every voxel gets to `total`, one number per voxel, in place."""
+        d, h, w = self.shape
+        runs = Cells.of((-(-d // _RUN), h, w))
+        voxel = mi.Vector3f(mi.Float(runs.x), mi.Float(runs.y), mi.Float(runs.z * _RUN))
+        last = mi.Vector3f(*(opaque(n - 1) for n in (w, h, d)))
+
+        # Lattice points within reach of all voxels of a run.
+        middle = voxel - self.origin + mi.Vector3f(0, 0, (_RUN - 1) / 2)
+        low, high = [], []
+        for axis, end in enumerate((opaque(self.rays.width - 1), opaque(self.rays.height - 1), self.last_plane)):
+            row = mi.Vector3f(*(self.to_lattice[axis, i] for i in range(3)))
+            centre = dr.dot(row, middle)
+            reach = dr.sum(dr.abs(row)) + dr.abs(row.z) * ((_RUN - 1) / 2)
+            low.append(mi.Int32(dr.ceil(larger(centre - reach, 0))))
+            high.append(mi.Int32(dr.floor(smaller(centre + reach, end))))
+
+        def visit(position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> list[mi.Float]:
+            distance = mi.Vector3f(*(smaller(larger(position[i], 0), last[i]) for i in range(3))) - voxel
+            x, y = (larger(1 - dr.abs(distance[i]), 0) for i in range(2))
+            value = x * y * dr.gather(mi.Float, self.values, mi.UInt32(index))
+            return [dr.fma(larger(1 - dr.abs(distance.z - i), 0), value, total) for i, total in enumerate(sums)]
+
+        position, index = self.origin, mi.Int32(0)
+        for axis in range(3):
+            position = dr.fma(self.steps[axis], mi.Float(low[axis]), position)
+            index += low[axis] * self.strides[axis]
+        sums = [dr.zeros(mi.Float, dr.width(voxel)) for _ in range(_RUN)]
+        sums = self._visit_box((1, 0, 2), low, high, visit, position, index, sums)
+
+        for i, value in enumerate(sums):
+            z = runs.z * _RUN + i
+            index = mi.UInt32(dr.fma(dr.fma(z, opaque_int(h), runs.y), opaque_int(w), runs.x))
+            # No voxel is written by two threads.
+            mode = dr.ReduceMode.NoConflicts
+            dr.scatter_reduce(dr.ReduceOp.Add, total, value, index, z < opaque_int(d), mode)
+        dr.eval(total)
+
+    # A method: a function that recurses into itself would be kept, with all values, until Python's cyclic collection.
+    def _visit_box(
+        self,
+        axes: tuple[int, ...],
+        low: list[mi.Int32],
+        high: list[mi.Int32],
+        visit: Callable[[mi.Vector3f, mi.Int32, list[mi.Float]], list[mi.Float]],
+        position: mi.Vector3f,
+        index: mi.Int32,
+        sums: list[mi.Float],
+    ) -> list[mi.Float]:
+        """Sums after `visit` at all lattice points of a box that starts at `position`: a loop for each of the axes."""
+        if not axes:
+            return visit(position, index, sums)
+        axis, inner = axes[0], axes[1:]
+
+        def body(i: mi.Int32, position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> tuple:
+            sums = self._visit_box(inner, low, high, visit, position, index, sums)
+            return i + 1, position + self.steps[axis], index + self.strides[axis], sums
+
+        state = (low[axis], position, index, sums)
+        return dr.while_loop(state, lambda i, *_: i <= high[axis], body, label="back-projection")[3]

@@ -1,0 +1,322 @@
+"""The `emission_absorption` integrator plugin (paper Eq. 11).
+
+Importing this module registers the plugin for the active variant; `rendering.plugins` does so for every variant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+from mitsuba.ad.integrators.common import RBIntegrator
+
+from tnst_mi.choices import QUADRATURES
+from tnst_mi.fields.grid import RepeatableSum, opaque
+from tnst_mi.fields.stencil import ClampedStencil
+from tnst_mi.rendering.cameras.orthographic import ParallelRays
+from tnst_mi.rendering.march.back_projection import BackProjection
+from tnst_mi.rendering.march.boundary import SceneMedium, crossing, first_surface
+from tnst_mi.rendering.march.medium import GridMedium, Lattice
+from tnst_mi.rendering.march.occupancy import Occupancy
+
+
+class EmissionAbsorption(RBIntegrator):
+    r"""
+    Emission–absorption integrator (:monosp:`emission_absorption`)
+    --------------------------------------------------------------
+
+    .. pluginparameters::
+
+     * - gamma
+       - |float|
+       - Ratio γ > 0 of extinction to emission. The medium carries the extinction σ_t = γ d; it emits σ_t/γ = d.
+         (Default: 0.1)
+     * - quadrature
+       - |string|
+       - How the integral along a ray is discretised, with d_k the samples at distance h:
+         ``paper``: h Σ d_k exp(−γ h Σ_{i≤k} d_i), the inclusive sum of the authors' program;
+         ``exact``: every segment integrated exactly, (1 − exp(−γ h Σ d))/γ;
+         ``transmittance``: 1 − exp(−γ h Σ d). (Default: ``paper``)
+     * - step
+       - |float|
+       - Distance h between samples in world units. (Default: the shortest edge of the grid's cells)
+
+    Works in any scene with one ``heterogeneous`` medium, its ``sigma_t`` a ``gridvolume``, inside a convex shape with a
+    ``null`` BSDF, and with any sensor. The medium emits and absorbs; its albedo and phase function play no part.
+    Emitters seen through the medium are attenuated and added. Surfaces inside the medium are an error. The sample
+    positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.medium.Lattice`.
+
+    Derivatives are those with respect to ``sigma_t.data``. The reverse-mode pass replays the march and stores
+    nothing per step; its result has the same bits in every run. With one extinction channel the march is scalar,
+    with three it is done per channel.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.gamma = float(props.get("gamma", 0.1))
+        self.quadrature = str(props.get("quadrature", "paper"))
+        self.step = float(props.get("step", 0.0))
+        if not 0 < self.gamma < math.inf:
+            raise ValueError(f'emission_absorption: "gamma" is {self.gamma}, expected a number > 0')
+        if self.quadrature not in QUADRATURES:
+            raise ValueError(
+                f'emission_absorption: "quadrature" is {self.quadrature!r}, expected one of {", ".join(QUADRATURES)}'
+            )
+        if "step" in props and not 0 < self.step < math.inf:
+            raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
+        self._medium: SceneMedium | None = None
+
+    def parameters_changed(self, keys: list[str]) -> None:
+        """Forget what was resolved from the scene."""
+        self._medium = None
+
+    def resolve(self, scene: mi.Scene) -> SceneMedium:
+        """The scene's medium, with its current extinction tensor."""
+        if self._medium is None or not self._medium.belongs_to(scene):
+            self._medium = SceneMedium(scene)
+        else:
+            self._medium.refresh()
+        return self._medium
+
+    def sample(
+        self,
+        mode: dr.ADMode,
+        scene: mi.Scene | GridMedium,
+        sampler: mi.Sampler | None,
+        ray: mi.Ray3f,
+        δL: mi.Spectrum | None,
+        state_in: Any,
+        active: mi.Bool,
+        parallel: ParallelRays | None = None,
+        **kwargs: Any,  # Absorbs unused arguments
+    ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
+        """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
+
+        A `GridMedium` in place of the scene is marched by itself, before black: nothing is traced, and on a GPU no
+        OptiX is needed. To tell that the rays are `parallel` makes the adjoint faster.
+        """
+        if isinstance(scene, mi.Scene):
+            medium = self.resolve(scene)
+            lattice, background, valid = self._intersect(scene, medium, ray, active)
+        else:
+            medium, background = scene, None
+            lattice = Lattice(medium, ray, self._sample_distance(medium))
+            valid = active & (lattice.exit > lattice.entry)
+        lattice.rays = parallel
+        if mode == dr.ADMode.Primal:
+            L = self._radiance(medium, lattice, background)
+        elif mode == dr.ADMode.Backward:
+            L = state_in
+            self._scatter_adjoint(medium, lattice, L, δL)
+        else:
+            L = self._tangent(medium, lattice, background)
+        return mi.Spectrum(L), valid, [], L
+
+    # --------------------------------------------------------------------
+    # Where a ray passes through the medium, and what it sees behind
+    # --------------------------------------------------------------------
+
+    def _sample_distance(self, medium: GridMedium) -> float:
+        return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
+
+    def _intersect(
+        self, scene: mi.Scene, medium: SceneMedium, ray: mi.Ray3f, active: mi.Bool
+    ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
+        bounds = None if medium.fills_box else crossing(scene, medium.shape, ray, active)
+        lattice = Lattice(medium, ray, self._sample_distance(medium), bounds)
+        through = active & (lattice.exit > lattice.entry)
+
+        alone = len(scene.shapes()) == 1
+        if alone and scene.environment() is None:
+            return lattice, None, through
+        surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
+        surface.wi, surface.t = -ray.d, dr.inf
+        if not alone:
+            surface = first_surface(scene, medium.shape, ray, active)
+            distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
+            if dr.any(through & (distance > lattice.entry) & (distance < lattice.exit)):
+                raise RuntimeError(
+                    "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
+                )
+            hidden = distance < lattice.exit
+            through &= ~hidden
+            lattice.leave_out(hidden)
+        background = surface.emitter(scene, active).eval(surface, active) if len(scene.emitters()) > 0 else None
+        return lattice, background, through
+
+    # --------------------------------------------------------------------
+    # The march
+    # --------------------------------------------------------------------
+
+    def _march(self, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
+        """Visit the samples of every ray from the sensor away; `visit(k, stencil, *state)` returns the next state."""
+        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
+        result = dr.while_loop(
+            state=(k, *state),
+            cond=lambda k, *_: k < lattice.count,
+            body=lambda k, *state: (k + 1, *visit(k, lattice.stencil(k), *state)),
+            label=label,
+        )
+        return result[1:]
+
+    def _march_smoke(self, medium: GridMedium, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
+        """As `_march`, with `visit(stencil, *state)`, passing over samples where the extinction is 0."""
+        occupancy = medium.occupancy
+        return self._march(lattice, state, lambda _, *rest: self._in_smoke(occupancy, visit, *rest), label)
+
+    def _in_smoke(self, occupancy: Occupancy, visit: Any, stencil: ClampedStencil, *state: Any) -> tuple:
+        """The state after `visit(stencil, *state)` where there may be smoke; unchanged elsewhere."""
+        return dr.if_stmt(
+            args=state,
+            cond=occupancy.at(stencil.lower),
+            true_fn=lambda *state: visit(stencil, *state),
+            false_fn=lambda *state: state,
+            label="smoke",
+        )
+
+    def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: ClampedStencil) -> Any:
+        """Interpolated extinction: `mi.Float` for a grey medium, `mi.Color3f` for a coloured one."""
+        value = stencil.value(stencil.read(tensor.array, medium.channels))
+        scale = opaque(medium.scale)
+        return value[0] * scale if medium.channels == 1 else mi.Color3f(*value) * scale
+
+    def _zeros(self, medium: GridMedium, lattice: Lattice) -> Any:
+        value_type = mi.Float if medium.channels == 1 else mi.Color3f
+        return dr.zeros(value_type, dr.width(lattice.count))
+
+    def _radiance(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
+        σ_t = dr.detach(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h = lattice.step
+        zeros = self._zeros(medium, lattice)
+
+        if self.quadrature == "paper":
+
+            def visit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
+                σ = self._extinction(medium, σ_t, stencil)
+                τ = τ + h * σ
+                return τ, L + h * σ * dr.exp(-τ)
+
+            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), visit, "emission_absorption")
+            L *= inv_gamma
+        else:
+            # The segments' transmittances telescope: only the optical depth is needed.
+            def visit(stencil: ClampedStencil, τ: Any) -> tuple:
+                return (τ + h * self._extinction(medium, σ_t, stencil),)
+
+            (τ,) = self._march_smoke(medium, lattice, (zeros,), visit, "emission_absorption")
+            L = -_expm1(-τ)
+            if self.quadrature == "exact":
+                L *= inv_gamma
+        return L if background is None else mi.Spectrum(L) + dr.exp(-τ) * background
+
+    def _scatter_adjoint(self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum) -> None:
+        """Accumulate δL · ∂L/∂σ_t into the gradient of the extinction tensor.
+
+        paper:  ∂L/∂σ_k = h (exp(−τ_k)/γ − (L − S_k)), S_k being the part of L from the samples before k: what sample
+        k emits towards the sensor, less what it absorbs of everything at and behind it.
+        exact:  ∂L/∂σ_k = h (1/γ − L) for every k, and h (1 − L) for transmittance.
+        """
+        # `RBIntegrator` suspends derivatives around this function.
+        with dr.resume_grad():
+            if not dr.grad_enabled(medium.extinction):
+                return
+        L = mi.Spectrum(L)
+        if medium.channels == 1:
+            A, B = dr.sum(δL), dr.sum(δL * L)
+        else:
+            A, B = mi.Color3f(δL), mi.Color3f(δL * L)
+
+        if lattice.rays is not None and medium.channels == 1:
+            projection = BackProjection(medium, lattice)
+            self._march_adjoint(medium, lattice, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
+            with dr.resume_grad():
+                # Taken out of the AD graph, whose reference to it would make an addition in place copy the array.
+                total = dr.grad(medium.extinction).array
+                dr.clear_grad(medium.extinction)
+            projection.add_to(total)
+        else:
+            limit = self._limit
+            bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * lattice.step * dr.abs(opaque(medium.scale))
+            size, addends = dr.width(medium.extinction.array), dr.width(lattice.count) * lattice.longest
+            sums = RepeatableSum(size, bound, addends)
+            self._march_adjoint(medium, lattice, A, B, lambda _, stencil, adjoint: stencil.splat(sums, adjoint))
+            total = sums.result()
+        with dr.resume_grad():
+            dr.accum_grad(medium.extinction, mi.TensorXf(total, tuple(medium.extinction.shape)))
+
+    def _march_adjoint(self, medium: GridMedium, lattice: Lattice, A: Any, B: Any, deposit: Any) -> None:
+        """Call `deposit(k, stencil, δL ∂L/∂σ_k)` for every sample, given A = δL and B = δL · L."""
+        σ_t = dr.detach(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h, scale = lattice.step, opaque(medium.scale)
+        label = "emission_absorption adjoint"
+
+        if self.quadrature == "paper":
+            occupancy = medium.occupancy
+
+            def absorb(stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
+                σ = self._extinction(medium, σ_t, stencil)
+                τ = τ + h * σ
+                T = dr.exp(-τ)
+                return τ, T, S + h * σ * T * inv_gamma
+
+            def visit(k: mi.UInt32, stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
+                # Empty space, too, has a derivative: it could emit and absorb.
+                before = S
+                τ, T, S = self._in_smoke(occupancy, absorb, stencil, τ, T, S)
+                deposit(k, stencil, (A * (T * inv_gamma + before) - B) * h * scale)
+                return τ, T, S
+
+            zeros = self._zeros(medium, lattice)
+            self._march(lattice, (zeros, zeros + 1, zeros), visit, label)
+        else:
+            constant = (A * self._limit - B) * h * scale
+
+            def visit(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
+                deposit(k, stencil, constant)
+                return ()
+
+            self._march(lattice, (), visit, label)
+
+    @property
+    def _limit(self) -> mi.Float:
+        """The radiance of opaque smoke."""
+        return opaque(1 / self.gamma if self.quadrature != "transmittance" else 1.0)
+
+    def _tangent(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
+        """Derivative of the radiance along the tangent of the extinction tensor."""
+        with dr.resume_grad():
+            σ_t, σ_dot = dr.detach(medium.extinction), dr.grad(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h = lattice.step
+        zeros = self._zeros(medium, lattice)
+
+        def visit(_: mi.UInt32, stencil: ClampedStencil, τ: Any, τ_dot: Any, L_dot: Any) -> tuple:
+            σ = self._extinction(medium, σ_t, stencil)
+            δσ = self._extinction(medium, σ_dot, stencil)
+            τ, τ_dot = τ + h * σ, τ_dot + h * δσ
+            return τ, τ_dot, L_dot + h * (δσ - σ * τ_dot) * dr.exp(-τ)
+
+        τ, τ_dot, L_dot = self._march(lattice, (zeros, zeros, zeros), visit, "emission_absorption tangent")
+        T = dr.exp(-τ)
+        if self.quadrature == "paper":
+            L_dot *= inv_gamma
+        else:
+            L_dot = T * τ_dot * (inv_gamma if self.quadrature == "exact" else 1)
+        return L_dot if background is None else mi.Spectrum(L_dot) - T * τ_dot * background
+
+    def to_string(self) -> str:
+        """One line for Mitsuba's log."""
+        step = self.step if self.step > 0 else "voxel"
+        return f"EmissionAbsorption[gamma = {self.gamma}, quadrature = {self.quadrature}, step = {step}]"
+
+
+def _expm1(x: Any) -> Any:
+    """exp(x) − 1 without cancellation near 0: the difference there is x (1 + x/2 (1 + x/3))."""
+    return dr.select(dr.abs(x) < 1e-2, x * (1 + x * (0.5 + x * (1 / 6 + x * (1 / 24)))), dr.exp(x) - 1)
+
+
+mi.register_integrator("emission_absorption", EmissionAbsorption)

@@ -1,0 +1,215 @@
+"""What a march through a `heterogeneous` medium needs: its extinction tensor and the map from world to cells.
+
+Resolving them once lets the integrator gather from the tensor instead of calling the medium's virtual functions for
+every sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.grid import Shape, opaque
+from tnst_mi.fields.stencil import ClampedStencil
+from tnst_mi.rendering.cameras.orthographic import ParallelRays
+from tnst_mi.rendering.march.occupancy import Occupancy
+
+
+def _children(node: mi.Object) -> dict[str, mi.Object]:
+    """The child objects that a Mitsuba object announces, by name."""
+    objects: dict[str, mi.Object] = {}
+
+    # Here, since its base belongs to the active variant.
+    class Children(mi.TraversalCallback):
+        def put(self, name: str, value: object, *_: object) -> None:
+            if isinstance(value, mi.Object):
+                objects[name] = value
+
+    node.traverse(Children())
+    return objects
+
+
+@dataclass(frozen=True)
+class GridTransform:
+    """The affine map from world space to the unit cube of a gridvolume: `local = 1/2 + matrix (p − centre)`.
+
+    `matrix` is (3, 3) and `centre` (3,), both float64, axes (x, y, z); `centre` is the centre of the grid.
+    """
+
+    matrix: np.ndarray
+    centre: np.ndarray
+
+    def voxel_edges(self, shape: Shape) -> np.ndarray:
+        """World lengths of a cell's edges along the grid's own x, y and z axes."""
+        return np.linalg.norm(np.linalg.inv(self.matrix), axis=0) / np.array(shape[::-1])
+
+    def diagonal(self) -> float:
+        """Length in world space of the longest diagonal of the grid."""
+        edges = np.linalg.inv(self.matrix)
+        signs = np.array([[1, a, b] for a in (-1, 1) for b in (-1, 1)])
+        return float(np.linalg.norm(signs @ edges.T, axis=1).max())
+
+
+def probe_transform(volume: mi.Volume) -> GridTransform:
+    """Recover the `to_world` of a gridvolume, which Mitsuba does not expose.
+
+    The grid's centre is the centre of its bounding box. The rest is read off with a probe: for a moment the volume
+    holds 2×2×2 cells whose values rise along one axis, and the derivative of its interpolated value at the centre
+    is that axis' row of the matrix. Three probes, then the volume's own data are put back.
+    """
+    box = volume.bbox()
+    centre = np.array((box.min + box.max) * 0.5, dtype=np.float64).ravel().tolist()
+    parameters = mi.traverse(volume)
+    rows = []
+    # Integrators suspend derivatives while they render: the volume's own data, if attached, would come back detached.
+    with dr.resume_grad():
+        # A copy: the dictionary hands out a reference, which the probes would overwrite.
+        data = mi.TensorXf(parameters["data"])
+        try:
+            for axis in range(3):
+                ramp = np.zeros((2, 2, 2, data.shape[3]), np.float32)
+                np.moveaxis(ramp, 2 - axis, 0)[1] = 1.0
+                parameters["data"] = mi.TensorXf(ramp)
+                parameters.update()
+                interaction = dr.zeros(mi.Interaction3f)
+                interaction.p = mi.Point3f(*centre)
+                dr.enable_grad(interaction.p)
+                dr.backward(volume.eval(interaction)[0], flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+                rows.append(np.array(dr.grad(interaction.p), dtype=np.float64).ravel())
+        finally:
+            parameters["data"] = data
+            parameters.update()
+    # Two cells span the unit interval: their values differ by 1 over a distance of 1/2.
+    matrix = np.stack(rows) / 2
+    if abs(np.linalg.det(matrix)) == 0:
+        raise RuntimeError(
+            "emission_absorption: sigma_t does not vary with the position; "
+            'use a gridvolume with filter_type "trilinear" and an invertible to_world'
+        )
+    return GridTransform(matrix, np.array(centre))
+
+
+class GridMedium:
+    """A heterogeneous medium, resolved to its extinction tensor; it fills the box of its grid.
+
+    Attributes:
+        medium: the Mitsuba medium.
+        parameters: those of the medium, as `mi.traverse` gives them.
+        extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the medium's is.
+        scale: the medium's `scale`.
+        transform: world space to the grid's unit cube.
+
+    Raises:
+        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` no `gridvolume`.
+    """
+
+    def __init__(self, medium: mi.Medium) -> None:
+        self.medium = medium
+        self.parameters = mi.traverse(medium)
+        self._occupancy: Occupancy | None = None
+        volume = _children(medium).get("sigma_t")
+        if volume is None or "data" not in mi.traverse(volume):
+            raise RuntimeError("emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t")
+        self.transform = probe_transform(volume)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take over the current extinction and scale, which `parameters.update()` may have replaced."""
+        self.extinction = self.parameters["sigma_t.data"]
+        self.scale = float(self.parameters["scale"])
+
+    @property
+    def channels(self) -> int:
+        """Number of extinction values per cell: 1 (grey) or 3 (colour)."""
+        return self.extinction.shape[3]
+
+    @property
+    def grid_shape(self) -> Shape:
+        """(D, H, W) of the grid."""
+        return tuple(self.extinction.shape[:3])
+
+    @property
+    def occupancy(self) -> Occupancy:
+        """Where the extinction is not 0; found once for each array of values."""
+        values = dr.detach(self.extinction).array
+        # The occupancy keeps its values alive, so that no other array can take over their index.
+        if self._occupancy is None or self._occupancy.values.index != values.index:
+            self._occupancy = Occupancy(values, self.grid_shape, self.channels)
+        return self._occupancy
+
+
+class Lattice:
+    """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
+
+    Sample k of n lies at (k − (n − 1)/2) step from that point, n having the parity of D: a ray along z through a grid
+    of cubic cells, with the cell as step, samples exactly the cell centres. Only samples between the entry into and the
+    exit from the grid's box are visited, and of these only the ones in front of the ray's origin and inside the shape
+    around the medium.
+
+    Args:
+        medium: the grid and its place in the world.
+        ray: the rays; their directions are unit vectors.
+        step: distance between samples in world units.
+        crossing: distances at which the rays enter and leave that shape; None if it is the grid's box.
+
+    Attributes:
+        entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
+        count: number of samples of each ray.
+        spacing, step: distance between samples in world units, as a number of the host and of the device.
+        rays: set where the rays are those of one view.
+        first: for each ray, where in the sequence k − (n − 1)/2 (rounded down) its first sample is.
+    """
+
+    def __init__(
+        self, medium: GridMedium, ray: mi.Ray3f, step: float, crossing: tuple[mi.Float, mi.Float] | None = None
+    ) -> None:
+        d, h, w = medium.grid_shape
+        size = mi.Vector3f(*(opaque(n) for n in (w, h, d)))
+        matrix = mi.Matrix3f([[opaque(value) for value in row] for row in medium.transform.matrix.tolist()])
+        centre = mi.Point3f(*(opaque(value) for value in medium.transform.centre.tolist()))
+        self.step = opaque(step)
+        phase = opaque(0.0 if d % 2 else 0.5)
+
+        nearest = dr.dot(centre - ray.o, ray.d)
+        # Both in cells, with the centre of cell 0 as origin.
+        origin = (matrix @ mi.Vector3f(ray.o + nearest * ray.d - centre)) * size + (size - 1) * 0.5
+        direction = (matrix @ mi.Vector3f(ray.d)) * size
+
+        to_low, to_high = (-0.5 - origin) / direction, (size - 0.5 - origin) / direction
+        # A ray parallel to a face gives 0/0 on it and ±∞ elsewhere; dr.minimum would propagate the NaN.
+        parallel = direction == 0
+        within = (origin >= -0.5) & (origin <= size - 0.5)
+        low = dr.select(parallel, dr.select(within, -dr.inf, dr.inf), dr.minimum(to_low, to_high))
+        high = dr.select(parallel, dr.select(within, dr.inf, -dr.inf), dr.maximum(to_low, to_high))
+        begin = dr.maximum(dr.max(low), -nearest)
+        end = dr.min(high)
+        if crossing is not None:
+            begin = dr.maximum(begin, crossing[0] - nearest)
+            end = dr.minimum(end, crossing[1] - nearest)
+        self.entry, self.exit = begin + nearest, end + nearest
+
+        first = dr.ceil(begin / self.step - phase)
+        last = dr.floor(end / self.step - phase)
+        self.count = mi.UInt32(mi.Int32(dr.select(last >= first, last - first + 1, 0)))
+        self.increment = direction * self.step
+        self.first = dr.select(last >= first, first, 0)
+        self.origin = origin + (self.first + phase) * self.increment
+        self.shape, self.spacing, self._diagonal = (d, h, w), step, medium.transform.diagonal
+        self.rays: ParallelRays | None = None
+
+    @property
+    def longest(self) -> int:
+        """No ray has more samples than this."""
+        return math.ceil(self._diagonal() / self.spacing) + 2
+
+    def leave_out(self, hidden: mi.Bool) -> None:
+        """Take all samples from some of the rays."""
+        self.count = dr.select(hidden, 0, self.count)
+
+    def stencil(self, k: mi.UInt32 | mi.Float) -> ClampedStencil:
+        """The eight cells around sample k, counted from the first of each ray."""
+        return ClampedStencil(self.shape, dr.fma(self.increment, mi.Float(k), self.origin))

@@ -1,0 +1,132 @@
+"""The pictures of `tnst-mi render`: which frame from which view, and the two ways to make them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tnst_mi.frame import Frame
+from tnst_mi.io.png import srgb
+from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.renderer import render
+from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
+
+Attributes = dict[str, float | str | View]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture to be made: the frame's place in its sequence, the view, and what tells its file from others."""
+
+    frame: int
+    view: View
+    suffix: str
+
+
+def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot]:
+    """Every view of every frame."""
+    return [Shot(frame, view, f"view_{view[0]:g}_{view[1]:g}") for frame in range(frames) for view in views]
+
+
+def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
+    """A full turn of the azimuth in `count` steps, the last one short of the first so that the video loops.
+
+    A sequence plays once during the turn, evenly: picture i shows frame ⌊i frames / count⌋. With as many pictures as
+    frames, each frame is seen once.
+    """
+    digits = len(str(count - 1))
+    return [
+        Shot(i * frames // count, (start[0] + 360.0 * i / count, start[1]), f"turntable_{i:0{digits}d}")
+        for i in range(count)
+    ]
+
+
+class Painter(Protocol):
+    """A way to make pictures."""
+
+    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+        """Linear values of picture `number`, (H, W) or (H, W, 3)."""
+
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """The same as an 8-bit picture shows it, in [0, 1]."""
+
+    def attributes(self) -> Attributes:
+        """What the header of an EXR says about all pictures."""
+
+
+class EmissionAbsorption:
+    """Grey pictures by the emission–absorption integrator; one exposure, 1 / the largest value in the `first` view."""
+
+    def __init__(self, frames: Sequence[Frame], first: View, gamma: float, quadrature: str) -> None:
+        self.gamma, self.quadrature, self.exposure = gamma, quadrature, 1.0
+        brightest = max(float(self.paint(frame.density, first, 0).max()) for frame in frames)
+        if brightest > 0.0:
+            self.exposure = 1.0 / brightest
+
+    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+        """The exposed image (H, W)."""
+        return self.exposure * np.asarray(render(density, view, self.gamma, self.quadrature))
+
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """Without any tone curve: these are the pictures that the network sees."""
+        return image
+
+    def attributes(self) -> Attributes:
+        """γ, quadrature and exposure."""
+        return {"gamma": self.gamma, "quadrature": self.quadrature, "exposure": self.exposure}
+
+
+class PathTraced:
+    """Pictures (height, width, 3) of the smoke in the studio of a look; every picture has noise of its own.
+
+    Args:
+        frames: all frames to come.
+        views: all views to come, in degrees.
+        look: "thin", "medium" or "thick".
+        integrator: "volpath" or "prbvolpath".
+        size: (width, height) in pixels.
+        samples: paths per pixel.
+        seed: not negative.
+        denoise: use OptiX where it exists; `denoised` says whether it does.
+
+    Raises:
+        InputError: frames differ in shape, or a view is from below the ground.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[Frame],
+        views: Sequence[View],
+        look: str,
+        integrator: str,
+        size: tuple[int, int],
+        samples: int,
+        seed: int,
+        denoise: bool,
+    ) -> None:
+        self.look, self.integrator, self.samples, self.seed = look, integrator, samples, seed
+        self.studio = Studio(look, integrator, Smoke.of(frame.density for frame in frames), views, size)
+        self.denoiser = find_denoiser(size) if denoise else None
+        self.denoised = self.denoiser is not None
+
+    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+        """Radiance, where 1 is white."""
+        image = self.studio.render(density, view, self.samples, (self.seed, number))
+        return image if self.denoiser is None else self.denoiser(image)
+
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """Through the sRGB curve."""
+        return srgb(image)
+
+    def attributes(self) -> Attributes:
+        """Look, integrator, paths per pixel, seed, and whether the picture was denoised."""
+        return {
+            "look": self.look,
+            "integrator": self.integrator,
+            "samples_per_pixel": float(self.samples),
+            "seed": str(self.seed),
+            "denoised": "yes" if self.denoised else "no",
+        }

@@ -1,0 +1,172 @@
+"""Smoke that scatters light instead of emitting it, path traced by Mitsuba's `prbvolpath`: what drives a stylization
+when its recipe says so, to see what the paper's emission–absorption leaves out.
+
+World units, the views and the smoke's box are those of `scene`; black is where no light is scattered into the view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.renderer import Renderer
+from tnst_mi.rendering.scene import scene_description
+
+_DENSITY = "smoke.interior_medium.sigma_t.data"
+_SCALE = "smoke.interior_medium.scale"
+
+_MAX_DEPTH = 32
+_RUSSIAN_ROULETTE_DEPTH = 8
+
+_SLACK = 2.0
+"""Majorant over the largest extinction when a scene is loaded. At 1 the derivatives of `prbvolpath` are wrong: they are
+carried by null collisions, of which there are none where the smoke is densest."""
+
+_LEAST_SLACK = 1.1
+"""Slack below which the scene is loaded again with a larger majorant."""
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """How the smoke scatters, and what light falls on it.
+
+    Attributes:
+        albedo: scattered share of the extinguished light, 0 to 1.
+        anisotropy: mean cosine g of Henyey and Greenstein's phase function, -1 to 1 exclusive; 0 scatters evenly.
+        light: Mitsuba scene file of which the emitters are taken.
+        spp: paths per pixel.
+    """
+
+    albedo: float
+    anisotropy: float
+    light: Path
+    spp: int
+
+
+class ScatteringRenderer(Renderer):
+    """Smoke that scatters light, path traced: each seed has its own noise, and the derivative has noise of its own.
+
+    Args:
+        shape: (D, H, W) of the grid.
+        gamma: ratio γ of extinction to density, per full-resolution cell.
+        h: size of a cell in full-resolution cells.
+        lighting: the smoke's scattering and its light.
+
+    Raises:
+        InputError: the light's file cannot be used.
+    """
+
+    def __init__(self, shape: Shape, gamma: float, h: float, lighting: Lighting) -> None:
+        self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
+        # Kept: emitters refer to the scene that they were loaded with.
+        self._light = load_light(lighting.light)
+        #: By number of views.
+        self._scenes: dict[int, _LoadedScene] = {}
+
+    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+        """What the views show, (V, H, W), without derivatives."""
+        loaded = self._show(density, views)
+        primal, _ = _seeds(seed)
+        image = loaded.scene.integrator().render(
+            loaded.scene, loaded.sensor, seed=primal, spp=self.lighting.spp, evaluate=False
+        )
+        return mi.TensorXf(image.array, (len(views), *self.shape[1:]))
+
+    def gradient(
+        self,
+        density: mi.TensorXf,
+        views: Sequence[View],
+        seed: Sequence[int],
+        images: mi.TensorXf,
+        image_gradient: mi.TensorXf,
+    ) -> mi.TensorXf:
+        """An estimate of the derivative (D, H, W) with respect to the density, along paths of its own."""
+        _, rows, columns = self.shape
+        _, adjoint = _seeds(seed)
+        with dr.resume_grad():
+            σ_t = dr.detach(density)
+            dr.enable_grad(σ_t)
+            loaded = self._show(σ_t, views)
+            gradient = mi.TensorXf(image_gradient.array, (len(views) * rows, columns, 1))
+            with dr.suspend_grad():
+                loaded.scene.integrator().render_backward(
+                    loaded.scene, loaded.parameters, gradient, loaded.sensor, seed=adjoint, spp=self.lighting.spp
+                )
+            return mi.TensorXf(dr.grad(loaded.parameters[_DENSITY]).array, self.shape)
+
+    def _show(self, density: mi.TensorXf, views: Sequence[View]) -> _LoadedScene:
+        """A scene with this density and these views, its majorant larger than the extinction."""
+        count = len(views)
+        loaded = self._scenes.get(count) or self._load(count, 1.0)
+        largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
+        if _LEAST_SLACK * largest > loaded.majorant:
+            loaded = self._load(count, _SLACK * largest)
+        self._scenes[count] = loaded
+        loaded.sensor.set_views(views)
+        # σ_t = γ d without a copy: the medium's scale is γ.
+        loaded.parameters[_SCALE] = self.gamma
+        loaded.parameters[_DENSITY] = mi.TensorXf(density.array, (*self.shape, 1))
+        loaded.parameters.update()
+        return loaded
+
+    def _load(self, view_count: int, majorant: float) -> _LoadedScene:
+        lighting = self.lighting
+        description = scene_description(self.shape, self.gamma, "exact", self.h, view_count)
+        description["integrator"] = {
+            "type": "prbvolpath",
+            "max_depth": _MAX_DEPTH,
+            "rr_depth": _RUSSIAN_ROULETTE_DEPTH,
+            "hide_emitters": True,
+        }
+        description["sensor"]["sampler"] = {"type": "independent"}
+        medium = description["smoke"]["interior"]
+        medium["albedo"] = lighting.albedo
+        medium["phase"] = {"type": "hg", "g": lighting.anisotropy} if lighting.anisotropy else {"type": "isotropic"}
+        # Mitsuba multiplies it by the medium's scale, which is γ.
+        medium["sigma_t"]["max_value"] = majorant / self.gamma
+        emitters = {f"light_{index}": emitter for index, emitter in enumerate(self._light.emitters())}
+        scene = mi.load_dict(description | emitters)
+        return _LoadedScene(scene, mi.traverse(scene), scene.sensors()[0], majorant)
+
+
+@dataclass(frozen=True)
+class _LoadedScene:
+    scene: mi.Scene
+    parameters: mi.SceneParameters
+    sensor: mi.Sensor
+    majorant: float
+
+
+def _seeds(seed: Sequence[int]) -> tuple[int, int]:
+    """Seeds of the primal and the adjoint pass, unlike each other: they share no random numbers."""
+    primal, adjoint = np.random.default_rng(list(seed)).integers(1 << 32, size=2)
+    return int(primal), int(adjoint)
+
+
+def load_light(path: Path) -> mi.Scene:
+    """A Mitsuba scene file, for its emitters, which must surround a scene: directional, constant or envmap.
+
+    Raises:
+        InputError: the file cannot be read, has no emitter, or one that belongs to a shape.
+    """
+    try:
+        scene = mi.load_file(str(path))
+    except Exception as error:  # Mitsuba's parser and plugins raise RuntimeError, TypeError, …, in many lines
+        reason = str(error).strip().splitlines()
+        raise InputError(f"{path}: cannot be read as a Mitsuba scene ({reason[0] if reason else error})") from None
+    if not scene.emitters():
+        raise InputError(f"{path}: the scene has no emitter, expected a directional, constant or envmap one")
+    for emitter in scene.emitters():
+        if mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
+            raise InputError(
+                f"{path}: an emitter belongs to a shape, expected directional, constant or envmap emitters only"
+            )
+    return scene

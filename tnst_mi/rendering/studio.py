@@ -1,0 +1,214 @@
+"""Beauty renders: smoke lit in the studio of `scenes/looks`, with multiple scattering, by Mitsuba's path tracers.
+
+A look is a Mitsuba XML scene; the smoke, its place and the picture's size are its parameters. World units: the longest
+edge of the grid is 1 and its centre the origin, so that one set of lights fits grids of any size. Camera, lights and
+sky turn together with the azimuth, as if the smoke stood on a turntable: every view is lit from the same side.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.rendering.cameras.views import View, camera_frame
+from tnst_mi.rendering.looks import look_file
+
+_DENSITY = "smoke.interior_medium.sigma_t.data"
+_CAMERA = "camera.to_world"
+_ZOOM = "camera.x_fov"
+
+#: Mitsuba's bound on the density, relative to the largest one. Derivatives of `prbvolpath` need the slack.
+_SLACK = 1.1
+
+#: Room around the grid's box in the picture.
+_MARGIN = 1.05
+
+#: Distance of the ground below the grid, so that no ray starts on both.
+_GAP = 2e-3
+
+
+@dataclass(frozen=True)
+class Smoke:
+    """What all frames of a sequence have in common.
+
+    Attributes:
+        shape: (D, H, W) of their grids.
+        largest: the largest density.
+        occupied: slices (z, y, x) of the box that holds all smoke and a cell around it; path tracing is slow in it
+            and fast elsewhere.
+    """
+
+    shape: Shape
+    largest: float
+    occupied: tuple[slice, slice, slice]
+
+    @classmethod
+    def of(cls, densities: Iterable[np.ndarray]) -> Smoke:
+        """Look through densities (D, H, W), one at a time.
+
+        Raises:
+            InputError: there are none, or their shapes differ.
+        """
+        shape, largest, anywhere = None, 0.0, []
+        for density in densities:
+            if shape is not None and density.shape != shape:
+                raise InputError(f"render: a frame of shape {density.shape} after ones of {shape}, expected one shape")
+            shape = density.shape
+            largest = max(largest, float(density.max()))
+            profiles = [density.any(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
+            anywhere = [a | b for a, b in zip(anywhere, profiles, strict=True)] if anywhere else profiles
+        if shape is None:
+            raise InputError("render: no frames given, expected one or more")
+        return cls(shape, largest, tuple(_occupied(profile) for profile in anywhere))
+
+
+def _occupied(profile: np.ndarray) -> slice:
+    """The range of cells of one axis that hold smoke, and a cell on either side; all of them if none does."""
+    cells = np.flatnonzero(profile)
+    if not cells.size:
+        return slice(0, len(profile))
+    return slice(max(int(cells[0]) - 1, 0), min(int(cells[-1]) + 2, len(profile)))
+
+
+class Studio:
+    """The scene of a look, loaded once, to be rendered with any of the frames and views it was made for.
+
+    Args:
+        look: "thin", "medium" or "thick".
+        integrator: "volpath" or "prbvolpath".
+        smoke: what the frames have in common.
+        views: all views to come, (azimuth, elevation) in degrees; one zoom shows the whole grid in each.
+        size: (width, height) of the pictures in pixels.
+
+    Raises:
+        InputError: a view is from below the ground.
+    """
+
+    def __init__(self, look: str, integrator: str, smoke: Smoke, views: Sequence[View], size: tuple[int, int]) -> None:
+        self.smoke, self.size = smoke, size
+        edges = np.array(smoke.shape[::-1]) / max(smoke.shape)
+        self._load(look, integrator, edges)
+        self.parameters = mi.traverse(self.scene)
+        #: How the camera, and all that turns with it, stands for the view (0, 0). Copies: the dictionary hands out
+        #: references, which the views would turn further and further.
+        self._front = {
+            key: mi.Transform4f(self.parameters[key].matrix)
+            for key in self.parameters.keys()
+            if key.endswith(".to_world")
+        }
+        distance = float(np.array(self._front[_CAMERA].translation()).ravel()[2])
+        lowest = math.degrees(math.asin(-edges[1] / 2 / distance))
+        for azimuth, elevation in views:
+            if distance * math.sin(math.radians(elevation)) <= -edges[1] / 2:
+                raise InputError(
+                    f"view {azimuth:g},{elevation:g}: the camera would be below the ground; "
+                    f"expected an elevation above {lowest:.1f}"
+                )
+        self.parameters[_ZOOM] = dr.opaque(mi.Float, _horizontal_field_of_view(edges, views, distance, size))
+
+    def _load(self, look: str, integrator: str, edges: np.ndarray) -> None:
+        """Load the look's scene around a grid of the given edges (x, y, z), with no smoke in it."""
+        low, high = (
+            np.array([getattr(cells, end) for cells in reversed(self.smoke.occupied)]) / max(self.smoke.shape)
+            - edges / 2
+            for end in ("start", "stop")
+        )
+        with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
+            volume = Path(folder) / "empty.vol"
+            mi.VolumeGrid(np.zeros((2, 2, 2, 1), np.float32)).write(str(volume))
+            self.scene = mi.load_file(
+                str(look_file(look)),
+                integrator=integrator,
+                columns=self.size[0],
+                rows=self.size[1],
+                floor=-edges[1] / 2 - _GAP,
+                volume=str(volume),
+                largest=_SLACK * self.smoke.largest or 1.0,
+                **dict(zip(("width", "height", "depth"), (high - low).tolist(), strict=True)),
+                **dict(zip("xyz", ((low + high) / 2).tolist(), strict=True)),
+            )
+
+    def show(self, density: np.ndarray, view: View) -> None:
+        """Put a density (D, H, W) of the frames into the scene, and turn the camera to a view."""
+        part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
+        self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
+        azimuth, elevation = view
+        turned = mi.ScalarTransform4f().rotate([0, 1, 0], azimuth)
+        raised = turned @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
+        for key, front in self._front.items():
+            placed = raised if key == _CAMERA else turned
+            self.parameters[key] = mi.Transform4f(placed.matrix) @ front
+        self.parameters.update()
+
+    def render(self, density: np.ndarray, view: View, samples: int = 64, seed: int | Sequence[int] = 0) -> np.ndarray:
+        """Render a density from a view.
+
+        Args:
+            density: (D, H, W), one of the frames.
+            view: (azimuth, elevation) in degrees, one of the views.
+            samples: paths per pixel; the noise falls with their square root.
+            seed: the same one gives the same bits on the same machine and variant.
+
+        Returns:
+            Linear radiance (height, width, 3), row 0 at the top; the lights are set so that 1 is white.
+        """
+        self.show(density, view)
+        total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
+        # One path per pixel and launch: more would be added up in the order in which the threads arrive.
+        for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
+            total += mi.render(self.scene, spp=1, seed=pass_seed)
+            dr.eval(total)
+        return (total / samples).numpy()
+
+
+def _horizontal_field_of_view(
+    edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]
+) -> float:
+    """The angle in degrees at which pictures of a size show a whole box, and a margin, in every view.
+
+    The box has edges (x, y, z) about the origin, which the camera looks at from a distance.
+    """
+    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
+    widest = 0.0
+    for view in views:
+        x, y, towards = (signs * edges @ axis for axis in camera_frame(*view))
+        slope = np.maximum(abs(x), abs(y) * size[0] / size[1]) / (distance - towards)
+        widest = max(widest, float(slope.max()))
+    return 2 * math.degrees(math.atan(_MARGIN * widest))
+
+
+class Denoiser:
+    """Mitsuba's OptiX denoiser for pictures of one size, (width, height)."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._denoise = mi.OptixDenoiser(input_size=list(size))
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """The picture (height, width, 3) without its noise."""
+        return np.array(self._denoise(mi.TensorXf(np.ascontiguousarray(image, np.float32))))
+
+
+def find_denoiser(size: tuple[int, int]) -> Denoiser | None:
+    """The denoiser, or None where the variant or the driver lacks OptiX, or the driver lacks the denoiser's weights."""
+    if not mi.variant().startswith("cuda") or not hasattr(mi, "OptixDenoiser") or not _denoiser_answers():
+        return None
+    return Denoiser(size)
+
+
+@functools.cache
+def _denoiser_answers() -> bool:
+    """Whether OptiX can make a denoiser, tried in another process: Mitsuba ends the process where it cannot."""
+    attempt = f"import mitsuba as mi; mi.set_variant({mi.variant()!r}); mi.OptixDenoiser(input_size=[16, 16])"
+    return subprocess.run([sys.executable, "-c", attempt], capture_output=True, check=False).returncode == 0

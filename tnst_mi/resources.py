@@ -1,0 +1,24 @@
+"""Files that come with the package: its data, and the scenes, which lie beside it in a checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tnst_mi.errors import InputError
+
+DATA = Path(__file__).resolve().parent / "data"
+
+#: In an installed package, and in a checkout.
+_SCENES = (DATA.parent / "scenes", DATA.parents[1] / "scenes")
+
+
+def scene_file(name: str) -> Path:
+    """A file of the scenes, such as "looks/thin.xml".
+
+    Raises:
+        InputError: the installation lacks it.
+    """
+    for scenes in _SCENES:
+        if (scenes / name).is_file():
+            return scenes / name
+    raise InputError(f"{_SCENES[0] / name}: is missing; install the package again")

@@ -1,0 +1,1 @@
+"""A whole run: from paths and a recipe to a folder of results."""

@@ -1,0 +1,83 @@
+"""`tnst_mi.stylize`: frames and a recipe in, stylized frames out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import StoredArrays
+from tnst_mi.run.job import Frames, Job
+from tnst_mi.run.record import sequence_record
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a stylization gives, one entry per frame. Arrays that were written to files are read when they are used.
+
+    Attributes:
+        densities: stylized densities, (D, H, W) float32, blended as the recipe says.
+        velocities: the velocities v* that transport the smoke, (D, H, W, 3) float32 in cells per frame; 0
+            where the recipe changes densities in place.
+        frames: the frames as they came in.
+        history: one dict per iteration: octave, iteration, loss, terms, seconds.
+        run: the content of run.json.
+        out: the folder of the results, or None.
+    """
+
+    densities: Sequence[np.ndarray]
+    velocities: Sequence[np.ndarray]
+    frames: Sequence[Frame]
+    history: list[list[dict[str, Any]]]
+    run: dict[str, Any]
+    out: Path | None
+
+
+def stylize(
+    frames: Frames,
+    recipe: Recipe | str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    progress: bool = True,
+) -> Result:
+    """Stylize one frame or a sequence.
+
+    Ctrl-C ends it early: a single frame is given as far as it got. Without `out`, the state of all frames of a sequence
+    is held in memory; with it, memory is bounded by the window.
+
+    Args:
+        frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
+        recipe: a recipe, the path of a recipe file, or a dict of recipe keys.
+        out: an empty or new folder for the results; None to write nothing.
+        progress: show a progress bar on stderr.
+
+    Raises:
+        InputError: the frames, the recipe, the weights or `out` cannot be used; then nothing is written.
+    """
+    if isinstance(recipe, str | Path):
+        recipe = Recipe.from_toml(recipe)
+    elif isinstance(recipe, Mapping):
+        recipe = Recipe.from_dict(recipe)
+    elif not isinstance(recipe, Recipe):
+        raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
+    job = Job(frames, recipe, out, progress=progress)
+    densities: Sequence[np.ndarray] = []
+    velocities: Sequence[np.ndarray] = []
+    history = []
+    for frame in job.run():
+        history.append(frame.stylized.history)
+        if job.out is None:
+            densities.append(frame.stylized.density)
+            velocities.append(frame.stylized.velocity)
+    names = [record["name"] for record in job.record["frames"]]
+    if job.out is not None:
+        densities = StoredArrays(job.out, "density", names, job.suffix)
+        velocities = StoredArrays(job.out, "velocity", names, job.suffix)
+    elif len(densities) == len(job.frames) > 1:
+        job.record["sequence"] = sequence_record(job.recipe, job.frames, densities, job.record["frames"])
+    return Result(densities, velocities, job.frames_named(names), history, job.record, job.out)

@@ -1,0 +1,297 @@
+"""The folder of a run: what is written where, how a finished frame is recognised, what may be overwritten.
+
+    density/NAME.npz     stylized density, obstacle     velocity/NAME.npz    the velocity v* that transports
+                         (.vol, .uni or .vdb in place of .npz where that is the format of the results)
+    images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
+    recipe.toml          the recipe as run              run.json             what was done, with which numbers
+    metrics.jsonl        one line per iteration
+
+Every file appears whole or not at all; a frame counts as finished once run.json, written last, says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.atomic import remove_unfinished, written_whole
+from tnst_mi.io.companions import OBSTACLE, companion
+from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.exr import read_exr, write_exr
+from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
+from tnst_mi.io.png import write_png
+from tnst_mi.io.video import can_encode
+from tnst_mi.recipe.recipe import KINDS, Recipe
+from tnst_mi.run.before_after import side_by_side
+
+#: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
+_FRAME_FILES = (
+    *(f"{kind}/{{}}{suffix}" for kind in ("density", "velocity") for suffix in FORMATS),
+    *(f"images/{{}}_{state}.{format}" for state in ("before", "after") for format in ("png", "exr")),
+    "images/{}_comparison.png",
+    "images/{}_loss.png",
+)
+_RUN_FILES = (
+    *(f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png")),
+    "metrics.jsonl",
+)
+
+#: What tells that a folder holds a run: removed last, and in this order, so that a removal can be taken up again.
+_MARKS = ("run.json", "recipe.toml")
+
+_FOLDERS = ("density", "velocity", "images")
+
+#: Folder of the working state.
+_WORK = ".work"
+
+#: Keys that may be others when a run is resumed.
+_DECIDES_NOTHING = ("fps",)
+
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+_ELSEWHERE = "give another folder"
+
+
+def holds_run(out: Path) -> bool:
+    """Whether a folder has the two files that every run writes."""
+    return all((out / name).is_file() for name in _MARKS)
+
+
+def frame_names(out: Path) -> list[str]:
+    """The names of the frames of the run in a folder; none where the folder is empty or new.
+
+    Raises:
+        InputError: the folder holds something else than a run, or its run.json is damaged.
+    """
+    if not _occupied(out) or _just_begun(out):
+        return []
+    if not holds_run(out):
+        raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
+    try:
+        run = json.loads((out / "run.json").read_text("utf-8"))
+        # A frame may have been written and not recorded yet.
+        names = list(dict.fromkeys([*(frame["name"] for frame in run["frames"]), *run.get("inputs", ())]))
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {_ELSEWHERE}") from None
+    for name in names:
+        # Whoever wrote the file must not make us remove anything outside the folder.
+        if not isinstance(name, str) or not is_file_name(name):
+            raise InputError(f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}")
+    return names
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a frame's name stays inside the folders of the results."""
+    return bool(name) and not any(character in name for character in "/\\\0")
+
+
+def resumable_run(
+    out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
+) -> dict[str, Any] | None:
+    """The record of the run to be resumed, with the frames that it has finished; None where it has not begun.
+
+    Args:
+        out: the folder of the run.
+        recipe: what it is to be resumed with.
+        weights: likewise, as run.json tells them.
+        suffix: how the names of the files of its results end.
+
+    Raises:
+        InputError: the folder holds something else, or a run with another recipe, other weights, or files of another
+            format.
+    """
+    if not _occupied(out) or _just_begun(out):
+        return None
+    if not holds_run(out):
+        raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
+    try:
+        run = json.loads((out / "run.json").read_text("utf-8"))
+        run["frames"] = [
+            frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"], suffix)
+        ]
+        run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
+        earlier_format = run.get("format", suffix[1:])
+        earlier_weights = run["weights"]["sha256"]
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
+    earlier = Recipe.from_toml(out / "recipe.toml")
+    for key in (*KINDS, "keyframes"):
+        if key in _DECIDES_NOTHING:
+            continue
+        before, now = getattr(earlier, key), getattr(recipe, key)
+        if before != now:
+            raise InputError(
+                f"{out}: its run had {key} = {before!r} and the recipe now has {now!r}; "
+                "resume with the same recipe, or use --overwrite"
+            )
+    if earlier_weights != weights["sha256"]:
+        raise InputError(f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones")
+    if earlier_format != suffix[1:]:
+        raise InputError(
+            f"{out}: its run wrote {earlier_format} files, in the format of its input, which now is {suffix[1:]}; "
+            "resume with the same input, or use --overwrite"
+        )
+    return run
+
+
+class RunFolder:
+    """Writes the results of a run."""
+
+    def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False, suffix: str = FORMATS[0]) -> None:
+        """Make the folder ready, removing the results of an earlier run if they are to be overwritten."""
+        self.out, self.work, self._suffix = out, out / _WORK, suffix
+        if overwrite:
+            _remove_results(out, frame_names(out))
+        for folder in (out, *(out / name for name in _FOLDERS)):
+            remove_unfinished(folder)
+        with written_whole(out / "recipe.toml") as temporary:
+            temporary.write_text(recipe.to_toml(), "utf-8")
+
+    def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
+        """Write a frame's stylized density with its obstacle, and the velocity that made it, in the frame's place."""
+        file, place = f"{source.name}{self._suffix}", source.placement
+        write_frame(self.out / "density" / file, density, obstacle=source.obstacle, placement=place)
+        write_frame(self.out / "velocity" / file, None, velocity, placement=place)
+
+    def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
+        """Write the main view before and after, exposed alike; `attributes` go into the EXR headers."""
+        images = self.out / "images"
+        for suffix, image in (("before", before), ("after", after)):
+            write_png(images / f"{name}_{suffix}.png", image)
+            write_exr(images / f"{name}_{suffix}.exr", image, attributes)
+        write_png(images / f"{name}_comparison.png", side_by_side(before, after))
+
+    def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
+        """Add a frame's iterations to metrics.jsonl, in place of its earlier lines, and plot its loss."""
+        path = self.out / "metrics.jsonl"
+        lines = path.read_text("utf-8").splitlines() if path.exists() else []
+        lines = [line for line in lines if json.loads(line)["frame"] != name]
+        lines += [json.dumps({"frame": name, **entry}) for entry in history]
+        with written_whole(path) as temporary:
+            temporary.write_text("".join(line + "\n" for line in lines), "utf-8")
+        if history:
+            plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
+
+    def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
+        """Write what shows all frames together, whose pictures have been written: preview, contact sheet, plots."""
+        from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
+
+        images, records, sequence = self.out / "images", run["frames"], run["sequence"]
+        names = [record["name"] for record in records]
+
+        def pictures() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+            for name in names:
+                yield name, read_exr(images / f"{name}_before.exr"), read_exr(images / f"{name}_after.exr")
+
+        if can_encode():
+            pairs = ((before, after) for _, before, after in pictures())
+            write_preview(images / "preview.mp4", pairs, frames_per_second)
+        else:
+            print("note: preview.mp4 is not written: pip install imageio-ffmpeg", file=sys.stderr)
+        write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
+        losses = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
+        changes = sequence["relative_changes"]
+        plot_sequence(images / "sequence.png", names, *losses, sequence["flicker_pairs"], changes)
+
+    def remove_work(self) -> None:
+        """Remove the working state of a run that is done."""
+        shutil.rmtree(self.work, ignore_errors=True)
+
+    def write_run(self, run: dict[str, Any]) -> None:
+        """Write run.json."""
+        with written_whole(self.out / "run.json") as temporary:
+            temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
+
+
+class StoredArrays(Sequence[np.ndarray]):
+    """The arrays that a run wrote, in the order of their names; each access reads a file."""
+
+    def __init__(self, out: Path, kind: str, names: Sequence[str], suffix: str = FORMATS[0]) -> None:
+        """Take the "density" or "velocity" of the named frames, in files whose names end in `suffix`."""
+        self._out, self._kind, self._names, self._suffix = out, kind, names, suffix
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._names)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> StoredArrays: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
+        """Read one array, or select several."""
+        if isinstance(index, slice):
+            return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
+        name, as_told = self._names[index], Conventions()
+        stored = read_stored(self._out / self._kind / f"{name}{self._suffix}")
+        if self._kind == "velocity":
+            return stored.centred_velocity(as_told)
+        return stored.frame(as_told, name, None).density
+
+
+def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
+    """Plot the loss over the iterations as PNG, a panel for each octave since each scales its terms anew."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    octaves = sorted({entry["octave"] for entry in history})
+    figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
+    figure.suptitle(name, parse_math=False)
+    for axes, octave in zip(figure.subplots(1, len(octaves), squeeze=False)[0], octaves, strict=True):
+        entries = [entry for entry in history if entry["octave"] == octave]
+        axes.plot([entry["iteration"] for entry in entries], [entry["loss"] for entry in entries], marker=".")
+        axes.set(title=f"octave {octave + 1} of {len(octaves)}", xlabel="iteration", ylabel="loss")
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    with written_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(str(temporary))
+
+
+def _occupied(out: Path) -> bool:
+    return out.exists() and any(out.iterdir())
+
+
+def _just_begun(out: Path) -> bool:
+    """Whether a run was killed here before it wrote its first run.json, or after it had removed another one."""
+    return all(
+        path.name == "recipe.toml"
+        or path.name.startswith((".recipe.", ".run."))
+        or (path.name in _FOLDERS and path.is_dir() and not any(path.iterdir()))
+        for path in out.iterdir()
+    )
+
+
+def _results_of(out: Path, name: str, suffix: str) -> bool:
+    """Whether the arrays of a frame are there."""
+    return is_file_name(name) and all((out / kind / f"{name}{suffix}").is_file() for kind in ("density", "velocity"))
+
+
+def _remove_results(out: Path, names: Iterable[str]) -> None:
+    """Remove the files of the named frames and of their run, then the folders that this leaves empty."""
+    for path in _result_files(out, names):
+        # A linked folder is not ours, whatever its files are called.
+        if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
+            path.unlink()
+    if (out / _WORK).is_dir() and not (out / _WORK).is_symlink():
+        # An error here ends the run: what would be left is the state of another one.
+        shutil.rmtree(out / _WORK)
+    for name in _MARKS:
+        (out / name).unlink(missing_ok=True)
+    for folder in _FOLDERS:
+        with contextlib.suppress(OSError):  # not empty, or not there
+            (out / folder).rmdir()
+
+
+def _result_files(out: Path, names: Iterable[str]) -> Iterator[Path]:
+    for name in names:
+        yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
+        # Of formats with one grid in a file.
+        yield from (companion(out / "density" / f"{name}{suffix}", OBSTACLE[0]) for suffix in GRID_FORMATS)
+    yield from (out / name for name in _RUN_FILES)

@@ -1,0 +1,125 @@
+"""What is known of the frames of a run before they are stylized: how bright they are, and which they are."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.sequence import checked_shapes
+from tnst_mi.network.download import file_hash
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import is_file_name
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is known of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
+    of its density, the SHA-256 of its arrays, and whether it has a velocity."""
+
+    name: str
+    number: int | None
+    brightest: float
+    pixel_sum: float
+    mass: float
+    sha256: str
+    moves: bool
+
+
+def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
+    """Read every frame once, so that bad ones are found before any work, and measure its main view.
+
+    Raises:
+        InputError: a frame cannot be read or differs in shape, or its name is double or cannot name files.
+    """
+    # Looked up late: it can be imported only once a variant is active.
+    from tnst_mi.rendering.driving import main_view
+
+    measures = []
+    for frame in checked_shapes(frames):
+        image = main_view(frame.density, recipe.at(frame.number))
+        digest = hashlib.sha256(frame.density)
+        for array in (frame.velocity, frame.obstacle):
+            if array is not None:
+                digest.update(array)
+        measures.append(
+            Measure(
+                frame.name,
+                frame.number,
+                float(image.max()),
+                float(image.sum()),
+                frame.mass,
+                digest.hexdigest(),
+                frame.velocity is not None,
+            )
+        )
+    names = [measure.name for measure in measures]
+    for name in names:
+        if not is_file_name(name):
+            raise InputError(f"frames: the name {name!r} cannot name files, expected one without / and \\")
+        if names.count(name) > 1:
+            raise InputError(f"frames: the name {name!r} is there more than once, expected one name per frame")
+    return measures
+
+
+def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
+    """Check that a window of several frames can be had: velocities lead from each frame to the next.
+
+    Raises:
+        InputError: there is but one frame, one lacks its velocity, or their numbers have gaps.
+    """
+    if recipe.window == 1:
+        return
+    needed = f"which window = {recipe.window} needs"
+    if len(measures) == 1:
+        raise InputError(f"{measures[0].name}: is a single frame, expected a sequence, {needed}; set window to 1")
+    for measure in measures[:-1]:
+        if not measure.moves:
+            raise InputError(f"{measure.name}: has no velocity, {needed}; add it to the frames, or set window to 1")
+    numbers = [measure.number for measure in measures]
+    for number, following in itertools.pairwise(numbers):
+        if number is not None and following is not None and following != number + 1:
+            raise InputError(f"frames: {following} comes after {number}, expected consecutive frames, {needed}")
+
+
+def exposure_of(measures: Sequence[Measure]) -> float:
+    """1 / the largest pixel of the main views; 1 where all of them are black."""
+    brightest = max(measure.brightest for measure in measures)
+    return 1.0 / brightest if brightest > 0.0 else 1.0
+
+
+def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:
+    """Check that a run to be resumed had these frames: each of them, finished or not, has its part in the others.
+
+    Raises:
+        InputError: there were other frames, or one of them was another.
+    """
+    now, remedy = digests(measures), "resume with the same input, or use --overwrite"
+    for path, digest in file_digests(recipe).items():
+        if run["files"].get(path) != digest:
+            raise InputError(f"{out}: its run had another {path} than there is now; {remedy}")
+    if set(run["inputs"]) != set(now):
+        other = sorted(set(run["inputs"]) ^ set(now))[0]
+        where = "its run" if other in run["inputs"] else "the input now"
+        raise InputError(f"{out}: only {where} has a frame {other}; {remedy}")
+    for name, digest in now.items():
+        if run["inputs"][name] != digest:
+            raise InputError(f"{out}: its run had another {name} than the input has now; {remedy}")
+    if list(run["inputs"]) != list(now):
+        raise InputError(f"{out}: its run had the frames in another order; {remedy}")
+
+
+def digests(measures: Sequence[Measure]) -> dict[str, str]:
+    """The SHA-256 of the frames by their names."""
+    return {measure.name: measure.sha256 for measure in measures}
+
+
+def file_digests(recipe: Recipe) -> dict[str, str]:
+    """The SHA-256 of the pictures and the light that a recipe names, by their paths."""
+    paths = [*recipe.style, *recipe.content, recipe.light]
+    return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}

@@ -1,0 +1,45 @@
+"""The progress bar of a run."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from tnst_mi.optimisation.result import Progress
+
+
+class ProgressBar:
+    """Frame, octave, iteration and loss on stderr, with the time left; appears at the first iteration."""
+
+    def __init__(self, shown: bool) -> None:
+        """Prepare the bar of one run."""
+        self._shown = shown
+        self._bar: tqdm | None = None
+
+    def advance(self, progress: Progress) -> None:
+        """Show one more iteration."""
+        if self._bar is None:
+            # A resumed run begins where it stopped.
+            begin = progress.done - 1
+            self._bar = tqdm(
+                total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
+            )
+        self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
+        self._bar.set_postfix_str(
+            f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
+            refresh=False,
+        )
+        self._bar.update()
+
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        if self._shown:
+            tqdm.write(line, file=sys.stderr)
+
+    def close(self) -> None:
+        """End the line."""
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,176 @@
+"""What a stylized sequence shows of itself: a preview video, a contact sheet, and plots over the frames."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.png import eight_bits
+from tnst_mi.io.video import open_video
+from tnst_mi.losses.pictures import resized
+from tnst_mi.run.before_after import side_by_side
+
+#: Frames on a contact sheet, and in one row of it.
+_ON_SHEET, _IN_ROW = 12, 6
+
+#: Most columns and rows of a picture on the contact sheet.
+_TILE = (240, 360)
+
+#: White pixels around the pictures of a frame, and for the words below and on the left.
+_MARGIN, _CAPTION = 8, 24
+
+#: A column of the contact sheet leaves room for a name, however narrow the pictures are.
+_LEAST_COLUMN = 120
+
+#: Pixels per inch of the contact sheet: a power of two, so that inches give whole pixels back.
+_RESOLUTION = 128
+
+#: Most names of frames along the axis of a plot, and most letters of one.
+_NAMES, _LETTERS = 12, 16
+
+
+def write_preview(path: Path, pairs: Iterable[tuple[np.ndarray, np.ndarray]], frames_per_second: float) -> None:
+    """Write an mp4 video of the smoke before, on the left, and after.
+
+    Args:
+        path: the file, ending in .mp4.
+        pairs: for each frame the two pictures (H, W) in [0, 1], one frame or more; taken one by one.
+        frames_per_second: how fast it plays.
+
+    Raises:
+        InputError: the pictures differ in size.
+    """
+    with open_video(path, frames_per_second) as video:
+        for before, after in pairs:
+            video.add(side_by_side(before, after))
+
+
+def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.ndarray]], count: int) -> None:
+    """Write a PNG of up to 12 frames, evenly spread: each before above after, with its name below.
+
+    Args:
+        path: the file, ending in .png.
+        entries: name and the two pictures (H, W) in [0, 1] of every frame; taken one by one, only the chosen ones kept.
+        count: number of entries, at least 1.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    chosen = set(_evenly_spread(count))
+    tiles = [(name, _tile(before, after)) for i, (name, before, after) in enumerate(entries) if i in chosen]
+    height, width = tiles[0][1].shape
+    row, column = height + _MARGIN + _CAPTION, max(width, _LEAST_COLUMN) + _MARGIN
+    in_row = min(_IN_ROW, len(tiles))
+    sheet = np.ones((_MARGIN + row * -(-len(tiles) // in_row), _CAPTION + column * in_row), np.float32)
+    rows, columns = sheet.shape
+    figure = Figure(figsize=(columns / _RESOLUTION, rows / _RESOLUTION), dpi=_RESOLUTION)
+
+    def write(text: str, x: float, y: float, **style: Any) -> None:
+        figure.text(x / columns, 1 - y / rows, text, ha="center", fontsize=7, parse_math=False, **style)
+
+    for i, (name, tile) in enumerate(tiles):
+        top = _MARGIN + row * (i // in_row)
+        left = _CAPTION + column * (i % in_row) + (column - _MARGIN - width) // 2
+        sheet[top : top + height, left : left + width] = tile
+        write(_shortened(name, column // 8), left + width / 2, top + height + _MARGIN / 2, va="top")
+        if i % in_row == 0:
+            write("before", _CAPTION / 2, top + height / 4, va="center", rotation=90)
+            write("after", _CAPTION / 2, top + 3 * height / 4, va="center", rotation=90)
+    figure.figimage(np.repeat(eight_bits(sheet)[..., None], 3, axis=2))
+    with written_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(str(temporary))
+
+
+def plot_sequence(
+    path: Path,
+    names: Sequence[str],
+    losses_before: Sequence[float | None],
+    losses_after: Sequence[float | None],
+    pairs: Sequence[dict[str, Any]],
+    changes: Sequence[float | None],
+) -> None:
+    """Plot as PNG what there is to know of the frames: loss before and after, flicker and size of the change.
+
+    Args:
+        path: the file, ending in .png.
+        names: the frames, in order.
+        losses_before: the loss of each frame at the start; None leaves a gap.
+        losses_after: the same at the end.
+        pairs: adjacent frames and their flicker, as `FlickerMeter.pairs`.
+        changes: ‖d* − d‖ / ‖d‖ of each frame.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    losses, flickers, sizes = figure.subplots(3, 1, sharex=True)
+    losses.plot(_with_gaps(losses_before), marker=".", color="0.55", label="before")
+    losses.plot(_with_gaps(losses_after), marker=".", color="tab:blue", label="after")
+    losses.set(ylabel="loss")
+    losses.legend()
+
+    position = {name: i for i, name in enumerate(names)}
+    flicker = np.full(len(names), np.nan)
+    for pair in pairs:
+        if pair["flicker"] is not None:
+            flicker[position[pair["from"]]] = pair["flicker"]
+    # A pair is drawn between its two frames.
+    flickers.plot(np.arange(len(names)) + 0.5, flicker, marker=".", color="tab:red")
+    if np.isfinite(flicker).any():
+        mean = float(np.nanmean(flicker))
+        flickers.axhline(mean, color="tab:red", linestyle="--", linewidth=1, label=f"mean {mean:.3f}")
+        flickers.legend(loc="lower right")  # the axis begins at 0: there is room below
+    else:
+        flickers.text(0.5, 0.5, "no pair of frames to compare", transform=flickers.transAxes, ha="center")
+    flickers.set(ylabel="flicker of a pair", ylim=(0.0, _top(flicker)))
+
+    size = _with_gaps(changes)
+    sizes.plot(size, marker=".", color="tab:green")
+    sizes.set(ylabel="change ‖d* − d‖ / ‖d‖", ylim=(0.0, _top(size)))
+    sizes.set(xlabel="frame", xlim=(-0.5, len(names) - 0.5))
+    ticks = range(0, len(names), _round_step(len(names) / _NAMES))
+    labels = [_shortened(names[i], _LETTERS) for i in ticks]
+    sizes.set_xticks(ticks, labels, rotation=30, ha="right", rotation_mode="anchor", parse_math=False)
+    for axes in (losses, flickers, sizes):
+        axes.grid(alpha=0.3)
+    with written_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(str(temporary))
+
+
+def _evenly_spread(count: int) -> list[int]:
+    """Which of `count` frames go on a contact sheet: all, or from the first to the last."""
+    chosen = min(count, _ON_SHEET)
+    return [i * (count - 1) // max(chosen - 1, 1) for i in range(chosen)]
+
+
+def _tile(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """The first picture above the second, both resized to fit their place on the contact sheet."""
+    rows, columns = before.shape
+    scale = min(_TILE[0] / columns, _TILE[1] / rows)
+    size = max(1, round(scale * rows)), max(1, round(scale * columns))
+    return np.concatenate([resized(before, *size), np.ones((2, size[1]), np.float32), resized(after, *size)])
+
+
+def _shortened(name: str, letters: int) -> str:
+    """A name of at most so many letters; its end is kept, where the number is."""
+    return name if len(name) <= letters else "…" + name[1 - letters :]
+
+
+def _with_gaps(values: Sequence[float | None]) -> np.ndarray:
+    """None as NaN, which plots leave out."""
+    return np.array([np.nan if value is None else value for value in values], np.float64)
+
+
+def _top(values: np.ndarray) -> float:
+    """The upper end of an axis from 0, with some room above the largest value."""
+    return 1.1 * float(np.nanmax(values, initial=0.0)) or 1.0
+
+
+def _round_step(least: float) -> int:
+    """The smallest of 1, 2, 5, 10, 20, 50, … that is not below `least`."""
+    return next(step * 10**power for power in itertools.count() for step in (1, 2, 5) if step * 10**power >= least)
