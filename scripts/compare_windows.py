@@ -24,15 +24,16 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.run.folder import StoredArrays
-from tnst_mi.run.job import Job
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
 
 COLUMNS = ("window", "flicker", "relative to 1", "loss before", "loss after", "reduction", "relative to 1", "change")
 
 
 def stylized(frames: Path, recipe: Recipe, out: Path) -> dict[str, Any]:
     """The record of a run, which is resumed if it has begun."""
-    job = Job(frames, recipe, out, resume=out.exists())
-    for _ in job.run():
+    job = Run(prepare(frames, recipe, out, resume=out.exists()))
+    for _ in job:
         pass
     if job.record["status"] != "done":
         raise SystemExit("interrupted; the same command goes on")

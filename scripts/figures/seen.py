@@ -38,8 +38,8 @@ def losses_of(setting: Setting, objective: Objective, images: np.ndarray) -> dic
     values = {name: [] for name in bound.names}
     with torch.no_grad():
         for image in np.asarray(images, np.float32):
-            bound(torch.as_tensor(image[None]).to(torch_device()))
-            for name, value in bound.last_terms.items():
+            _, terms = bound.evaluate(torch.as_tensor(image[None]).to(torch_device()))
+            for name, value in terms.items():
                 values[name].append(float(value))
     return {name: np.array(found) for name, found in values.items()}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -12,10 +11,11 @@ import numpy as np
 import pytest
 
 from tnst_mi.frame import Frame
-from tnst_mi.network.weights import ChosenWeights
+from tnst_mi.optimisation import plan
+from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.store import Store
-from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run import job, prepare
 
 SHAPE = (4, 6, 5)
 
@@ -35,20 +35,11 @@ class FakeOptimiser:
     failure: BaseException | None = None
     interrupted: bool = False
 
-    def __call__(
-        self,
-        frames: Sequence[Frame],
-        names: Sequence[str],
-        numbers: Sequence[int | None],
-        recipe: Recipe,
-        network: object,
-        store: Store,
-        exposure: float,
-        step_scales: Sequence[float],
-    ) -> FakeOptimiser:
-        assert [frame.name for frame in frames] == names and [frame.number for frame in frames] == numbers
-        self.frames, self.recipe, self.store, self.interrupted = frames, recipe, store, False
-        self.calls.append({"recipe": recipe, "exposure": exposure, "step_scales": step_scales})
+    def __call__(self, plan: Plan, frames: Sequence[Frame], network: object, store: Store) -> FakeOptimiser:
+        assert [frame.name for frame in frames] == [frame.name for frame in plan.frames]
+        self.frames, self.recipe, self.store, self.interrupted = frames, plan.recipe, store, False
+        scales = [frame.step_scale for frame in plan.frames]
+        self.calls.append({"recipe": plan.recipe, "exposure": plan.exposure, "step_scales": scales})
         return self
 
     def run(
@@ -97,13 +88,11 @@ class FakeOptimiser:
 def optimiser(monkeypatch: pytest.MonkeyPatch) -> FakeOptimiser:
     """Runs take the fake optimiser and no network."""
     fake = FakeOptimiser()
-    monkeypatch.setattr("tnst_mi.optimisation.runner.SequenceOptimisation", fake)
-    monkeypatch.setattr("tnst_mi.optimisation.goals.objective_of", lambda recipe: OBJECTIVE)
+    monkeypatch.setattr(job, "SequenceOptimisation", fake)
+    for module in (prepare, plan):
+        monkeypatch.setattr(module, "objective_of", lambda recipe: OBJECTIVE)
     network = SimpleNamespace(source="none", sha256="0" * 64, flavour="bvlc")
-    monkeypatch.setattr(
-        "tnst_mi.network.weights.find_weights", lambda source: ChosenWeights(Path(network.source), "bvlc")
-    )
-    monkeypatch.setattr("tnst_mi.network.googlenet.GoogLeNet.from_file", lambda path: network)
+    monkeypatch.setattr(prepare, "load_network", lambda recipe: prepare.Network(network))
     return fake
 
 

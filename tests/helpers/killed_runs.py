@@ -17,7 +17,8 @@ from pathlib import Path
 from moving_smoke import moving_smoke
 
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.job import Job
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
 from tnst_mi.run.progress import ProgressBar
 
 #: After so many that are killed while they start or iterate, children are killed while they write results.
@@ -27,7 +28,7 @@ KILLED_WRITING = 2
 def run(recipe: Recipe, out: Path, pipe: int) -> None:
     """Go on with the run in `out` to its end, telling of every iteration and every frame."""
     ProgressBar.advance = lambda self, progress: os.write(pipe, b"i")
-    for _ in Job(moving_smoke(4), recipe, out, progress=False, resume=True).run():
+    for _ in Run(prepare(moving_smoke(4), recipe, out, resume=True), progress=False):
         os.write(pipe, b"f")
 
 

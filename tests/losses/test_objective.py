@@ -22,8 +22,7 @@ def net() -> SmallNetwork:
 
 @pytest.mark.parametrize("kind", TERMS)
 def test_gradients_agree_with_central_differences(net: SmallNetwork, kind: str) -> None:
-    bound = TERMS[kind].bind(net, HEIGHT, WIDTH)
-    bound.calibrate(views())
+    bound = TERMS[kind].bind(net, HEIGHT, WIDTH).calibrated(views())
     images = views().requires_grad_()
     (analytic,) = torch.autograd.grad(bound(images), images)
     step = 1e-5
@@ -81,34 +80,29 @@ def test_names_are_readable_and_unique(net: SmallNetwork) -> None:
     )
     names = ["style fire.png", "style fire.png #2", "semantic deep:1,4", "content fire.png deep", "tag dog"]
     assert objective.names == names
-    bound = objective.bind(net, HEIGHT, WIDTH)
-    bound(views())
-    assert list(bound.last_terms) == names
+    assert list(objective.bind(net, HEIGHT, WIDTH).evaluate(views())[1]) == names
 
 
-def test_last_terms_are_the_raw_values(net: SmallNetwork) -> None:
+def test_terms_are_the_raw_values(net: SmallNetwork) -> None:
     a, b = Semantic("deep", (1,)), Style(picture(), {"deep": 1.0})
-    bound = (3 * a + 0.1 * b).bind(net, HEIGHT, WIDTH)
-    bound.calibrate(views())
-    bound(views().requires_grad_())
-    for term in (a, b):
-        last = bound.last_terms[term.name]
-        assert not last.requires_grad and last.item() == pytest.approx(value(term, net, views()), rel=1e-12)
+    bound = (3 * a + 0.1 * b).bind(net, HEIGHT, WIDTH).calibrated(views())
+    for images in (views(), views().requires_grad_()):
+        _, terms = bound.evaluate(images)
+        for term in (a, b):
+            raw = terms[term.name]
+            assert not raw.requires_grad and raw.item() == pytest.approx(value(term, net, views()), rel=1e-12)
 
 
 def test_calibration_gives_each_term_a_gradient_of_rms_one_times_its_weight(net: SmallNetwork) -> None:
     terms = [1e6 * Semantic("deep", (1,)), 0.02 * Style(picture(), {"deep": 1e-4}), -ClassTag("dog")]
     for objective, weight in zip(terms, (1e6, 0.02, 1.0), strict=True):
-        bound = objective.bind(net, HEIGHT, WIDTH)
-        bound.calibrate(views())
+        bound = objective.bind(net, HEIGHT, WIDTH).calibrated(views())
         images = views().requires_grad_()
         (g,) = torch.autograd.grad(bound(images), images)
         assert g.square().mean().sqrt().item() == pytest.approx(weight, rel=1e-10)
-    together = (terms[0] + terms[1] + terms[2]).bind(net, HEIGHT, WIDTH)
-    together.calibrate(views())
+    together = (terms[0] + terms[1] + terms[2]).bind(net, HEIGHT, WIDTH).calibrated(views())
     for term in terms:
-        single = term.bind(net, HEIGHT, WIDTH)
-        single.calibrate(views())
+        single = term.bind(net, HEIGHT, WIDTH).calibrated(views())
         assert together.scales[term.names[0]] == pytest.approx(single.scales[term.names[0]], rel=1e-12)
 
 
@@ -116,20 +110,18 @@ def test_scales_pool_over_batches_like_one_batch_and_go_through_a_checkpoint(net
     objective = Semantic("deep", (1,)) + Style(picture(), {"deep": 1.0})
     bound = objective.bind(net, HEIGHT, WIDTH)
     pooled = rms_scales(bound.gradient_square_sum(batch) for batch in (views(5)[:1], views(5)[1:]))
-    bound.calibrate(views(5))
+    bound = bound.calibrated(views(5))
     assert pooled == pytest.approx(bound.scales, rel=1e-12)
     assert all(type(scale) is float for scale in bound.scales.values())
-    restored = objective.bind(net, HEIGHT, WIDTH)
-    restored.set_scales(dict(reversed(bound.scales.items())))
+    restored = objective.bind(net, HEIGHT, WIDTH).scaled(dict(reversed(bound.scales.items())))
     assert torch.equal(restored(views()), bound(views()))
     with pytest.raises(InputError, match="loss scales"):
-        ClassTag("dog").bind(net, HEIGHT, WIDTH).set_scales(bound.scales)
+        ClassTag("dog").bind(net, HEIGHT, WIDTH).scaled(bound.scales)
 
 
 def test_a_term_at_its_minimum_is_not_amplified(net: SmallNetwork) -> None:
     same = torch.from_numpy(picture().grey).double()[None]
-    bound = Content(picture(), "deep").bind(net, HEIGHT, WIDTH)
-    bound.calibrate(same)
+    bound = Content(picture(), "deep").bind(net, HEIGHT, WIDTH).calibrated(same)
     assert list(bound.scales.values()) == [SMALLEST_SCALE]
     images = same.requires_grad_()
     assert torch.autograd.grad(bound(images), images)[0].abs().max() < 1e-3
@@ -138,7 +130,7 @@ def test_a_term_at_its_minimum_is_not_amplified(net: SmallNetwork) -> None:
 def test_scales_do_not_take_part_in_the_gradient_and_need_no_grad_mode(net: SmallNetwork) -> None:
     bound = Style(picture(), {"deep": 1.0}).bind(net, HEIGHT, WIDTH)
     with torch.no_grad():
-        bound.calibrate(views())
+        bound = bound.calibrated(views())
     scale = bound.scales["style picture"]
     torch.testing.assert_close(
         gradient(Style(picture(), {"deep": 1.0 / scale}), net, views()),

@@ -159,13 +159,12 @@ def test_terms_on_googlenet(bvlc_weights: Path, asset: object) -> None:
     assert alone(same).item() < 1e-8 * alone(images[:1]).item()
 
     bound = (fire + Semantic("inception_4b/pool_proj", (16,)) + ClassTag("volcano")).bind(net, 48, 32)
-    bound.calibrate(images)
+    bound = bound.calibrated(images)
     for name, (square_sum, count) in bound.gradient_square_sum(images).items():
         assert np.sqrt(square_sum / count) == pytest.approx(bound.scales[name], rel=1e-4)
     volcano = net.class_index("volcano")
     logits = net(images[:, None].repeat(1, 3, 1, 1), layers=["logits"])["logits"]
-    bound(images)
-    assert bound.last_terms["tag volcano"].item() == pytest.approx(-logits[:, volcano].sum().item(), rel=1e-4)
+    assert bound.evaluate(images)[1]["tag volcano"].item() == pytest.approx(-logits[:, volcano].sum().item(), rel=1e-4)
 
 
 def test_a_layer_named_twice_counts_twice(net: SmallNetwork) -> None:

@@ -10,44 +10,44 @@ from fields import blob, smooth_noise
 
 import tnst_mi
 from tnst_mi.fields.grid import Octave, octaves
+from tnst_mi.fields.pyramid import gaussian, normalise
 from tnst_mi.fields.resampling import resample_density
-from tnst_mi.optimisation.parameterisation import DensityOffset, Transport
+from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport, normalised_step
 
 SHAPE = (16, 24, 20)
+OCTAVE = Octave(SHAPE, 1.0)
 
 
-def pulled_back(parameters: Transport | DensityOffset, weight: np.ndarray, density: np.ndarray) -> None:
-    """Give the fields the gradient of ⟨weight, density*⟩."""
-    parameters.attach()
-    dr.backward(dr.sum(parameters.density(mi.TensorXf(density)) * mi.TensorXf(weight), axis=None))
+def pulled_back(parameterisation: Parameterisation, weight: np.ndarray, density: np.ndarray, h: float = 1.0) -> Fields:
+    """The gradient of ⟨weight, density*⟩ with respect to fields that are 0."""
+    fields = parameterisation.zeros(Octave(SHAPE, h))
+    _, pull_back = parameterisation.density_with_pullback(fields, mi.TensorXf(density), h)
+    return pull_back(mi.TensorXf(weight))
 
 
 @pytest.mark.parametrize(("lam", "names"), [(1.0, {"phi"}), (0.0, {"psi"}), (0.5, {"phi", "psi"})])
 def test_absent_potentials_are_not_stored(lam: float, names: set[str]) -> None:
-    transport = Transport(lam)
-    transport.enter(Octave(SHAPE, 1.0))
-    assert set(transport.fields) == names
-    assert not transport.velocity().numpy().any()
+    fields = Transport(lam).zeros(OCTAVE)
+    assert set(fields) == names
+    assert not Transport(lam).velocity(fields, 1.0).numpy().any()
 
 
 def test_zero_fields_leave_the_density_unchanged() -> None:
     density = blob(SHAPE, (9, 12, 8), 3)
-    for parameters in (Transport(0.5), DensityOffset()):
-        parameters.enter(Octave(SHAPE, 1.0))
-        np.testing.assert_array_equal(parameters.density(mi.TensorXf(density)).numpy(), density)
+    for parameterisation in (Transport(0.5), DensityOffset()):
+        stylized = parameterisation.density(parameterisation.zeros(OCTAVE), mi.TensorXf(density), 1.0)
+        np.testing.assert_array_equal(stylized.numpy(), density)
 
 
 def test_velocity_keeps_its_meaning_across_octaves() -> None:
     """Displacement in full-resolution cells: the same physical motion before and after going up."""
     coarse, full = octaves((36, 54, 36), 2)
     transport = Transport(1.0)
-    transport.enter(coarse)
     d, h, w = coarse.shape
     x = (np.arange(w) - (w - 1) / 2) * coarse.cell_size
-    transport.fields["phi"] = mi.TensorXf(np.broadcast_to(np.float32(1.5 * x), (d, h, w)).copy())
-    before = transport.velocity().numpy()
-    transport.enter(full)
-    after = transport.velocity().numpy()
+    fields = Fields(phi=mi.TensorXf(np.broadcast_to(np.float32(1.5 * x), (d, h, w)).copy()))
+    before = transport.velocity(fields, coarse.cell_size).numpy()
+    after = transport.velocity(transport.carried(fields, coarse, full), full.cell_size).numpy()
     np.testing.assert_allclose(before[..., 0], 1.5, atol=1e-5)
     np.testing.assert_allclose(after[4:-4, 4:-4, 4:-4, 0], 1.5, atol=1e-4)
 
@@ -59,18 +59,14 @@ def test_step_has_the_size_and_the_sign_of_the_recipe(cell_size: float) -> None:
     density, weight = blob(SHAPE, (9, 12, 8), 4), smooth_noise(rng, *SHAPE)
     mask, eta, rows = rng.random(SHAPE).astype(np.float32), 1e-4, 43
     transport = Transport(1.0)
-    transport.enter(Octave(SHAPE, cell_size))
-    pulled_back(transport, weight, density)
-    gradient = dr.grad(transport.fields["phi"])
-    from tnst_mi.fields.pyramid import gaussian, normalise
-
-    direction = normalise(gaussian(gradient, 1.2), 3).numpy()
-    transport.find_steps(mi.TensorXf(mask), eta, rows, 3)
-    transport.descend()
+    gradient = pulled_back(transport, weight, density, cell_size)
+    direction = normalise(gaussian(gradient["phi"], 1.2), 3).numpy()
+    step = normalised_step(gradient, mi.TensorXf(mask), eta * transport.unit_step(rows, cell_size), 3)
+    fields = transport.zeros(Octave(SHAPE, cell_size)) - step
     np.testing.assert_allclose(
-        transport.fields["phi"].numpy(), -eta * rows / 2 * cell_size * mask * direction, rtol=1e-4, atol=1e-7
+        fields["phi"].numpy(), -eta * rows / 2 * cell_size * mask * direction, rtol=1e-4, atol=1e-7
     )
-    after = transport.density(mi.TensorXf(density)).numpy()
+    after = transport.density(fields, mi.TensorXf(density), cell_size).numpy()
     assert (after * weight).sum() < (density * weight).sum()
 
 
@@ -79,35 +75,61 @@ def test_step_of_a_vector_potential_is_masked_in_every_component() -> None:
     mask = np.zeros(SHAPE, np.float32)
     mask[4:12, 6:18, 5:15] = 1
     transport = Transport(0.0)
-    transport.enter(Octave(SHAPE, 1.0))
-    pulled_back(transport, smooth_noise(rng, *SHAPE), blob(SHAPE, (9, 12, 8), 4))
-    transport.find_steps(mi.TensorXf(mask), 0.002, 24, 3)
-    transport.descend()
-    psi = transport.fields["psi"].numpy()
+    gradient = pulled_back(transport, smooth_noise(rng, *SHAPE), blob(SHAPE, (9, 12, 8), 4))
+    step = normalised_step(gradient, mi.TensorXf(mask), 0.002 * transport.unit_step(24, 1.0), 3)
+    psi = (transport.zeros(OCTAVE) - step)["psi"].numpy()
     assert not psi[mask == 0].any()
     assert (np.abs(psi[mask == 1]).max(0) > 1e-4).all()
+
+
+@pytest.mark.parametrize("lam", [1.0, 0.4])
+def test_pullback_is_the_transpose_of_the_tangent(lam: float) -> None:
+    """⟨w, ∂d*/∂fields · δ⟩ = ⟨pull-back of w, δ⟩ by central differences, around fields that are not 0."""
+    rng, transport = np.random.default_rng(4), Transport(lam, substeps=2)
+    density = mi.TensorXf(blob(SHAPE, (9, 12, 8), 4))
+    shapes = {name: SHAPE if c == 1 else (*SHAPE, c) for name, c in transport.channels.items()}
+    fields, change = (
+        Fields({name: mi.TensorXf(size * smooth_noise(rng, *shape, passes=4)) for name, shape in shapes.items()})
+        for size in (2.0, 1.0)
+    )
+    weight = smooth_noise(rng, *SHAPE)
+    _, pull_back = transport.density_with_pullback(fields, density, 1.0)
+    found = pull_back(mi.TensorXf(weight))
+    predicted = sum(float((found[name] * change[name]).numpy().astype(np.float64).sum()) for name in fields)
+
+    def objective(size: float) -> float:
+        moved = Fields({name: field + size * change[name] for name, field in fields.items()})
+        return float((transport.density(moved, density, 1.0).numpy().astype(np.float64) * weight).sum())
+
+    eps = 2e-3
+    assert (objective(eps) - objective(-eps)) / (2 * eps) == pytest.approx(predicted, rel=3e-2)
+
+
+def test_a_step_leaves_the_fields_it_starts_from_alone() -> None:
+    transport = Transport(0.5)
+    fields = transport.zeros(OCTAVE)
+    ones = Fields({name: dr.ones(mi.TensorXf, field.shape) for name, field in fields.items()})
+    after = fields - ones
+    assert all(not field.numpy().any() for field in fields.values())
+    assert all((field.numpy() == -1).all() for field in after.values())
 
 
 @pytest.mark.parametrize("shape", [(12, 36, 24), (1, 36, 24)], ids=["a grid", "a plane"])
 def test_density_offset_is_the_same_share_of_the_density_in_the_next_octave(shape: tuple[int, int, int]) -> None:
     coarse, fine = octaves(shape, 2, 2.0)
-    full = np.ones(shape, np.float32)
-    offset = DensityOffset()
-    offset.enter(coarse)
+    full, offset = np.ones(shape, np.float32), DensityOffset()
     density = resample_density(full, 1.0, coarse.shape, coarse.cell_size)
-    offset.fields["offset"] = mi.TensorXf(0.5 * density)
-    offset.enter(fine)
+    fields = offset.carried(Fields(offset=mi.TensorXf(0.5 * density)), coarse, fine)
     middle = tuple(n // 2 for n in shape)
-    assert offset.density(mi.TensorXf(full)).numpy()[middle] == pytest.approx(1.5, abs=1e-5)
+    assert offset.density(fields, mi.TensorXf(full), 1.0).numpy()[middle] == pytest.approx(1.5, abs=1e-5)
 
 
 def test_density_offset_is_clamped_and_steps_by_eta() -> None:
-    offset = DensityOffset()
-    offset.enter(Octave(SHAPE, 1.0))
-    offset.fields["offset"] = mi.TensorXf(np.full(SHAPE, -0.5, np.float32))
+    fields = Fields(offset=mi.TensorXf(np.full(SHAPE, -0.5, np.float32)))
     density = blob(SHAPE, (9, 12, 8), 3)
-    np.testing.assert_allclose(offset.density(mi.TensorXf(density)).numpy(), np.maximum(density - 0.5, 0), atol=1e-7)
-    assert offset.unit_step(96) == 1.0
+    stylized = DensityOffset().density(fields, mi.TensorXf(density), 1.0)
+    np.testing.assert_allclose(stylized.numpy(), np.maximum(density - 0.5, 0), atol=1e-7)
+    assert DensityOffset().unit_step(96, 1.8) == 1.0
 
 
 def test_incompressible_transport_keeps_the_mass_better_with_more_substeps() -> None:

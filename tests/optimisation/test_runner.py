@@ -18,7 +18,8 @@ from tnst_mi.fields.grid import Octave
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
-from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.optimisation.parameterisation import Fields, Transport
+from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
@@ -27,7 +28,8 @@ from tnst_mi.optimisation.window import window_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.flicker import FlickerMeter
-from tnst_mi.run.job import Job
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
 
 GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 2, "views": 2}
 EXPOSURE = 0.2
@@ -54,9 +56,9 @@ def optimisation(
     scales: list[float] | None = None,
 ) -> SequenceOptimisation:
     names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
-    store = MemoryStore() if store is None else store
     scales = [1.0] * len(frames) if scales is None else scales
-    return SequenceOptimisation(frames, names, numbers, recipe, network, store, EXPOSURE, scales)
+    plan = plan_of(recipe, names, numbers, scales, frames[0].density.shape, EXPOSURE)
+    return SequenceOptimisation(plan, frames, network, MemoryStore() if store is None else store)
 
 
 def stylized(*arguments: object, **others: object) -> list[Stylized]:
@@ -181,13 +183,13 @@ def test_losses_before_and_after_are_those_of_the_objective(network: GoogLeNet) 
     recipe = Recipe(**GOAL | {"blend": 0.5})
     store = MemoryStore()
     (result,) = stylized([frame], recipe, network, store=store)
-    bound = objective_of(recipe).bind(network, *SHAPE[1:])
-    bound.set_scales(store.numbers("scales.1"))
+    bound = objective_of(recipe).bind(network, *SHAPE[1:]).scaled(store.numbers("scales.1"))
     judged = ((result.loss_before, result.terms_before), (result.loss_after, result.terms_after))
     for density, (loss, terms) in zip((frame.density, result.density), judged, strict=True):
         images = tnst_mi.render(mi.TensorXf(density), [(-8, 0), (0, 0), (8, 0)], recipe.gamma, recipe.quadrature)
-        assert float(bound((images * EXPOSURE).torch())) / 3 == pytest.approx(loss, rel=1e-4)
-        assert {name: float(term) / 3 for name, term in bound.last_terms.items()} == pytest.approx(terms, rel=1e-4)
+        value, raw = bound.evaluate((images * EXPOSURE).torch())
+        assert float(value) / 3 == pytest.approx(loss, rel=1e-4)
+        assert {name: float(term) / 3 for name, term in raw.items()} == pytest.approx(terms, rel=1e-4)
 
 
 def test_blend_mixes_the_stylized_density_with_the_frame(network: GoogLeNet) -> None:
@@ -299,13 +301,13 @@ def test_second_ctrl_c_leaves_what_was_written(
     """In the middle of a step: fields that have been changed already must not pass for those of an iteration before."""
     frames, recipe = moving_smoke(1), Recipe(**GOAL)
     (expected,) = stylized(frames, recipe, network)
-    descend = Transport.descend
+    after = Fields.__sub__
 
-    def interrupted(transport: Transport) -> None:
-        descend(transport)
+    def interrupted(fields: Fields, step: Fields) -> Fields:
+        after(fields, step)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Transport, "descend", interrupted)
+    monkeypatch.setattr(Fields, "__sub__", interrupted)
     assert stylized(frames, recipe, network, store=FolderStore(tmp_path))[0].interrupted
     monkeypatch.undo()
     assert bits(stylized(frames, recipe, network, store=FolderStore(tmp_path))) == bits([expected])
@@ -327,11 +329,11 @@ def test_interrupted_single_frame_is_given_as_far_as_it_got(network: GoogLeNet, 
 
     ((_, reached),) = optimisation(frames, recipe, network, store=store).run(interrupt)
     assert reached.interrupted and len(reached.history) == 1
+    fields = Fields({name: mi.TensorXf(array) for name, array in store.read("fields.0", 0).items()})
     transport = Transport(1.0)
-    transport.restore(store.read("fields.0", 0), Octave((4, 6, 5), 2.0))
-    transport.enter(Octave(SHAPE, 1.0))
+    fine = transport.carried(fields, Octave((4, 6, 5), 2.0), Octave(SHAPE, 1.0))
     assert reached.velocity.any()
-    np.testing.assert_array_equal(reached.velocity, transport.velocity().numpy())
+    np.testing.assert_array_equal(reached.velocity, transport.velocity(fine, 1.0).numpy())
 
 
 def test_what_a_window_needs_is_checked_first(weights: Path, tmp_path: Path) -> None:
@@ -381,12 +383,12 @@ def test_a_frame_that_is_damaged_while_the_run_goes_on_stops_it_and_can_be_repai
     recipe = Recipe(**GOAL | {"window": 3, "weights": str(weights)})
     path = tmp_path / "smoke" / "s_006.npz"
     whole = path.read_bytes()
-    job = Job(tmp_path / "smoke", recipe, out, progress=False)
+    job = Run(prepare(tmp_path / "smoke", recipe, out), progress=False)
     path.write_bytes(whole[:-3000])
     with pytest.raises(InputError, match=r"s_006\.npz: .* truncated, or damaged"):
-        list(job.run())
+        list(job)
     path.write_bytes(whole)
-    resumed = list(Job(tmp_path / "smoke", recipe, out, progress=False, resume=True).run())
+    resumed = list(Run(prepare(tmp_path / "smoke", recipe, out, resume=True), progress=False))
     alone = tnst_mi.stylize(frames, recipe, progress=False)
     for frame, density in zip(resumed, alone.densities, strict=True):
         np.testing.assert_array_equal(frame.stylized.density, density)

@@ -5,16 +5,16 @@ The terms themselves are in `losses`. Every term is summed over the views of a b
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.googlenet import GoogLeNet
@@ -110,12 +110,13 @@ class Term(Objective):
 
 
 class BoundObjective:
-    """An objective with its targets for one image size, and one scale per term (1 until they are set).
+    """An objective with its targets for one image size: Σ_i weight_i L_i / scale_i.
+
+    It does not change: `scaled` and `weighed` make others, which share the network and the targets.
 
     Attributes:
         names: One per term, unique.
-        scales: By name: what each term is divided by. Plain floats, fit for a checkpoint.
-        last_terms: By name: the raw values L_i of the latest evaluation, scalar tensors without gradient.
+        scales: By name: what each term is divided by, 1 as it comes. Plain floats, fit for a checkpoint.
     """
 
     def __init__(
@@ -129,7 +130,6 @@ class BoundObjective:
         """Made by `Objective.bind`."""
         self.names = list(names)
         self.scales = dict.fromkeys(names, 1.0)
-        self.last_terms: dict[str, Tensor] = {}
         self._net = net
         self._size = size
         self._weights = dict(zip(names, weights, strict=True))
@@ -142,14 +142,19 @@ class BoundObjective:
         Args:
             images: (N, H, W) grey views in about [0, 1], of the size that the objective was bound to.
         """
+        return self.evaluate(images)[0]
+
+    def evaluate(self, images: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """As a call, with the raw values L_i by name, scalar tensors without gradient."""
         if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
             raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         if torch.is_grad_enabled() and images.requires_grad:
-            return _ViewByView.apply(images, self)
-        return self._forward(images)[0]
+            terms: dict[str, Tensor] = {}
+            return _ViewByView.apply(images, self, terms), terms
+        return self._forward(images)
 
-    def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
-        """The weighted sum, and its derivative, where memory for it is given; sets `last_terms`."""
+    def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+        """The weighted sum and the raw values of the terms; where `gradient` is given, the derivative goes there."""
         totals: dict[str, Tensor] = {}
         for part in self._parts(images):
             losses, views = self._losses(images[part], gradient is not None)
@@ -159,8 +164,7 @@ class BoundObjective:
                 with torch.enable_grad():
                     weighted = self._sum(losses)
                 (gradient[part],) = torch.autograd.grad(weighted, views)
-        self.last_terms = totals
-        return self._sum(totals), gradient
+        return self._sum(totals), totals
 
     def _parts(self, images: Tensor) -> Iterator[slice]:
         """Which views the network sees at once.
@@ -195,9 +199,19 @@ class BoundObjective:
     def _sum(self, losses: Mapping[str, Tensor]) -> Tensor:
         return torch.stack([(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]).sum()
 
-    def weigh(self, weights: Sequence[float]) -> None:
-        """Set the weights of the terms, in the order of `names`."""
-        self._weights = dict(zip(self.names, weights, strict=True))
+    def weighed(self, weights: Sequence[float]) -> BoundObjective:
+        """The same with other weights, in the order of `names`."""
+        other = copy.copy(self)
+        other._weights = dict(zip(self.names, weights, strict=True))
+        return other
+
+    def scaled(self, scales: Mapping[str, float]) -> BoundObjective:
+        """The same with the scales of a checkpoint or of `rms_scales`; raises `InputError` if for other terms."""
+        if set(scales) != set(self.names):
+            raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.names)}")
+        other = copy.copy(self)
+        other.scales = {name: float(scales[name]) for name in self.names}
+        return other
 
     def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
         """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and their number."""
@@ -209,15 +223,9 @@ class BoundObjective:
                 sums[name] += gradient.double().square().sum().item()
         return {name: (square_sum, images.numel()) for name, square_sum in sums.items()}
 
-    def calibrate(self, images: Tensor) -> None:
-        """Set every scale to the RMS of its term's image gradient over this one batch."""
-        self.set_scales(rms_scales([self.gradient_square_sum(images)]))
-
-    def set_scales(self, scales: Mapping[str, float]) -> None:
-        """Take over the scales of a checkpoint or of `rms_scales`; raises `InputError` if for other terms."""
-        if set(scales) != set(self.names):
-            raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.names)}")
-        self.scales = {name: float(scales[name]) for name in self.names}
+    def calibrated(self, images: Tensor) -> BoundObjective:
+        """The same with every scale the RMS of its term's image gradient over this one batch."""
+        return self.scaled(rms_scales([self.gradient_square_sum(images)]))
 
     def _losses(self, images: Tensor, differentiable: bool) -> tuple[dict[str, Tensor], Tensor]:
         """The terms by name, and the images that they can be differentiated with respect to."""
@@ -231,15 +239,17 @@ class _ViewByView(torch.autograd.Function):
     """A bound objective whose derivative is found together with its value, so that no view's features are kept."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, images: Tensor, objective: BoundObjective) -> Tensor:
-        value, gradient = objective._forward(images, torch.empty_like(images))
+    def forward(ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor]) -> Tensor:
+        gradient = torch.empty_like(images)
+        value, found = objective._forward(images, gradient)
+        terms.update(found)
         ctx.save_for_backward(gradient)
         return value
 
     @staticmethod
-    def backward(ctx: FunctionCtx, factor: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, factor: Tensor) -> tuple[Tensor, None, None]:
         (gradient,) = ctx.saved_tensors
-        return gradient * factor, None
+        return gradient * factor, None, None
 
 
 def views_at_once(count: int, saved_bytes: float) -> int:

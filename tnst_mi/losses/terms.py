@@ -2,7 +2,7 @@
 
     objective = Style("fire.png", {"conv2/3x3": 1.0}) + 0.5 * Semantic("inception_4b/pool_proj", (16,))
     bound = objective.bind(net, height, width)      # once per octave: computes the targets
-    bound.calibrate(first_images)                   # each term's image gradient gets RMS 1
+    bound = bound.calibrated(first_images)          # each term's image gradient gets RMS 1
     loss = bound(images)                            # (N, H, W) → scalar
 
 Every term is summed over the views of a batch; lower is better.

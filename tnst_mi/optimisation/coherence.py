@@ -1,4 +1,4 @@
-"""Coherence in time of what is seen: the change of the density shall move with the smoke.
+"""Coherence in time of what is seen: the change of the density is made to move with the smoke.
 
 Aligned gradients (paper Alg. 1) make potentials alike, but potentials that are carried along do not quite move the
 smoke alike, and where the smoke is sharp that shows. So a frame's change c_t = d*_t − d_t is compared with the average
@@ -16,9 +16,12 @@ import mitsuba as mi
 
 from tnst_mi.fields.grid import opaque
 from tnst_mi.fields.pyramid import root_mean_square
-from tnst_mi.optimisation.parameterisation import Parameterisation
+from tnst_mi.optimisation.parameterisation import Fields, normalised_step
+from tnst_mi.optimisation.plan import FramePlan, Plan
+from tnst_mi.optimisation.state import Items
+from tnst_mi.optimisation.window import window_of, window_weights
 
-#: Frames whose changes are averaged: the next ones tell what there is to be told, farther ones arrive blurred.
+#: Frames whose changes are averaged: the nearest ones; those of farther frames arrive blurred.
 WINDOW = 3
 
 #: Width of the blur of the gradient in cells of the octave: differences are fine, and the blur must leave them.
@@ -27,36 +30,57 @@ SIGMA = 0.7
 _FLOOR = 1e-12
 
 
-def coherence_steps(
-    parameters: Parameterisation,
+def coherence_step(plan: Plan, frame: FramePlan, items: Items) -> Fields:
+    """A step of each field that brings the change of a frame nearer to the average of the changes around it."""
+    weights = window_weights(WINDOW)
+    total = items.windowed_sums(frame, "step", ["change"], weights)["change"]
+    # Frames that are left unchanged have no change to follow.
+    window = [i for i in window_of(frame.index, len(plan.frames), WINDOW) if not plan.frames[i].still]
+    present = sum(weights[abs(i - frame.index)] for i in window)
+    inputs = items.inputs(frame)
+    return step_towards(
+        total * opaque(1 / present),
+        frame,
+        items.fields(frame),
+        inputs.density,
+        inputs.mask,
+        frame.recipe.coherence * frame.eta,
+        plan.rows,
+        items.octave.cell_size,
+    )
+
+
+def step_towards(
+    target: mi.TensorXf,
+    frame: FramePlan,
+    fields: Fields,
     density: mi.TensorXf,
     mask: mi.TensorXf,
-    target: mi.TensorXf,
     eta: float,
     rows: int,
-    levels: int,
-) -> dict[str, mi.TensorXf]:
+    h: float,
+) -> Fields:
     """A step of each field that brings the density's change nearer to a target.
 
     It is as long as a step of the stylization, times the size of the difference relative to that of the changes.
 
     Args:
-        parameters: fields on the octave's grid.
+        target: c̄_t, (D, H, W).
+        frame: the plan of the frame.
+        fields: on the octave's grid.
         density: (D, H, W), unstylized.
         mask: (D, H, W) in [0, 1].
-        target: c̄_t, (D, H, W).
         eta: step size.
         rows: H of the full grid.
-        levels: bands of the pyramid that normalises the gradient.
+        h: size of a cell in full-resolution cells.
     """
-    parameters.attach()
-    stylized = parameters.density(density)
-    change = dr.detach(stylized) - density
+    parameterisation = frame.parameterisation
+    stylized, pull_back = parameterisation.density_with_pullback(fields, density, h)
+    change = stylized - density
     difference = change - target
-    dr.set_grad(stylized, difference)
-    dr.enqueue(dr.ADMode.Backward, stylized)
-    dr.traverse(dr.ADMode.Backward)
+    gradient = pull_back(difference)
     size = dr.maximum(root_mean_square(change), root_mean_square(target))
     ratio = root_mean_square(difference) / dr.maximum(size, opaque(_FLOOR))
-    parameters.find_steps(mask, eta, rows, levels, SIGMA)
-    return {name: mi.TensorXf(step.array * ratio, step.shape) for name, step in parameters.steps.items()}
+    unit = eta * parameterisation.unit_step(rows, h)
+    steps = normalised_step(gradient, mask, unit, frame.recipe.pyramid_levels, SIGMA)
+    return Fields({name: mi.TensorXf(step.array * ratio, step.shape) for name, step in steps.items()})

@@ -9,52 +9,48 @@ import numpy as np
 from tnst_mi.fields.advection import advect
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
-from tnst_mi.optimisation.state import SequenceState, Shot
+from tnst_mi.optimisation.state import Items
 
 
-def stylized_frame(state: SequenceState, index: int, frame: Frame) -> Stylized:
-    """What a frame has become, without its losses.
+def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Stylized:
+    """What a frame has become, without its losses and its history.
 
     A frame that is left unchanged, or has not entered an octave yet, comes as it is. In a solid the smoke stays what it
     was, and v* is 0.
 
     Args:
-        state: of the sequence.
-        index: of the frame.
-        frame: the frame.
+        items: of the octave that was reached, None for none.
+        frame: the plan of the frame.
+        source: the frame.
     """
-    octave, shot = state.reached(), state.shots[index]
-    if shot.still or state.done(octave, index) < 0:
-        return _unchanged(frame, shot)
-    parameters = state.restored(octave, index)
-    parameters.enter(state.levels[-1])
-    moves = isinstance(parameters, Transport)
+    if items is None or frame.still or items.iterations_done(frame) < 0:
+        return _unchanged(source, frame)
+    full, parameterisation = items.plan.octaves[-1], frame.parameterisation
+    fields = parameterisation.carried(items.fields(frame), items.octave, full)
     with dr.suspend_grad():
-        velocity = parameters.velocity().numpy() if moves else np.zeros((*frame.density.shape, 3), np.float32)
-        if moves and frame.obstacle is not None:
-            # Potentials do not change in a solid, but those around it have velocities a cell inside.
-            velocity[frame.obstacle] = 0
-            density = advect(frame.density, velocity, steps=shot.recipe.steps)
+        if isinstance(parameterisation, Transport):
+            velocity = parameterisation.velocity(fields, full.cell_size).numpy()
         else:
-            density = parameters.density(mi.TensorXf(frame.density)).numpy()
-    if frame.obstacle is not None:
-        density = np.where(frame.obstacle, frame.density, density)
-    blend = shot.recipe.blend
-    result = Stylized(np.float32((1.0 - blend) * frame.density + blend * np.maximum(density, 0)), velocity)
-    fields = parameters.arrays()
-    result.potential = fields.get("phi"), fields.get("psi")
-    result.history = state.history(shot.name)
-    for entry in result.history:
-        name = f"octave {entry['octave']}"
-        result.timings[name] = result.timings.get(name, 0.0) + entry["seconds"]
-    result.timings["total"] = sum(result.timings.values())
-    return result
+            velocity = np.zeros((*source.density.shape, 3), np.float32)
+        if isinstance(parameterisation, Transport) and source.obstacle is not None:
+            # Potentials do not change in a solid, but those around it have velocities a cell inside.
+            velocity[source.obstacle] = 0
+            density = advect(source.density, velocity, steps=frame.recipe.steps)
+        else:
+            density = parameterisation.density(fields, mi.TensorXf(source.density), full.cell_size).numpy()
+    if source.obstacle is not None:
+        density = np.where(source.obstacle, source.density, density)
+    blend = frame.recipe.blend
+    blended = np.float32((1.0 - blend) * source.density + blend * np.maximum(density, 0))
+    potential = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
+    return Stylized(blended, velocity, tuple(potential))
 
 
-def _unchanged(frame: Frame, shot: Shot) -> Stylized:
-    result = Stylized(frame.density.copy(), np.zeros((*frame.density.shape, 3), np.float32))
-    if shot.still:
-        seen = f"renders black at gamma {shot.recipe.gamma:g}" if frame.density.any() else "is empty"
-        result.note = f"{frame.name} {seen}: nothing to stylize, left unchanged"
+def _unchanged(source: Frame, frame: FramePlan) -> Stylized:
+    result = Stylized(source.density.copy(), np.zeros((*source.density.shape, 3), np.float32))
+    if frame.still:
+        seen = f"renders black at gamma {frame.recipe.gamma:g}" if source.density.any() else "is empty"
+        result.note = f"{source.name} {seen}: nothing to stylize, left unchanged"
     return result

@@ -1,11 +1,11 @@
-"""The gradient of one frame: density → images of all views → loss, and back to the parameters (paper Alg. 1)."""
+"""The gradient of one frame: density → images of all views → loss, and back to the fields (paper Alg. 1)."""
 
 from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -14,110 +14,116 @@ import torch
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave, opaque
-from tnst_mi.losses.objective import Objective
+from tnst_mi.losses.objective import BoundObjective
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.parameterisation import Parameterisation
+from tnst_mi.optimisation.parameterisation import Fields
+from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
 
-#: How far the views that results are judged from reach.
+#: How far from the main view the views are that results are judged from, as a share of the range of azimuths.
 _JUDGED_REACH = 0.8
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The loss, the value of each of its terms, and the stylized density (D, H, W) that has it."""
+    """The loss, each of its terms, the stylized density (D, H, W) that has it, and the derivative of the fields."""
 
     loss: float
     terms: dict[str, float]
     density: mi.TensorXf
+    gradient: Fields
 
 
+@dataclass(frozen=True)
 class OctaveProblem:
-    """What all frames share in one octave: the size of the images, and the loss with its targets and scales.
+    """What all frames share in one octave.
 
-    Args:
-        objective: what to minimise.
-        network: judges the images.
+    Attributes:
         octave: the grid.
+        loss: of images of the octave's size, with its targets and scales.
         exposure: factor from rendered images to the network's [0, 1].
     """
 
-    def __init__(self, objective: Objective, network: GoogLeNet, octave: Octave, exposure: float) -> None:
-        self.octave, self.exposure = octave, exposure
-        self.loss = objective.bind(network, octave.shape[1], octave.shape[2])
+    octave: Octave
+    loss: BoundObjective
+    exposure: float
 
-    def gradient(
-        self,
-        parameters: Parameterisation,
-        density: mi.TensorXf,
-        recipe: Recipe,
-        seed: Sequence[int],
-    ) -> Evaluation:
-        """Leave the derivative of the loss, merged over random views, in the fields of the parameters.
+    def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
+        """The same with other scales of the terms."""
+        return replace(self, loss=self.loss.scaled(scales))
+
+    def gradient(self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]) -> Evaluation:
+        """The loss, summed over random views, and its derivative with respect to the fields.
 
         Args:
-            parameters: fields on the octave's grid.
+            frame: the plan of the frame.
+            fields: on the octave's grid.
             density: (D, H, W), unstylized, on the octave's grid.
-            recipe: the recipe of the frame.
             seed: of the views, and of the renderer where it is random.
 
         Raises:
             InputError: the loss is not finite.
         """
-        parameters.attach()
-        stylized = parameters.density(density)
-
         # Two phases: the views accumulate their gradient on a copy of the density, which then goes back through the
         # transport once instead of once per view.
-        seen = dr.detach(stylized)
+        parameterisation = frame.parameterisation
+        seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
+        stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        images = self._images(seen, recipe, seed)
+        images = self._images(seen, frame.recipe, seed)
+        terms: dict[str, torch.Tensor] = {}
+        loss_of_frame = self._loss_of(frame)
 
         @dr.wrap(source="drjit", target="torch")
         def loss_of(batch):  # noqa: ANN202
-            return self.loss(batch)
+            value, found = loss_of_frame.evaluate(batch)
+            terms.update(found)
+            return value
 
         loss = loss_of(images)
         dr.backward(loss)
-        dr.set_grad(stylized, dr.grad(seen))
-        dr.enqueue(dr.ADMode.Backward, stylized)
-        dr.traverse(dr.ADMode.Backward)
+        gradient = pull_back(dr.grad(seen))
 
-        terms = {name: float(value) for name, value in self.loss.last_terms.items()}
         value = float(loss.array[0])
         if not math.isfinite(value):
             raise InputError(
                 f"the loss is {value}, expected a finite number; "
-                f"try a smaller eta ({recipe.eta:g}) or gamma ({recipe.gamma:g})"
+                f"try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
             )
-        evaluation = Evaluation(value, terms, dr.detach(stylized))
+        values = {name: float(term) for name, term in terms.items()}
         # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
         # run, so it is asked to look at the young objects, which costs little.
-        del loss, images, seen, stylized
+        del loss, images, seen, pull_back, loss_of
+        terms.clear()
         gc.collect(1)
-        return evaluation
+        return Evaluation(value, values, stylized, gradient)
 
     def gradient_square_sum(
-        self, parameters: Parameterisation, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]
+        self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]
     ) -> dict[str, tuple[float, int]]:
         """By term, the sum of its squared image gradient over the views, and the number of pixels; see `rms_scales`."""
         with dr.suspend_grad():
-            images = self._images(parameters.density(density), recipe, seed)
+            stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
+            images = self._images(stylized, frame.recipe, seed)
         return self.loss.gradient_square_sum(images.torch().clone())
 
-    def judge(self, density: np.ndarray, recipe: Recipe) -> tuple[float, dict[str, float]]:
+    def judge(self, frame: FramePlan, density: np.ndarray) -> tuple[float, dict[str, float]]:
         """Loss of a density (D, H, W), and its terms unscaled, as means over three fixed views.
 
         They are the main view, and 0.8 of the way from there to both ends of the range of azimuths.
         """
+        recipe = frame.recipe
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
         views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
         with torch.no_grad(), dr.suspend_grad():
             images = self._rendered(mi.TensorXf(density), views, recipe, (recipe.seed,))
-            loss = float(self.loss(images.torch())) / len(views)
-        return loss, {name: float(value) / len(views) for name, value in self.loss.last_terms.items()}
+            loss, terms = self._loss_of(frame).evaluate(images.torch())
+        return float(loss) / len(views), {name: float(value) / len(views) for name, value in terms.items()}
+
+    def _loss_of(self, frame: FramePlan) -> BoundObjective:
+        return self.loss if frame.weights is None else self.loss.weighed(frame.weights)
 
     def _images(self, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]) -> mi.TensorXf:
         views = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
@@ -128,3 +134,12 @@ class OctaveProblem:
     ) -> mi.TensorXf:
         renderer = driving_renderer(recipe, self.octave.shape, self.octave.cell_size)
         return renderer.render(density, views, seed) * opaque(self.exposure)
+
+
+def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
+    """The problem of an octave, its scales still 1.
+
+    Raises:
+        InputError: the network lacks a layer, channel or class, or a picture cannot be used.
+    """
+    return OctaveProblem(octave, plan.objective.bind(network, octave.shape[1], octave.shape[2]), plan.exposure)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -16,83 +18,101 @@ from tnst_mi.fields.resampling import resample_potential
 GRADIENT_SIGMA = 1.2
 
 
-class Parameterisation:
-    """A set of fields on the grid of an octave, and how a density follows from them.
+class Fields(dict[str, "mi.TensorXf"]):
+    """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. Gradients and steps are such too."""
+
+    def __sub__(self, step: Fields) -> Fields:
+        """The fields after a step."""
+        after = Fields({name: field - step[name] for name, field in self.items()})
+        dr.eval(list(after.values()))
+        return after
+
+    def __add__(self, other: Fields) -> Fields:
+        """Two steps as one."""
+        return Fields({name: field + other[name] for name, field in self.items()})
+
+    def attached(self) -> Fields:
+        """The same values as fresh leaves of the AD graph."""
+        leaves = Fields({name: dr.detach(field) for name, field in self.items()})
+        dr.enable_grad(list(leaves.values()))
+        return leaves
+
+
+class Parameterisation(ABC):
+    """How a density follows from fields.
 
     Attributes:
-        fields: the fields by name, (D, H, W) or (D, H, W, 3) tensors; empty before the first octave.
-        steps: what the next step takes off each field.
+        channels: of every field, by name.
     """
 
-    #: Channels of every field.
     channels: dict[str, int]
 
-    def __init__(self) -> None:
-        self.fields: dict[str, mi.TensorXf] = {}
-        self.steps: dict[str, mi.TensorXf] = {}
-        self.octave: Octave | None = None
+    def zeros(self, octave: Octave) -> Fields:
+        """The fields before the first iteration."""
+        shapes = {name: octave.shape if c == 1 else (*octave.shape, c) for name, c in self.channels.items()}
+        return Fields({name: mi.TensorXf(np.zeros(shape, np.float32)) for name, shape in shapes.items()})
 
-    def enter(self, octave: Octave) -> None:
-        """Carry the fields over to another octave; they start at zero."""
-        for name, channels in self.channels.items():
-            if self.octave is None:
-                shape = octave.shape if channels == 1 else (*octave.shape, channels)
-                values = np.zeros(shape, np.float32)
-            else:
-                values = resample_potential(
-                    self.fields[name].numpy(), self.octave.cell_size, octave.shape, octave.cell_size
-                )
-            self.fields[name] = mi.TensorXf(values)
-        self.octave = octave
+    def carried(self, fields: Fields, source: Octave, target: Octave) -> Fields:
+        """Fields of one octave on the grid of another."""
+        return Fields(
+            {
+                name: mi.TensorXf(resample_potential(field.numpy(), source.cell_size, target.shape, target.cell_size))
+                for name, field in fields.items()
+            }
+        )
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The fields by name, to be kept."""
-        return {name: tensor.numpy() for name, tensor in self.fields.items()}
+    @abstractmethod
+    def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
+        """The stylized density from the unstylized one, both (D, H, W) with cells of size h."""
 
-    def restore(self, arrays: dict[str, np.ndarray], octave: Octave) -> None:
-        """Take over fields that were kept, and the octave that they are of."""
-        self.fields = {name: mi.TensorXf(arrays[name]) for name in self.channels}
-        self.octave = octave
-
-    def attach(self) -> None:
-        """Make the fields fresh leaves of the AD graph."""
-        for name, field in self.fields.items():
-            field = dr.detach(field)
-            dr.enable_grad(field)
-            self.fields[name] = field
-
-    def density(self, density: mi.TensorXf) -> mi.TensorXf:
-        """The stylized density on the current octave, from the unstylized one; both (D, H, W)."""
-        raise NotImplementedError
-
-    def unit_step(self, rows: int) -> float:
+    @abstractmethod
+    def unit_step(self, rows: int, h: float) -> float:
         """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
-        raise NotImplementedError
 
-    def find_steps(self, mask: mi.TensorXf, eta: float, rows: int, levels: int, sigma: float = GRADIENT_SIGMA) -> None:
-        """Set each field's step to η · unit step · mask · N(g).
-
-        N(g) is the gradient, blurred by `sigma` cells of the octave and with the bands of its Laplacian pyramid
-        normalised, each field by itself. The gradients are used up: their memory is needed.
-        """
-        size = opaque(eta * self.unit_step(rows))
-        for name, field in self.fields.items():
-            direction = normalise(gaussian(_taken_gradient(field), sigma), levels)
-            self.steps[name] = times(size * mask, direction)
-            dr.eval(self.steps[name])
-
-    def descend(self) -> None:
-        """Take the steps: field ← field − step."""
-        for name, change in self.steps.items():
-            self.fields[name] = dr.detach(self.fields[name]) - change
-        dr.eval(self.fields)
+    def density_with_pullback(self, fields: Fields, density: mi.TensorXf, h: float) -> tuple[mi.TensorXf, Pullback]:
+        """The stylized density, detached, and the map from a derivative with respect to it to that of the fields."""
+        leaves = fields.attached()
+        stylized = self.density(leaves, density, h)
+        return dr.detach(stylized), Pullback(leaves, stylized)
 
 
-def _taken_gradient(field: mi.TensorXf) -> mi.TensorXf:
-    """The gradient of a field, which loses it."""
-    gradient = dr.grad(field)
-    dr.clear_grad(field)
-    return gradient
+class Pullback:
+    """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be used once."""
+
+    def __init__(self, leaves: Fields, stylized: mi.TensorXf) -> None:
+        self._leaves, self._stylized = leaves, stylized
+
+    def __call__(self, gradient: mi.TensorXf) -> Fields:
+        """The derivative with respect to the fields."""
+        dr.set_grad(self._stylized, gradient)
+        dr.enqueue(dr.ADMode.Backward, self._stylized)
+        dr.traverse(dr.ADMode.Backward)
+        found = Fields({name: dr.grad(leaf) for name, leaf in self._leaves.items()})
+        # The memory of the graph is needed.
+        del self._leaves, self._stylized
+        return found
+
+
+def normalised_step(
+    gradient: Fields, mask: mi.TensorXf, size: float, levels: int, sigma: float = GRADIENT_SIGMA
+) -> Fields:
+    """size · mask · N(g): the step that is taken off each field.
+
+    N(g) is the gradient, blurred by `sigma` cells of the octave and with the bands of its Laplacian pyramid normalised,
+    each field by itself. The gradient is used up, name by name, so that its memory is free again.
+
+    Args:
+        gradient: of each field; empty afterwards.
+        mask: (D, H, W) in [0, 1].
+        size: η times the parameterisation's unit step.
+        levels: bands of the pyramid.
+        sigma: width of the blur in cells.
+    """
+    steps, scaled = Fields(), opaque(size) * mask
+    for name in list(gradient):
+        steps[name] = times(scaled, normalise(gaussian(gradient.pop(name), sigma), levels))
+        dr.eval(steps[name])
+    return steps
 
 
 def times(weight: mi.TensorXf, field: mi.TensorXf) -> mi.TensorXf:
@@ -118,26 +138,24 @@ class Transport(Parameterisation):
     def __init__(
         self, lam: float, substeps: int | str = 1, scalar: bool | None = None, vector: bool | None = None
     ) -> None:
-        super().__init__()
         self.lam, self.substeps = lam, substeps
         scalar, vector = lam > 0 if scalar is None else scalar, lam < 1 if vector is None else vector
         self.channels = ({"phi": 1} if scalar else {}) | ({"psi": 3} if vector else {})
 
-    def velocity(self) -> mi.TensorXf:
-        """Velocity (D, H, W, 3) on the current octave, in full-resolution cells per frame."""
-        return velocity(self.fields.get("phi"), self.fields.get("psi"), self.lam, self.octave.cell_size)
+    def velocity(self, fields: Fields, h: float) -> mi.TensorXf:
+        """Velocity (D, H, W, 3) of the potentials, in full-resolution cells per frame."""
+        return velocity(fields.get("phi"), fields.get("psi"), self.lam, h)
 
-    def density(self, density: mi.TensorXf) -> mi.TensorXf:
+    def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
-        h = self.octave.cell_size
         if self.substeps == 1:
-            v = PotentialVelocity(self.fields.get("phi"), self.fields.get("psi"), self.lam, h)
+            v = PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
             return step(density, v, "maccormack", h, "zero")
-        return advect(density, self.velocity(), "maccormack", h, "zero", self.substeps)
+        return advect(density, self.velocity(fields, h), "maccormack", h, "zero", self.substeps)
 
-    def unit_step(self, rows: int) -> float:
+    def unit_step(self, rows: int, h: float) -> float:
         """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""
-        return rows / 2 * self.octave.cell_size
+        return rows / 2 * h
 
 
 class DensityOffset(Parameterisation):
@@ -145,18 +163,16 @@ class DensityOffset(Parameterisation):
 
     channels = {"offset": 1}  # noqa: RUF012
 
-    def enter(self, octave: Octave) -> None:
-        """Carry the offset over to another octave; in a plane, it thins out as the density does."""
-        before = self.octave
-        super().enter(octave)
-        if before is not None:
-            flat = sum(n == m == 1 for n, m in zip(before.shape, octave.shape, strict=True))
-            self.fields["offset"] *= opaque((before.cell_size / octave.cell_size) ** flat)
+    def carried(self, fields: Fields, source: Octave, target: Octave) -> Fields:
+        """The offset on another octave; in a plane, it thins out as the density does."""
+        flat = sum(n == m == 1 for n, m in zip(source.shape, target.shape, strict=True))
+        thinner = opaque((source.cell_size / target.cell_size) ** flat)
+        return Fields({name: field * thinner for name, field in super().carried(fields, source, target).items()})
 
-    def density(self, density: mi.TensorXf) -> mi.TensorXf:
+    def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""
-        return mi.TensorXf(dr.maximum((density + self.fields["offset"]).array, mi.Float(0)), tuple(density.shape))
+        return mi.TensorXf(dr.maximum((density + fields["offset"]).array, mi.Float(0)), tuple(density.shape))
 
-    def unit_step(self, rows: int) -> float:
+    def unit_step(self, rows: int, h: float) -> float:
         """1: η is a change of the density itself."""
         return 1.0

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.store import MemoryStore
@@ -35,7 +36,7 @@ def optimise(
         on_iteration: called after every iteration.
         step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
         objective: what to minimise, in place of the recipe's terms; for terms that no recipe can name, such as
-            `losses.Match`.
+            `losses.terms.Match`.
 
     Raises:
         InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.
@@ -43,16 +44,7 @@ def optimise(
     brightest = float(main_view(frame.density, recipe.at(frame.number)).max())
     if exposure is None:
         exposure = 1 / brightest if brightest > 0 else 1.0
-    run = SequenceOptimisation(
-        [frame],
-        [frame.name],
-        [frame.number],
-        recipe,
-        network,
-        MemoryStore(),
-        exposure,
-        [step_scale if brightest > 0 else 0.0],
-        objective,
-    )
-    ((_, stylized),) = run.run(on_iteration)
+    scales = [step_scale if brightest > 0 else 0.0]
+    plan = plan_of(recipe, [frame.name], [frame.number], scales, frame.density.shape, exposure, objective)
+    ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

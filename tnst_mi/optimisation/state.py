@@ -1,4 +1,4 @@
-"""The state of a sequence that is being stylized: the items of a `Store`, as tensors on the grid of an octave o.
+"""The items of an optimisation: what a `Store` holds of each frame on the grid of an octave o, as tensors.
 
 inputs.o    density, mask and simulation velocity of a frame
 fields.o    what is optimised; generation = iterations done
@@ -9,235 +9,257 @@ step.o      what one iteration would change by the frame's own gradient, and the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.fields.resampling import resample_density, resample_mask, resample_velocity
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.alignment import averaging_gain, transported_sums
-from tnst_mi.optimisation.goals import term_weights
 from tnst_mi.optimisation.mask import soft_mask
-from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport, times
+from tnst_mi.optimisation.parameterisation import Fields, times
+from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.store import Arrays, Store, read_ahead
-from tnst_mi.optimisation.window import reading_order, window_of, window_weights
-from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.optimisation.window import reading_order, window_of
 
 _GROUPS = ("inputs", "fields", "gain", "step")
 
-
-@dataclass(frozen=True)
-class Shot:
-    """What is planned for a frame: its recipe, the number that seeds its views, the factor S_t / max_t S_t of η."""
-
-    name: str
-    recipe: Recipe
-    number: int
-    step_scale: float
-
-    @property
-    def eta(self) -> float:
-        """The step size η_t."""
-        return self.recipe.eta * self.step_scale
-
-    @property
-    def still(self) -> bool:
-        """Nothing is seen of the frame, so nothing of it is changed."""
-        return self.step_scale == 0.0
-
-    @property
-    def weights(self) -> list[float]:
-        """Weights of the recipe's terms."""
-        return term_weights(self.recipe)
+#: Frames without a window, which keep their fields in memory between iterations, write them after this many seconds.
+CHECKPOINT_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
-class Current:
-    """A frame as it stands on the grid of an octave."""
+class Inputs:
+    """Density and mask (D, H, W) of an unstylized frame on the grid of an octave."""
 
-    index: int
     density: mi.TensorXf
     mask: mi.TensorXf
-    parameters: Parameterisation
 
 
-class SequenceState:
-    """The frames, what is planned for each, and what a store holds of them.
+@dataclass(frozen=True)
+class OwnStep:
+    """A frame's own step, found from its own gradient.
 
-    Args:
-        frames: the frames in their order; they are read from this sequence when they are needed.
-        shots: what is planned for each.
-        recipe: of the sequence.
-        store: the items.
+    Attributes:
+        step: what it would take off the fields.
+        change: d* − d, (D, H, W), where it starts from; None where nothing follows it.
+        loss, terms: there.
+        seconds: what it took.
     """
 
-    def __init__(self, frames: Sequence[Frame], shots: Sequence[Shot], recipe: Recipe, store: Store) -> None:
-        self.frames, self.shots, self.store, self._recipe = frames, shots, store, recipe
-        #: Indices of the frames that are changed.
-        self.alive = [index for index, shot in enumerate(shots) if not shot.still]
-        self.window = recipe.window if len(shots) > 1 else 1
-        self._weights = window_weights(self.window, recipe.window_weights)
+    step: Fields
+    change: mi.TensorXf | None
+    loss: float
+    terms: dict[str, float]
+    seconds: float
 
-    @cached_property
-    def levels(self) -> list[Octave]:
-        """The octaves from coarse to fine."""
-        return octaves(self.frames[0].density.shape, self._recipe.octaves, self._recipe.scale_factor)
 
-    @property
-    def rows(self) -> int:
-        """H of the full grid."""
-        return self.levels[-1].shape[1]
+class Items:
+    """The items of one octave. What is read are tensors; what is written takes the place of its earlier generation.
 
-    def reached(self) -> int:
-        """The octave that the run has reached: the last that all frames have entered."""
-        for octave in reversed(range(len(self.levels))):
-            if all(self.done(octave, index) >= 0 for index in self.alive):
-                return octave
-        return 0
+    With a window, everything is written at once, steps and changes in half precision. Without, a frame goes through all
+    its iterations alone: its fields are kept in memory, and written now and then and by `flush`; its steps stay there.
 
-    def done(self, octave: int, index: int) -> int:
-        """Number of iterations that a frame has had in an octave; −1 where it has not entered it."""
-        return self.store.generation(f"fields.{octave}", index)
+    Args:
+        plan: of the sequence.
+        level: which octave, from 0.
+        store: where the items are.
+    """
 
-    def forget(self, octave: int) -> None:
-        """Remove the items of an octave that is done."""
-        for group in _GROUPS:
-            self.store.remove(f"{group}.{octave}")
+    def __init__(self, plan: Plan, level: int, store: Store) -> None:
+        self.plan, self.level, self.octave, self._store = plan, level, plan.octaves[level], store
+        self._alone = plan.window == 1
+        self._inputs: dict[int, Inputs] = {}
+        #: By frame: iterations done, and the fields then.
+        self._fields: dict[int, tuple[int, Fields]] = {}
+        self._steps: dict[int, tuple[int, OwnStep]] = {}
+        self._written = time.perf_counter()
 
-    # ---------------------------------------------------------------- from items to items
+    def _group(self, kind: str) -> str:
+        return f"{kind}.{self.level}"
 
-    def enter_inputs(self, octave: int, index: int) -> None:
-        """Write what an octave needs of a frame. Half precision is ample for a mask in [0, 1] and for velocities."""
-        group, grid = f"inputs.{octave}", self.levels[octave]
-        if self.store.generation(group, index) >= 0:
+    # ---------------------------------------------------------------- how far it is
+
+    def iterations_done(self, frame: FramePlan) -> int:
+        """Iterations that a frame has had; −1 where it has not entered the octave."""
+        kept = self._fields.get(frame.index)
+        return self._store.generation(self._group("fields"), frame.index) if kept is None else kept[0]
+
+    def steps_found(self, frame: FramePlan) -> int:
+        """Iterations in which a frame's own step has been found; what the fields have followed counts too."""
+        kept = self._steps.get(frame.index)
+        found = self._store.generation(self._group("step"), frame.index) if kept is None else kept[0]
+        return max(found, self.iterations_done(frame))
+
+    # ---------------------------------------------------------------- entering the octave
+
+    def enter_inputs(self, frame: FramePlan, source: Frame) -> None:
+        """Write what the octave needs of a frame. Half precision is ample for a mask in [0, 1] and for velocities."""
+        group, grid = self._group("inputs"), self.octave
+        if self._store.generation(group, frame.index) >= 0:
             return
-        frame = self.frames[index]
-        mask = soft_mask(frame.density, frame.obstacle, self._recipe.mask_strength)
+        mask = soft_mask(source.density, source.obstacle, self.plan.recipe.mask_strength)
         arrays = {
-            "density": resample_density(frame.density, 1.0, grid.shape, grid.cell_size),
+            "density": resample_density(source.density, 1.0, grid.shape, grid.cell_size),
             "mask": resample_mask(mask, 1.0, grid.shape, grid.cell_size).astype(np.float16),
         }
-        if self.window > 1 and index + 1 < len(self.shots):
-            if frame.velocity is None:
-                raise InputError(f"{frame.name}: has no velocity, which a window of {self.window} frames needs")
-            velocity = resample_velocity(frame.velocity, 1.0, grid.shape, grid.cell_size)
+        if self.plan.window > 1 and frame.index + 1 < len(self.plan.frames):
+            if source.velocity is None:
+                raise InputError(f"{frame.name}: has no velocity, which a window of {self.plan.window} frames needs")
+            velocity = resample_velocity(source.velocity, 1.0, grid.shape, grid.cell_size)
             arrays["velocity"] = velocity.astype(np.float16)
-        self.store.write(group, index, 0, arrays)
+        self._store.write(group, frame.index, 0, arrays)
 
-    def enter_fields(self, octave: int, index: int) -> None:
+    def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
         """Carry the fields of a frame over from the octave before; in the first one they are 0."""
-        if self.done(octave, index) >= 0:
+        if self.iterations_done(frame) >= 0:
             return
-        parameters = self.parameters(index) if octave == 0 else self.restored(octave - 1, index)
-        parameters.enter(self.levels[octave])
-        self.write_fields(octave, index, 0, parameters)
+        parameterisation = frame.parameterisation
+        if coarser is None:
+            fields = parameterisation.zeros(self.octave)
+        else:
+            fields = parameterisation.carried(coarser.fields(frame), coarser.octave, self.octave)
+        self._write_fields(frame, 0, fields)
 
-    def write_fields(self, octave: int, index: int, done: int, parameters: Parameterisation) -> None:
-        """Write the fields of a frame after so many iterations."""
-        self.store.write(f"fields.{octave}", index, done, parameters.arrays())
-
-    def enter_gain(self, octave: int, index: int) -> None:
+    def enter_gain(self, frame: FramePlan) -> None:
         """Write what makes the windowed sum of a frame an average over smoke."""
-        if self.store.generation(f"gain.{octave}", index) >= 0:
+        if self._store.generation(self._group("gain"), frame.index) >= 0:
             return
-        group = f"inputs.{octave}"
-        total = self.windowed_sums(octave, index, group, ["mask"], self._weights)["mask"]
-        mask = mi.TensorXf(self.store.read(group, index, ["mask"])["mask"])
-        gain = averaging_gain(mask, total, self._weights[0]).numpy().astype(np.float16)
-        self.store.write(f"gain.{octave}", index, 0, {"gain": gain})
+        weights = self.plan.window_weights
+        total = self.windowed_sums(frame, "inputs", ["mask"], weights)["mask"]
+        mask = mi.TensorXf(self._store.read(self._group("inputs"), frame.index, ["mask"])["mask"])
+        gain = averaging_gain(mask, total, weights[0]).numpy().astype(np.float16)
+        self._store.write(self._group("gain"), frame.index, 0, {"gain": gain})
 
-    def stepped(self, octave: int, index: int) -> int:
-        """Generation of a frame's own step."""
-        return self.store.generation(f"step.{octave}", index)
+    def forget(self) -> None:
+        """Remove the items, of an octave that is done."""
+        for kind in _GROUPS:
+            self._store.remove(self._group(kind))
 
-    def write_step(self, octave: int, index: int, done: int, step: dict[str, mi.TensorXf]) -> None:
-        """Write a frame's own step, and the change that it starts from, in half precision."""
-        with np.errstate(over="ignore"):
-            half = {name: tensor.numpy().astype(np.float16) for name, tensor in step.items()}
-        if not all(np.isfinite(array).all() for array in half.values()):
-            raise InputError(
-                f"{self.shots[index].name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
-                "scale the density to about 1 and gamma accordingly"
-            )
-        self.store.write(f"step.{octave}", index, done, half)
+    # ---------------------------------------------------------------- reading
 
-    # ---------------------------------------------------------------- from items to tensors
+    def ready(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
+        """The frames one by one, each with its inputs and fields in memory; the next one is read meanwhile."""
 
-    def parameters(self, index: int) -> Parameterisation:
-        """Parameters of a frame, without fields yet."""
-        if self._recipe.parameterisation == "density":
-            return DensityOffset()
-        least, largest = self._lams
-        return Transport(self.shots[index].recipe.lam, self._recipe.steps, largest > 0, least < 1)
+        def read(frame: FramePlan) -> tuple[FramePlan, Arrays, Arrays]:
+            inputs = self._store.read(self._group("inputs"), frame.index, ["density", "mask"])
+            return frame, inputs, self._store.read(self._group("fields"), frame.index)
 
-    @cached_property
-    def _lams(self) -> tuple[float, float]:
-        """The range of λ: all frames have the same fields, also where it goes from 0 to 1 over the sequence."""
-        lams = [shot.recipe.lam for shot in self.shots]
-        return min(lams), max(lams)
+        waiting = [frame for frame in frames]
+        if self._alone and all(frame.index in self._inputs for frame in waiting):
+            yield from waiting
+            return
+        for frame, inputs, fields in read_ahead(partial(read, frame) for frame in waiting):
+            self._inputs = {frame.index: Inputs(mi.TensorXf(inputs["density"]), mi.TensorXf(inputs["mask"]))}
+            self._fields = {frame.index: (self._stored_iterations(frame), _tensors(fields))}
+            yield frame
+        if not self._alone:
+            self._inputs, self._fields = {}, {}
 
-    def restored(self, octave: int, index: int) -> Parameterisation:
-        """Parameters of a frame with the fields that it has in an octave."""
-        parameters = self.parameters(index)
-        parameters.restore(self.store.read(f"fields.{octave}", index), self.levels[octave])
-        return parameters
+    def inputs(self, frame: FramePlan) -> Inputs:
+        """Density and mask of a frame."""
+        return self._inputs[frame.index]
 
-    def current(self, octave: int, indices: Sequence[int]) -> Iterator[Current]:
-        """Some frames as they stand, read ahead."""
+    def fields(self, frame: FramePlan) -> Fields:
+        """The fields of a frame as they are."""
+        kept = self._fields.get(frame.index)
+        return _tensors(self._store.read(self._group("fields"), frame.index)) if kept is None else kept[1]
 
-        def read(index: int) -> tuple[int, Arrays, Arrays]:
-            inputs = self.store.read(f"inputs.{octave}", index, ["density", "mask"])
-            return index, inputs, self.store.read(f"fields.{octave}", index)
+    def own_step(self, frame: FramePlan) -> OwnStep:
+        """What a frame found last: with a window without the step, which is in the store."""
+        return self._steps[frame.index][1]
 
-        for index, inputs, fields in read_ahead(partial(read, index) for index in indices):
-            parameters = self.parameters(index)
-            parameters.restore(fields, self.levels[octave])
-            yield Current(index, mi.TensorXf(inputs["density"]), mi.TensorXf(inputs["mask"]), parameters)
-
-    def averaged_steps(self, octave: int, index: int, names: Sequence[str]) -> dict[str, mi.TensorXf]:
+    def averaged_step(self, frame: FramePlan) -> Fields:
         """The steps of a frame's window, transported to it (paper Eq. 8) and averaged over smoke (Eq. 9)."""
-        sums = self.windowed_sums(octave, index, f"step.{octave}", names, self._weights)
-        gain = mi.TensorXf(self.store.read(f"gain.{octave}", index)["gain"])
-        return {name: times(gain, total) for name, total in sums.items()}
+        names = list(frame.parameterisation.channels)
+        sums = self.windowed_sums(frame, "step", names, self.plan.window_weights)
+        gain = mi.TensorXf(self._store.read(self._group("gain"), frame.index)["gain"])
+        return Fields({name: times(gain, total) for name, total in sums.items()})
 
     def windowed_sums(
-        self, octave: int, index: int, group: str, names: Sequence[str], weights: np.ndarray
+        self, frame: FramePlan, kind: str, names: Sequence[str], weights: np.ndarray
     ) -> dict[str, mi.TensorXf]:
-        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a group's items, with weights by distance."""
-        window = window_of(index, len(self.shots), 2 * len(weights) - 1)
+        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a kind of items, with weights by distance."""
+        index = frame.index
+        window = window_of(index, len(self.plan.frames), 2 * len(weights) - 1)
         # Towards a frame from its past goes u_i, back from its future what led there.
         links = [(i, i if i < index else i - 1) for i in reading_order(index, window)]
 
         def read(i: int, link: int) -> tuple[Arrays, np.ndarray]:
-            velocity = self.store.read(f"inputs.{octave}", link, ["velocity"])["velocity"]
-            return self._arrays(octave, i, group, names), velocity
+            velocity = self._store.read(self._group("inputs"), link, ["velocity"])["velocity"]
+            return self._arrays(i, kind, names), velocity
 
         neighbours = (
             (_tensors(fields), mi.TensorXf(velocity))
             for fields, velocity in read_ahead(partial(read, *link) for link in links)
         )
-        own = _tensors(self._arrays(octave, index, group, names))
-        return transported_sums(own, weights, window, index, neighbours, self.levels[octave].cell_size)
+        own = _tensors(self._arrays(index, kind, names))
+        return transported_sums(own, weights, window, index, neighbours, self.octave.cell_size)
 
-    def _arrays(self, octave: int, index: int, group: str, names: Sequence[str]) -> Arrays:
+    def _arrays(self, index: int, kind: str, names: Sequence[str]) -> Arrays:
         """Some arrays of an item; 0 for a frame that is left unchanged, which counts as one without smoke."""
-        if not self.shots[index].still:
-            return self.store.read(group, index, names)
-        shape, channels = self.levels[octave].shape, self.parameters(index).channels
+        frame = self.plan.frames[index]
+        if not frame.still:
+            return self._store.read(self._group(kind), index, names)
+        shape, channels = self.octave.shape, frame.parameterisation.channels
         return {name: np.zeros((*shape, 3) if channels.get(name) == 3 else shape, np.float32) for name in names}
 
-    # ---------------------------------------------------------------- the log
+    def _stored_iterations(self, frame: FramePlan) -> int:
+        return self._store.generation(self._group("fields"), frame.index)
 
-    def history(self, name: str) -> list[dict]:
-        """The log of a frame; what a killed run had logged and then did again counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self.store.entries() if e["frame"] == name}
-        return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]
+    # ---------------------------------------------------------------- writing
+
+    def put_step(self, frame: FramePlan, iteration: int, found: OwnStep) -> None:
+        """Put a frame's own step of an iteration, and log it.
+
+        Raises:
+            InputError: it cannot be written in half precision.
+        """
+        entry = {"frame": frame.name, "octave": self.level, "iteration": iteration, "loss": found.loss}
+        self._store.log(entry | {"terms": found.terms, "seconds": found.seconds})
+        if self._alone:
+            self._steps = {frame.index: (iteration + 1, found)}
+            return
+        self._steps = {frame.index: (iteration + 1, replace(found, step=Fields(), change=None))}
+        arrays = found.step if found.change is None else {**found.step, "change": found.change}
+        with np.errstate(over="ignore"):
+            half = {name: tensor.numpy().astype(np.float16) for name, tensor in arrays.items()}
+        if not all(np.isfinite(array).all() for array in half.values()):
+            raise InputError(
+                f"{frame.name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
+                "scale the density to about 1 and gamma accordingly"
+            )
+        self._store.write(self._group("step"), frame.index, iteration + 1, half)
+
+    def put_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
+        """Put the fields of a frame after so many iterations."""
+        self._fields[frame.index] = done, fields
+        last = done == self.plan.recipe.iterations
+        if not self._alone or last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
+            self._write_fields(frame, done, fields)
+        if self._alone:
+            # What has been followed is not needed any more.
+            self._steps[frame.index] = done, replace(self._steps[frame.index][1], step=Fields(), change=None)
+        if last:
+            self._inputs, self._fields = {}, {}
+
+    def flush(self) -> None:
+        """Write the fields that are in memory alone."""
+        for index, (done, fields) in self._fields.items():
+            frame = self.plan.frames[index]
+            if done > self._stored_iterations(frame):
+                self._write_fields(frame, done, fields)
+
+    def _write_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
+        arrays = {name: tensor.numpy() for name, tensor in fields.items()}
+        self._store.write(self._group("fields"), frame.index, done, arrays)
+        self._written = time.perf_counter()
 
 
-def _tensors(arrays: Arrays) -> dict[str, mi.TensorXf]:
-    return {name: mi.TensorXf(array) for name, array in arrays.items()}
+def _tensors(arrays: Arrays) -> Fields:
+    return Fields({name: mi.TensorXf(array) for name, array in arrays.items()})

@@ -13,7 +13,9 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import StoredArrays
-from tnst_mi.run.job import Frames, Job
+from tnst_mi.run.inputs import Frames
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
 
 
@@ -65,19 +67,20 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
-    job = Job(frames, recipe, out, progress=progress)
+    frames_done = Run(prepare(frames, recipe, out), progress)
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []
     history = []
-    for frame in job.run():
+    prepared, record = frames_done.prepared, frames_done.record
+    for frame in frames_done:
         history.append(frame.stylized.history)
-        if job.out is None:
+        if prepared.out is None:
             densities.append(frame.stylized.density)
             velocities.append(frame.stylized.velocity)
-    names = [record["name"] for record in job.record["frames"]]
-    if job.out is not None:
-        densities = StoredArrays(job.out, "density", names, job.suffix)
-        velocities = StoredArrays(job.out, "velocity", names, job.suffix)
-    elif len(densities) == len(job.frames) > 1:
-        job.record["sequence"] = sequence_record(job.recipe, job.frames, densities, job.record["frames"])
-    return Result(densities, velocities, job.frames_named(names), history, job.record, job.out)
+    names = [frame_record["name"] for frame_record in record["frames"]]
+    if prepared.out is not None:
+        densities = StoredArrays(prepared.out, "density", names, prepared.suffix)
+        velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix)
+    elif len(densities) == len(prepared.frames) > 1:
+        record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, record["frames"])
+    return Result(densities, velocities, prepared.frames_named(names), history, record, prepared.out)

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -32,6 +34,7 @@ from tnst_mi.io.png import write_png
 from tnst_mi.io.video import can_encode
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
+from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
 
 #: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
 _FRAME_FILES = (
@@ -182,8 +185,6 @@ class RunFolder:
 
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
         """Write what shows all frames together, whose pictures have been written: preview, contact sheet, plots."""
-        from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
-
         images, records, sequence = self.out / "images", run["frames"], run["sequence"]
         names = [record["name"] for record in records]
 
@@ -197,9 +198,9 @@ class RunFolder:
         else:
             print("note: preview.mp4 is not written: pip install imageio-ffmpeg", file=sys.stderr)
         write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
-        losses = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
-        changes = sequence["relative_changes"]
-        plot_sequence(images / "sequence.png", names, *losses, sequence["flicker_pairs"], changes)
+        before, after = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
+        flickers, changes = sequence["flicker_pairs"], sequence["relative_changes"]
+        plot_sequence(images / "sequence.png", names, before, after, flickers, changes)
 
     def remove_work(self) -> None:
         """Remove the working state of a run that is done."""
@@ -227,21 +228,26 @@ class StoredArrays(Sequence[np.ndarray]):
     @overload
     def __getitem__(self, index: slice) -> StoredArrays: ...
     def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
-        """Read one array, or select several."""
+        """Read one array, or select several.
+
+        Raises:
+            InputError: its file was damaged since the run.
+        """
         if isinstance(index, slice):
             return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
         name, as_told = self._names[index], Conventions()
-        stored = read_stored(self._out / self._kind / f"{name}{self._suffix}")
-        if self._kind == "velocity":
-            return stored.centred_velocity(as_told)
-        return stored.frame(as_told, name, None).density
+        file = self._out / self._kind / f"{name}{self._suffix}"
+        stored = read_stored(file)
+        if self._kind == "density":
+            return stored.frame(as_told, name, None).density
+        velocity = stored.centred_velocity(as_told)
+        if velocity is None:
+            raise InputError(f"{file}: holds no velocity, expected that of a run's result")
+        return velocity
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
     """Plot the loss over the iterations as PNG, a panel for each octave since each scales its terms anew."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     octaves = sorted({entry["octave"] for entry in history})
     figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
     figure.suptitle(name, parse_math=False)

@@ -14,6 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.folder import is_file_name
 
 
@@ -37,9 +38,6 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
     Raises:
         InputError: a frame cannot be read or differs in shape, or its name is double or cannot name files.
     """
-    # Looked up late: it can be imported only once a variant is active.
-    from tnst_mi.rendering.driving import main_view
-
     measures = []
     for frame in checked_shapes(frames):
         image = main_view(frame.density, recipe.at(frame.number))

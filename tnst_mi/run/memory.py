@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import torch
+
 from tnst_mi.errors import InputError
+from tnst_mi.losses.objective import views_at_once
 from tnst_mi.machine import environment
+from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
 
 # Measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md): the largest resident size, less
@@ -65,9 +69,6 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         saved: bytes that autograd keeps of the network's evaluation, for each pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    from tnst_mi.losses.objective import views_at_once
-    from tnst_mi.machine.backend import torch_device
-
     components = recipe.components
     by_cell = _TRANSPORT_CELL + _TRANSPORT_COMPONENT * components
     if recipe.parameterisation == "density":
@@ -93,15 +94,12 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 
-def require_memory(need: Need, free: int | None) -> str:
-    """Say what a run will take of the memory that is there; None of which is known passes.
+def require_memory(need: Need, free: int) -> str:
+    """Say what a run will take of the memory that is there.
 
     Raises:
         InputError: it is more than there is.
     """
-    what = f"memory: about {need.total / 1e9:.1f} GB"
-    if free is None:
-        return what
     if need.total > free:
         size = "×".join(str(n) for n in reversed(need.shape))
         largest = need.largest_that_fits(free)
@@ -112,18 +110,13 @@ def require_memory(need: Need, free: int | None) -> str:
             f"memory: frames of {size} cells need about {need.total / 1e9:.1f} GB and {free / 1e9:.1f} GB are free; "
             f"{fits}: resample the frames or free some memory"
         )
-    return f"{what} of {free / 1e9:.1f} GB"
+    return f"memory: about {need.total / 1e9:.1f} GB of {free / 1e9:.1f} GB"
 
 
-def free_bytes() -> int | None:
-    """What a run can have where the active variant computes, in bytes; None where that cannot be told."""
-    import torch
-
-    from tnst_mi.machine.backend import torch_device
-
+def free_bytes() -> int:
+    """What a run can have where the active variant computes, in bytes."""
     device = torch_device()
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
-    free, held = environment.free_memory(), environment.resident_memory()
     # Of what a run needs, the process holds a part already.
-    return None if free is None else free + min(held or 0, PROCESS)
+    return environment.free_memory() + min(environment.resident_memory(), PROCESS)

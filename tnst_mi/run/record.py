@@ -10,6 +10,7 @@ import numpy as np
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
 def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
@@ -54,9 +55,6 @@ def sequence_record(
         loss_before and loss_after, means over the frames, and of the unscaled terms likewise; loss_reduction,
         1 − after/before where that has a meaning.
     """
-    # Looked up late: it can be imported only once a variant is active.
-    from tnst_mi.run.flicker import FlickerMeter, relative_change
-
     meter, changes = FlickerMeter(), []
     for frame, density in zip(frames, densities, strict=True):
         meter.add(frame.name, frame.density, density, frame.velocity)

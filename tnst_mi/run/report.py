@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.png import eight_bits
@@ -58,9 +60,6 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
         entries: name and the two pictures (H, W) in [0, 1] of every frame; taken one by one, only the chosen ones kept.
         count: number of entries, at least 1.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     chosen = set(_evenly_spread(count))
     tiles = [(name, _tile(before, after)) for i, (name, before, after) in enumerate(entries) if i in chosen]
     height, width = tiles[0][1].shape
@@ -104,9 +103,6 @@ def plot_sequence(
         pairs: adjacent frames and their flicker, as `FlickerMeter.pairs`.
         changes: ‖d* − d‖ / ‖d‖ of each frame.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9, 8), layout="constrained")
     losses, flickers, sizes = figure.subplots(3, 1, sharex=True)
     losses.plot(_with_gaps(losses_before), marker=".", color="0.55", label="before")

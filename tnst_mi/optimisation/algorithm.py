@@ -1,0 +1,74 @@
+"""Algorithm 1 of the paper: multi-view, time-coherent stylization, coarse to fine.
+
+Its two steps are functions of items (see `state`), so they can be computed wherever the items are; what takes its turn
+when, what is passed over because an earlier run did it, and how a run is interrupted, is up to the `Turns`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Protocol
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.coherence import coherence_step
+from tnst_mi.optimisation.gradient import OctaveProblem
+from tnst_mi.optimisation.octave import calibrated, entered, levels_left
+from tnst_mi.optimisation.parameterisation import Fields, normalised_step
+from tnst_mi.optimisation.plan import FramePlan, Plan
+from tnst_mi.optimisation.state import Items, OwnStep
+from tnst_mi.optimisation.store import Store
+
+
+class Turns(Protocol):
+    """Who takes a turn when."""
+
+    def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
+        """All of some frames, one by one."""
+
+    def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+        """The frames whose own step of iteration k has not been found yet."""
+
+    def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+        """The frames whose fields have not followed the steps of iteration k yet."""
+
+
+def algorithm_1(
+    plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, turns: Turns
+) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
+    """Optimise the fields of all frames; each is given, with the finest items and problem, once its fields are done."""
+    for level in levels_left(plan, store):
+        items = entered(plan, level, frames, store, turns.each)
+        problem = calibrated(plan, items, network, store, turns.each)
+        for group in plan.groups:
+            for k in range(plan.recipe.iterations):
+                for f in turns.steps_due(group, items, k):
+                    items.put_step(f, k, own_step(plan, f, items, problem, k))
+                for f in turns.fields_due(group, items, k):
+                    items.put_fields(f, k + 1, items.fields(f) - window_average(plan, f, items))
+            if items.octave is plan.octaves[-1]:
+                yield from ((f, items, problem) for f in group)
+
+
+def own_step(plan: Plan, frame: FramePlan, items: Items, problem: OctaveProblem, k: int) -> OwnStep:
+    """The step that a frame's own gradient asks for: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
+    since = time.perf_counter()
+    inputs, octave = items.inputs(frame), items.octave
+    try:
+        found = problem.gradient(frame, items.fields(frame), inputs.density, frame.seed(items.level, k))
+    except InputError as error:
+        raise InputError(f"{frame.name}, iteration {k + 1} of octave {items.level + 1}: {error}") from error
+    size = frame.eta * frame.parameterisation.unit_step(plan.rows, octave.cell_size)
+    step = normalised_step(found.gradient, inputs.mask, size, frame.recipe.pyramid_levels)
+    change = found.density - inputs.density if plan.recipe.coherence > 0 and plan.window > 1 else None
+    return OwnStep(step, change, found.loss, found.terms, time.perf_counter() - since)
+
+
+def window_average(plan: Plan, frame: FramePlan, items: Items) -> Fields:
+    """What is taken off a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8 and 9)."""
+    if plan.window == 1:
+        return items.own_step(frame).step
+    average = items.averaged_step(frame)
+    return average + coherence_step(plan, frame, items) if plan.recipe.coherence > 0 else average

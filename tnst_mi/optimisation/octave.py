@@ -1,0 +1,65 @@
+"""Entering an octave: its items from those of the octave before, and the scales of the loss there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import drjit as dr
+
+from tnst_mi.frame import Frame
+from tnst_mi.losses.objective import rms_scales
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.plan import FramePlan, Plan
+from tnst_mi.optimisation.state import Items
+from tnst_mi.optimisation.store import Store
+
+#: Gives some frames one by one; a run may end in between.
+Each = Callable[[Iterable[FramePlan]], Iterator[FramePlan]]
+
+
+def reached(plan: Plan, store: Store) -> int:
+    """The octave that a run has reached: the last that all frames have entered."""
+    for level in reversed(range(len(plan.octaves))):
+        items = Items(plan, level, store)
+        if all(items.iterations_done(frame) >= 0 for frame in plan.alive):
+            return level
+    return 0
+
+
+def levels_left(plan: Plan, store: Store) -> range:
+    """The octaves that a run has still to go through; none where no frame is changed."""
+    return range(reached(plan, store) if plan.alive else len(plan.octaves), len(plan.octaves))
+
+
+def entered(plan: Plan, level: int, frames: Sequence[Frame], store: Store, each: Each) -> Items:
+    """The items of an octave, after every frame has been brought to it; those of the octaves before are removed."""
+    # Dr.Jit keeps the blocks of the octave before, which are too small for this one.
+    dr.flush_malloc_cache()
+    items, windowed = Items(plan, level, store), plan.window > 1
+    earlier = [Items(plan, before, store) for before in range(level)]
+    # Neighbours are transported through unchanged frames too.
+    for frame in each(plan.frames if windowed else plan.alive):
+        items.enter_inputs(frame, frames[frame.index])
+    for frame in each(plan.alive):
+        items.enter_fields(frame, earlier[-1] if earlier else None)
+    for octave in earlier:
+        octave.forget()
+    for frame in each(plan.alive if windowed else ()):
+        items.enter_gain(frame)
+    return items
+
+
+def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: Store, each: Each) -> OctaveProblem:
+    """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence."""
+    problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
+    scales = store.numbers(name)
+    if scales is None:
+        scales = rms_scales(
+            problem.gradient_square_sum(
+                frame, items.fields(frame), items.inputs(frame).density, frame.seed(items.level, 0)
+            )
+            for frame in each(items.ready(plan.alive))
+        )
+        store.write_numbers(name, scales)
+    return problem.scaled(scales)

@@ -1,0 +1,195 @@
+"""Checking everything that can be checked before the work of a run starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.formats import FORMATS
+from tnst_mi.io.sequence import FrameFiles
+from tnst_mi.machine import environment
+from tnst_mi.machine.backend import activate
+from tnst_mi.machine.disk import require_space, require_writable
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.weights import find_weights
+from tnst_mi.optimisation.goals import objective_of, require_meant
+from tnst_mi.optimisation.plan import Plan, plan_of
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import frame_names, holds_run, resumable_run
+from tnst_mi.run.inputs import Frames, sequence_of
+from tnst_mi.run.measure import (
+    Measure,
+    digests,
+    exposure_of,
+    file_digests,
+    measured,
+    require_coherent,
+    require_same_input,
+)
+from tnst_mi.run.memory import free_bytes, needed, require_memory, working_bytes
+
+#: Height that the objective is tried at, with the aspect of the frames, by which pictures are cropped.
+_TRIAL_ROWS = 64
+
+#: What a run that is resumed keeps of its record.
+_KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
+
+
+@dataclass(frozen=True)
+class Network:
+    """The network of a run; `fallback` where nobody asked for it and no other was found."""
+
+    model: GoogLeNet
+    fallback: bool = False
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run that has been checked and can begin.
+
+    Attributes:
+        recipe: with all paths absolute.
+        frames: the input.
+        measures: what is known of each frame.
+        network: judges the images.
+        plan: of the optimisation.
+        memory: what the run will take of it, a line.
+        out: the folder of the results, or None.
+        suffix: how the names of the files of the results end: in the recipe's format, or else the input's.
+        overwrite: a run in `out` is replaced.
+        record: what run.json says before the first frame is done; that of an earlier run which goes on.
+    """
+
+    recipe: Recipe
+    frames: Sequence[Frame]
+    measures: Sequence[Measure]
+    network: Network
+    plan: Plan
+    memory: str
+    out: Path | None
+    suffix: str
+    overwrite: bool
+    record: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def step_scales(self) -> list[float]:
+        """The factors of η of the frames."""
+        return [frame.step_scale for frame in self.plan.frames]
+
+    def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
+        """The input's frames of these names, in their order; all of them as the sequence that they came in."""
+        if len(names) == len(self.frames):
+            return self.frames
+        return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in names]
+
+
+def load_network(recipe: Recipe) -> Network:
+    """The network that a recipe asks for, or the first that is found.
+
+    Raises:
+        InputError: it cannot be found or read, or the recipe's channels are those of another network.
+    """
+    weights = find_weights(recipe.weights)
+    network = GoogLeNet.from_file(weights.path)
+    require_meant(recipe, network, weights.fallback)
+    return Network(network, weights.fallback)
+
+
+def prepare(
+    frames: Frames,
+    recipe: Recipe,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    network: Network | None = None,
+) -> Prepared:
+    """Check everything that can be checked before the work starts; nothing is written.
+
+    Args:
+        frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
+        recipe: the recipe.
+        out: the folder of the results, or None.
+        resume: continue the run in `out` where it stopped.
+        overwrite: replace the run in `out`.
+        network: judges the images; None takes what the recipe asks for.
+
+    Raises:
+        InputError: something cannot be used.
+    """
+    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content):
+        raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
+    if resume and overwrite:
+        raise InputError("--resume and --overwrite: expected only one of them")
+    recipe = recipe.located(Path.cwd())
+    out = None if out is None else Path(out)
+    if out is not None:
+        source = Path(frames) if isinstance(frames, str | Path) else None
+        require_writable(out, source, None if resume or overwrite else _remedy(out))
+        if overwrite:
+            frame_names(out)  # refuses what is no run
+    sequence = sequence_of(frames, recipe)
+    # Reading the first frame finds most bad inputs before the network is loaded.
+    shape = sequence[0].density.shape
+    variant = activate(recipe.variant)
+    # Layers, tags and pictures are checked before the frames, all of which may be empty and need none of them.
+    network = network or load_network(recipe)
+    objective = objective_of(recipe)
+    trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))
+    saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
+    memory = require_memory(needed(shape, recipe, len(sequence), saved, out is not None), free_bytes())
+    measures = measured(sequence, recipe)
+    require_coherent(measures, recipe)
+    suffix = _suffix(recipe, sequence)
+    record: dict[str, Any] = {
+        "status": "running",
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": environment.versions(),
+        "device": environment.device(variant),
+        "seed": recipe.seed,
+        "weights": {
+            "file": str(network.model.source),
+            "sha256": network.model.sha256,
+            "flavour": network.model.flavour,
+        },
+        "main_view": list(recipe.main_view),
+        "format": suffix[1:],
+        "inputs": digests(measures),
+        "files": file_digests(recipe),
+        "exposure": exposure_of(measures),
+        "frames": [],
+    }
+    earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
+    if earlier is not None and out is not None:
+        require_same_input(measures, recipe, earlier, out)
+        record |= {key: earlier[key] for key in _KEPT if key in earlier}
+    elif out is not None:
+        require_space(out, working_bytes(shape, len(sequence), recipe))
+    largest = max(measure.pixel_sum for measure in measures)
+    plan = plan_of(
+        recipe,
+        [measure.name for measure in measures],
+        [measure.number for measure in measures],
+        [measure.pixel_sum / largest if largest > 0.0 else 0.0 for measure in measures],
+        shape,
+        record["exposure"],
+    )
+    return Prepared(recipe, sequence, measures, network, plan, memory, out, suffix, overwrite, record)
+
+
+def _remedy(out: Path) -> str:
+    if holds_run(out):
+        return "continue its run with --resume, or replace it with --overwrite"
+    return "give an empty or new folder"
+
+
+def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:
+    if recipe.format is not None:
+        return f".{recipe.format}"
+    return frames.suffix if isinstance(frames, FrameFiles) else FORMATS[0]
