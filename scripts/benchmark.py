@@ -33,16 +33,15 @@ import mitsuba as mi
 import numpy as np
 import torch
 from peers import torch_peer
-from peers.sides import GAMMA, Ours, PlainDrJit, Torch, wavy_potential
+from peers.sides import GAMMA, Iteration, Ours, PlainDrJit, Torch, wavy_potential
 
-from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
-from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
@@ -110,24 +109,11 @@ def parts(size: int, repeat: int) -> dict[str, dict[str, float]]:
 
 def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
     """A whole iteration, ours as `stylize` does it, and PyTorch's: transport, 9 views, network, normalised step."""
-    from tnst_mi.optimisation.gradient import OctaveProblem
-
     density = bundled_density(size)
     recipe = tnst_mi.Recipe.from_dict(STYLE)
     network = GoogLeNet.load(weights).to(torch_device())
-    octave = Octave(density.shape, 1.0)
     exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
-    problem = OctaveProblem(objective_of(recipe), network, octave, exposure)
-    parameters = Transport(1.0)
-    parameters.restore({"phi": wavy_potential(density.shape)}, octave)
-    smoke, mask = mi.TensorXf(density), mi.TensorXf(density)
-
-    def ours() -> object:
-        problem.gradient(parameters, smoke, recipe, (0,))
-        parameters.find_steps(mask, 1e-9, density.shape[1], 3)
-        parameters.descend()
-        return parameters.fields["phi"]
-
+    ours = Iteration(density, recipe, network, exposure)
     peer = torch_peer.StyleIteration(density, wavy_potential(density.shape), recipe, network, exposure)
     found = medians({"ours": ours, "torch": peer}, repeat)
     print_row(f"iteration, style, {VIEWS} views", found)
@@ -175,9 +161,8 @@ def windowed(window: int, weights: str | None) -> dict[str, float]:
         if progress.frame == names[0]:
             passed.append(time.perf_counter())
 
-    run = SequenceOptimisation(
-        frames, names, numbers, recipe, GoogLeNet.load(weights), MemoryStore(), exposure, [1.0] * len(frames)
-    )
+    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), density.shape, exposure)
+    run = SequenceOptimisation(plan, frames, GoogLeNet.load(weights), MemoryStore())
     for _ in run.run(note):
         pass
     # With a window all frames take their turns before the first is due again; without, it goes on by itself.

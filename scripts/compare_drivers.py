@@ -28,10 +28,11 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.losses.objective import BoundObjective
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, versions
+from tnst_mi.optimisation.goals import objective_of
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.parameterisation import GRADIENT_SIGMA
-from tnst_mi.optimisation.single_frame import objective_of, optimise
-from tnst_mi.rendering.driving import driving_scene, main_view
+from tnst_mi.optimisation.single_frame import optimise
+from tnst_mi.rendering.driving import driving_renderer, main_view
 from tnst_mi.run.progress import ProgressBar
 
 FRAME = Path(__file__).resolve().parents[1] / "scenes" / "suzanne" / "frame_0010.npz"
@@ -46,7 +47,7 @@ JUDGED_SPP = 128
 REPEATS = 16
 
 
-class Renderer:
+class Judge:
     """One of the two renderers at full resolution, with the exposure that it gives the unstylized frame."""
 
     def __init__(self, frame: Frame, recipe: Recipe, network: GoogLeNet) -> None:
@@ -56,9 +57,8 @@ class Renderer:
 
     def pictures(self, density: np.ndarray) -> np.ndarray:
         """Exposed pictures (3, H, W) of a density (D, H, W); the same noise each time."""
-        scene = driving_scene(self.recipe, density.shape, 1.0, len(VIEWS), JUDGED_SPP)
-        scene.reseed([self.recipe.seed])
-        return self.exposure * scene.render(mi.TensorXf(density), VIEWS).numpy()
+        renderer = driving_renderer(self.recipe, density.shape, 1.0, JUDGED_SPP)
+        return self.exposure * renderer.render(mi.TensorXf(density), VIEWS, [self.recipe.seed]).numpy()
 
     def judge(self, density: np.ndarray) -> tuple[float, np.ndarray]:
         """Style distance, the mean over the views, and the picture (H, W) from the front."""
@@ -68,8 +68,7 @@ class Renderer:
 
     def gradient(self, density: np.ndarray, seed: int) -> mi.TensorXf:
         """Derivative of the loss (D, H, W) as an iteration takes it, with the recipe's few paths."""
-        scene = driving_scene(self.recipe, density.shape, 1.0, len(VIEWS))
-        scene.reseed([self.recipe.seed, seed])
+        renderer = driving_renderer(self.recipe, density.shape, 1.0)
         leaf = mi.TensorXf(density)
         dr.enable_grad(leaf)
 
@@ -77,7 +76,7 @@ class Renderer:
         def loss(images):  # noqa: ANN202
             return self.loss(images)
 
-        dr.backward(loss(scene.render(leaf, VIEWS) * self.exposure))
+        dr.backward(loss(renderer.render(leaf, VIEWS, [self.recipe.seed, seed]) * self.exposure))
         return dr.grad(leaf)
 
     def noise(self, frame: Frame) -> dict[str, float | None]:
@@ -106,11 +105,10 @@ def compare(frame: Frame, recipe: Recipe) -> tuple[dict, dict[str, list[np.ndarr
     """Losses, times and noise by renderer, and the front pictures before and after each run."""
     network = GoogLeNet.load(recipe.weights).to(torch_device())
     recipes = {name: recipe.updated({"integrator": name}, "drivers: ", Path.cwd()) for name in NAMES}
-    renderers = {name: Renderer(frame, of_driver, network) for name, of_driver in recipes.items()}
+    renderers = {name: Judge(frame, of_driver, network) for name, of_driver in recipes.items()}
     densities, drivers = {"before": frame.density}, {}
     for name, renderer in renderers.items():
         bar = ProgressBar(True)
-        bar.frames, bar.frame = 1, f"driven by {name}"
         stylized = optimise(frame, recipes[name], network, renderer.exposure, bar.advance)
         bar.close()
         densities[name] = stylized.density

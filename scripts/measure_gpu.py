@@ -125,10 +125,9 @@ def first_iteration(
     import mitsuba as mi
     from benchmark import GAMMA, PAPER, bundled_density
 
-    from tnst_mi.fields.grid import Octave
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.optimisation.goals import objective_of
-    from tnst_mi.optimisation.parameterisation import Transport
+    from tnst_mi.optimisation.parameterisation import Fields, Transport, normalised_step
     from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
     found: dict[str, np.ndarray] = {}
@@ -140,12 +139,11 @@ def first_iteration(
     density = bundled_density(size)
     network = GoogLeNet.load(weights).to(torch_device())
     loss_of = objective_of(tnst_mi.Recipe.from_dict(PAPER)).bind(network, *density.shape[1:])
-    parameters = Transport(1.0)
+    transport = Transport(1.0)
     wave = np.sin(np.arange(density.shape[2]) / 3)
-    parameters.restore({"phi": np.broadcast_to(np.float32(wave), density.shape)}, Octave(density.shape, 1.0))
-    parameters.attach()
-    stylized = parameters.density(mi.TensorXf(density))
-    seen = taken_over("stylized", dr.detach(stylized))
+    fields = Fields(phi=mi.TensorXf(np.broadcast_to(np.float32(wave), density.shape).copy()))
+    stylized, pull_back = transport.density_with_pullback(fields, mi.TensorXf(density), 1.0)
+    seen = taken_over("stylized", stylized)
     dr.enable_grad(seen)
     rendered = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0).render(
         seen, tnst_mi.sample_views(PAPER["views"])
@@ -158,13 +156,10 @@ def first_iteration(
     dr.set_grad(rendered, taken_over("image_gradient", dr.grad(images)) * mi.Float(0.1))
     dr.enqueue(dr.ADMode.Backward, rendered)
     dr.traverse(dr.ADMode.Backward)
-    dr.set_grad(stylized, taken_over("gradient", dr.grad(seen)))
-    dr.enqueue(dr.ADMode.Backward, stylized)
-    dr.traverse(dr.ADMode.Backward)
-    taken_over("potential_gradient", dr.grad(parameters.fields["phi"]))
-    parameters.find_steps(mi.TensorXf(density), 0.002, density.shape[1], 3)
-    parameters.descend()
-    taken_over("potential", parameters.fields["phi"])
+    gradient = pull_back(taken_over("gradient", dr.grad(seen)))
+    gradient = Fields(phi=taken_over("potential_gradient", gradient["phi"]))
+    size = 0.002 * transport.unit_step(density.shape[1], 1.0)
+    taken_over("potential", (fields - normalised_step(gradient, mi.TensorXf(density), size, 3))["phi"])
     return found
 
 
@@ -269,63 +264,29 @@ def device_memory() -> Iterator[list[int]]:
 def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], views: int) -> Result:
     """One iteration at a size: seconds of each phase, and Dr.Jit's kernels with their milliseconds on the device."""
     import drjit as dr
-    import mitsuba as mi
-    import torch
-    from benchmark import GAMMA, PAPER, bundled_density
-    from peers.sides import wavy_potential
+    from benchmark import PAPER, bundled_density
+    from peers.sides import Iteration, Ours
 
-    from tnst_mi.fields.grid import Octave
     from tnst_mi.network.googlenet import GoogLeNet
-    from tnst_mi.optimisation.goals import objective_of
-    from tnst_mi.optimisation.gradient import OctaveProblem
-    from tnst_mi.optimisation.parameterisation import Transport
-    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
     density = bundled_density(shape)
-    octave, smoke = Octave(density.shape, 1.0), mi.TensorXf(density)
-    network = GoogLeNet.load(options.weights)
-    recipe = tnst_mi.Recipe.from_dict(PAPER | {"views": views})
-    problem = OctaveProblem(objective_of(recipe), network.to(torch_device()), octave, 0.1)
-    parameters = Transport(1.0)
-    parameters.restore({"phi": wavy_potential(density.shape)}, octave)
-    renderer = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0)
-    directions = [tuple(view) for view in tnst_mi.sample_views(views)]
-    images = renderer.render(smoke, directions)
-    pictures = images.torch().clone().requires_grad_()
-
-    def whole() -> None:
-        problem.gradient(parameters, smoke, recipe, (0,))
-        parameters.find_steps(smoke, 1e-9, density.shape[1], 3)
-        parameters.descend()
-
-    def step() -> None:
-        dr.set_grad(parameters.fields["phi"], smoke)
-        parameters.find_steps(smoke, 1e-9, density.shape[1], 3)
-        parameters.descend()
-        parameters.attach()
-
-    def transport() -> None:
-        moved = parameters.density(smoke)
-        dr.set_grad(moved, smoke)
-        dr.enqueue(dr.ADMode.Backward, moved)
-        dr.traverse(dr.ADMode.Backward)
-        dr.eval(dr.grad(parameters.fields["phi"]))
-
-    def render() -> None:
-        seen = dr.detach(smoke)
-        dr.enable_grad(seen)
-        dr.backward(dr.sum(renderer.render(seen, directions), axis=None))
-        dr.eval(dr.grad(seen))
+    network = GoogLeNet.load(options.weights).to(torch_device())
+    whole = Iteration(density, tnst_mi.Recipe.from_dict(PAPER | {"views": views}), network, 0.1)
+    parts = Ours(density, [tuple(view) for view in tnst_mi.sample_views(views)])
+    pictures = parts.render_forward().torch().clone().requires_grad_()
 
     def judge() -> None:
-        problem.loss(pictures).backward()
+        whole.problem.loss(pictures).backward()
         pictures.grad = None
 
-    parameters.attach()
-    phases = {"transport": transport, "rendering": render, "network": judge, "step": step, "whole": whole}
+    phases = {
+        "transport": lambda: dr.eval(parts.transport_backward()),
+        "rendering": lambda: dr.eval(parts.render_backward()),
+        "network": judge,
+        "step": lambda: dr.eval(parts.step()),
+        "whole": whole,
+    }
     milliseconds = {name: median_milliseconds(task) for name, task in phases.items()}
-    parameters.attach()
-    torch.cuda.synchronize() if torch.cuda.is_available() else None
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         whole()

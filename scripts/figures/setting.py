@@ -16,7 +16,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import load_frames
 from tnst_mi.recipe.recipe import STYLES, Recipe
 from tnst_mi.run.folder import StoredArrays, holds_run
-from tnst_mi.run.job import Run
+from tnst_mi.run.job import Run as RunningJob
 from tnst_mi.run.prepare import prepare
 
 _HERE = Path(__file__).resolve().parents[2]
@@ -133,12 +133,12 @@ class Setting:
         recipe = (recipe or Recipe()).updated({"weights": self.weights, **keys}, f"{name}: ", here)
         out = self.out / "runs" / name
         try:
-            job = Run(prepare(frames, recipe, out, resume=holds_run(out)))
+            job = RunningJob(prepare(frames, recipe, out, resume=holds_run(out)))
         except InputError:
             if not holds_run(out):
                 raise
             # What is there is of other frames, another recipe or other weights.
-            job = Run(prepare(frames, recipe, out, overwrite=True))
+            job = RunningJob(prepare(frames, recipe, out, overwrite=True))
         self.earlier.setdefault(name, job.record.get("seconds", 0.0))
         for _ in job:
             pass

@@ -10,7 +10,11 @@ import torch
 from peers import drjit_peer, torch_peer
 from tnst_mi.fields.grid import Octave
 from tnst_mi.machine.backend import torch_device
-from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.gradient import problem_of
+from tnst_mi.optimisation.parameterisation import Fields, Transport, normalised_step
+from tnst_mi.optimisation.plan import plan_of
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 GAMMA = 0.1
@@ -29,20 +33,16 @@ class Ours:
         self.density, self.views = mi.TensorXf(density), views
         self.renderer = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0)
         self.transport = Transport(1.0)
-        self.transport.restore({"phi": wavy_potential(density.shape)}, Octave(density.shape, 1.0))
+        self.fields = Fields(phi=mi.TensorXf(wavy_potential(density.shape)))
 
     def transport_forward(self) -> object:
         """The transported density."""
-        return self.transport.density(self.density)
+        return self.transport.density(self.fields, self.density, 1.0)
 
     def transport_backward(self) -> object:
         """The derivative with respect to the potential, the density being that of the result."""
-        self.transport.attach()
-        moved = self.transport.density(self.density)
-        dr.set_grad(moved, self.density)
-        dr.enqueue(dr.ADMode.Backward, moved)
-        dr.traverse(dr.ADMode.Backward)
-        return dr.grad(self.transport.fields["phi"])
+        _, pull_back = self.transport.density_with_pullback(self.fields, self.density, 1.0)
+        return pull_back(self.density)["phi"]
 
     def render_forward(self) -> object:
         """The images of all views."""
@@ -50,32 +50,47 @@ class Ours:
 
     def render_backward(self) -> object:
         """The derivative of the sum of squared pixels with respect to the density."""
-        seen = dr.detach(self.density)
+        return self._gradient_of_views(dr.detach(self.density))
+
+    def both_backward(self) -> object:
+        """The same of the transported density, with respect to the potential."""
+        moved, pull_back = self.transport.density_with_pullback(self.fields, self.density, 1.0)
+        return pull_back(self._gradient_of_views(moved))["phi"]
+
+    def _gradient_of_views(self, seen: mi.TensorXf) -> mi.TensorXf:
         dr.enable_grad(seen)
         dr.backward(dr.sum(dr.square(self.renderer.render(seen, self.views).array)))
         return dr.grad(seen)
 
-    def both_backward(self) -> object:
-        """The same of the transported density, with respect to the potential."""
-        self.transport.attach()
-        moved = self.transport.density(self.density)
-        seen = dr.detach(moved)
-        dr.enable_grad(seen)
-        dr.backward(dr.sum(dr.square(self.renderer.render(seen, self.views).array)))
-        dr.set_grad(moved, dr.grad(seen))
-        dr.enqueue(dr.ADMode.Backward, moved)
-        dr.traverse(dr.ADMode.Backward)
-        return dr.grad(self.transport.fields["phi"])
-
     def step(self) -> object:
         """The potential after a normalised step along the density."""
-        self.transport.attach()
-        before = self.transport.fields["phi"]
-        dr.set_grad(before, self.density)
-        self.transport.find_steps(self.density, 1e-9, self.density.shape[1], 3)
-        self.transport.descend()
-        after, self.transport.fields["phi"] = self.transport.fields["phi"], before
-        return after
+        size = 1e-9 * self.transport.unit_step(self.density.shape[1], 1.0)
+        return (self.fields - normalised_step(Fields(phi=self.density), self.density, size, 3))["phi"]
+
+
+class Iteration:
+    """A whole iteration of one frame, as `stylize` does it: views → loss → derivative → normalised step.
+
+    Args:
+        density: (D, H, W).
+        recipe: of the iteration.
+        network: judges the images.
+        exposure: factor from rendered images to the network's [0, 1].
+    """
+
+    def __init__(self, density: np.ndarray, recipe: Recipe, network: GoogLeNet, exposure: float) -> None:
+        plan = plan_of(recipe, ["smoke"], [0], [1.0], density.shape, exposure)
+        self.rows, (self.frame,) = plan.rows, plan.frames
+        self.problem = problem_of(plan, Octave(density.shape, 1.0), network)
+        self.density = mi.TensorXf(density)
+        self.fields = Fields(phi=mi.TensorXf(wavy_potential(density.shape)))
+
+    def __call__(self) -> object:
+        """The potential after the iteration."""
+        found = self.problem.gradient(self.frame, self.fields, self.density, (0,))
+        size = 1e-9 * self.frame.parameterisation.unit_step(self.rows, 1.0)
+        self.fields = self.fields - normalised_step(found.gradient, self.density, size, 3)
+        return self.fields["phi"]
 
 
 class Torch:
