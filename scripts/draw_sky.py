@@ -1,7 +1,11 @@
-"""Draw scenes/looks/sky.exr: the environment of the looks, brightest overhead, even at and below the horizon."""
+"""Draw scenes/looks/sky.exr: the environment of the looks, brightest overhead, even at and below the horizon.
+
+    python scripts/draw_sky.py [--out sky.exr]
+"""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +31,14 @@ def sky(rows: int = 64) -> np.ndarray:
     return np.tile(brightness[:, None, None] * np.array(HORIZON), (1, 8, 1)).astype(np.float32)
 
 
+def main() -> None:
+    """Draw and write it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=SKY, help="the file (default: that of the looks)")
+    out = parser.parse_args().out
+    write_exr(out, sky(), {})
+    print(out)
+
+
 if __name__ == "__main__":
-    write_exr(SKY, sky(), {})
-    print(SKY)
+    main()

@@ -60,6 +60,17 @@ def stylize(
 
     Raises:
         InputError: the frames, the recipe, the weights or `out` cannot be used; then nothing is written.
+
+    Example:
+        >>> import numpy as np, tnst_mi
+        >>> density = np.zeros((8, 12, 8), np.float32)
+        >>> density[2:6, 3:9, 2:6] = 0.5
+        >>> recipe = {"style": ["spirals"], "octaves": 1, "iterations": 2, "views": 1, "weights": "patterns"}
+        >>> result = tnst_mi.stylize(density, recipe, progress=False)
+        >>> result.densities[0].shape, result.velocities[0].shape
+        ((8, 12, 8), (8, 12, 8, 3))
+        >>> [entry["iteration"] for entry in result.history[0]]
+        [0, 1]
     """
     if isinstance(recipe, str | Path):
         recipe = Recipe.from_toml(recipe)

@@ -1,0 +1,26 @@
+"""Every script can be imported and explains itself."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+#: Blender runs this one, with a Python of its own.
+IN_BLENDER = {"blender_bake.py"}
+
+
+@pytest.mark.parametrize("script", sorted(path.name for path in SCRIPTS.glob("*.py")))
+def test_help(script: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    if script in IN_BLENDER:
+        pytest.importorskip("bpy", reason="runs inside Blender, whose module bpy is not here")
+    monkeypatch.setattr(sys, "argv", [script, "--help"])
+    with pytest.raises(SystemExit) as stop:
+        runpy.run_path(str(SCRIPTS / script), run_name="__main__")
+    told = capsys.readouterr().out
+    assert stop.value.code == 0 and "usage:" in told.lower()
+    assert (SCRIPTS / script).read_text("utf-8").count(f"scripts/{script}") >= 1, "its docstring shows how it is called"
