@@ -64,7 +64,7 @@ def ask(python: str, *words: object) -> None:
 
 def dumped(python: str, file: Path, folder: Path) -> dict[str, np.ndarray]:
     """What the official module finds in a file: see `dump`."""
-    from tnst_mi.io.vdb import read_vdb
+    from tnst_mi.io.grids.vdb import read_vdb
 
     known = [grid.name for grid in read_vdb(file).grids if grid.tree_type.startswith(_KNOWN_THERE)]
     ask(python, "dump", file, folder / f"{file.stem}.npz", *known)
@@ -74,7 +74,7 @@ def dumped(python: str, file: Path, folder: Path) -> dict[str, np.ndarray]:
 
 def reader_agrees(file: Path, expected: dict[str, np.ndarray]) -> bool:
     """Whether our reader finds in a file what the official module found; prints a line for each grid."""
-    from tnst_mi.io.vdb import read_vdb
+    from tnst_mi.io.grids.vdb import read_vdb
 
     good = True
     grids = read_vdb(file).grids
@@ -96,7 +96,7 @@ def reader_agrees(file: Path, expected: dict[str, np.ndarray]) -> bool:
 
 def writer_agrees(python: str, compression: str, folder: Path) -> bool:
     """Whether the official module finds in a file of ours what we put there; prints a line for each grid."""
-    from tnst_mi.io.vdb import DenseGrid, write_vdb
+    from tnst_mi.io.grids.vdb import DenseGrid, write_vdb
 
     random = np.random.default_rng(0)
     density = np.where(random.random((37, 21, 300)) < 0.3, random.random((37, 21, 300)), 0.0).astype(np.float32)

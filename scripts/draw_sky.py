@@ -1,6 +1,6 @@
 """Draw scenes/looks/sky.exr: the environment of the looks, brightest overhead, even at and below the horizon.
 
-    python scripts/draw_sky.py [--out sky.exr]
+python scripts/draw_sky.py [--out sky.exr]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.io.exr import write_exr
+from tnst_mi.io.pictures.exr import write_exr
 
 SKY = Path(__file__).resolve().parents[1] / "scenes" / "looks" / "sky.exr"
 

@@ -21,7 +21,7 @@ import numpy as np
 from simulate import CONVENTIONS
 
 from tnst_mi import render
-from tnst_mi.io.png import write_png
+from tnst_mi.io.pictures.png import write_png
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 SUZANNE_FRAMES = (10,)

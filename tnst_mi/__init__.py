@@ -1,17 +1,20 @@
 """Transport-based neural style transfer for smoke, on Mitsuba 3, Dr.Jit and PyTorch.
 
 `activate()` selects the Mitsuba variant; every public function calls it if none is active. Importing the package
-touches no Mitsuba type: the plugins `emission_absorption` and `orthographic_views` are registered for each variant
-as it becomes active.
+imports Mitsuba, whose variants it waits for, and nothing else that is large: the plugins `emission_absorption` and
+`orthographic_views` are registered for each variant as it becomes active, and the public names are imported with
+their first use.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError
-from tnst_mi.machine.backend import activate, let_idle_threads_sleep, select_llvm
+from tnst_mi.machine.llvm import choose_llvm
 
 __version__ = "0.1.0"
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from tnst_mi.fields.potentials import velocity
     from tnst_mi.frame import Frame
     from tnst_mi.io import load_frames, save_frames
+    from tnst_mi.machine.backend import activate
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.recipe.recipe import Recipe
     from tnst_mi.rendering.cameras.views import sample_views
@@ -32,6 +36,7 @@ _PUBLIC = {
     "GoogLeNet": "network.googlenet",
     "Recipe": "recipe.recipe",
     "Result": "run.api",
+    "activate": "machine.backend",
     "advect": "fields.advection",
     "load_frames": "io",
     "render": "rendering.renderer",
@@ -61,9 +66,6 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tnst_mi' has no attribute {name!r}")
-    # The field and Mitsuba modules need an active variant when they are imported.
-    if _PUBLIC[name] in ("advection", "potentials", "renderer"):
-        activate()
     value = getattr(importlib.import_module(f"tnst_mi.{_PUBLIC[name]}"), name)
     globals()[name] = value
     return value
@@ -77,15 +79,19 @@ def _register_plugins(old: str | None, new: str | None) -> None:
     importlib.import_module("tnst_mi.rendering.plugins").register()
 
 
-def _install_plugins() -> None:
-    """Have the plugins registered now, if a variant is active, and at each change of the variant."""
+def _prepare() -> None:
+    """Decide what must be decided before Dr.Jit or torch are imported, and have the plugins follow the variant."""
+    # While torch's OpenMP threads wait they would spin, taking cores from Dr.Jit's threads, with which they alternate,
+    # and from other programs: on two shared cores the network took five times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Dr.Jit, which Mitsuba imports, loads LLVM while it is imported.
-    select_llvm()
-    let_idle_threads_sleep()
+    choose_llvm()
+    if "drjit" in sys.modules:
+        importlib.import_module("tnst_mi.machine.loaded_llvm").replace_unusable_llvm()
     mi = importlib.import_module("mitsuba")
     mi.detail.add_variant_callback(_register_plugins)
     if mi.variant() is not None:
         _register_plugins(None, mi.variant())
 
 
-_install_plugins()
+_prepare()

@@ -1,6 +1,9 @@
 """The command line: find the command, let tyro read its flags, run it, and turn failures into exit codes.
 
 Exit codes: 0 done, 1 failed, 2 bad input, 3 interrupted. Results go to stdout, progress and errors to stderr.
+
+Imports wait until it is known that they are needed: the overview and wrong names need none, --help and wrong flags only
+those of `tnst_mi.commands.arguments`.
 """
 
 from __future__ import annotations
@@ -8,42 +11,36 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import importlib
 import io
 import os
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterator, Sequence
-from functools import reduce
-from operator import or_
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from tnst_mi.commands.atlas import Atlas
-from tnst_mi.commands.base import Command
-from tnst_mi.commands.compare import Compare
-from tnst_mi.commands.convert import Convert
-from tnst_mi.commands.demo import Demo
-from tnst_mi.commands.doctor import Doctor
-from tnst_mi.commands.info import Info
-from tnst_mi.commands.render import Render
-from tnst_mi.commands.stylize import Stylize
-from tnst_mi.commands.weights import Weights
 from tnst_mi.errors import InputError, StoppedError
 
-COMMANDS: dict[str, type[Command]] = {
-    "demo": Demo,
-    "stylize": Stylize,
-    "render": Render,
-    "compare": Compare,
-    "convert": Convert,
-    "atlas": Atlas,
-    "info": Info,
-    "weights": Weights,
-    "doctor": Doctor,
-}
+if TYPE_CHECKING:
+    from tnst_mi.commands.base import Arguments
 
-_MARKERS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+#: Each command, of which the module of that name in `tnst_mi.commands` has the `run`, and what it does.
+COMMANDS = {
+    "demo": "Stylize the bundled frame with the bundled recipe; needs nothing else.",
+    "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
+    "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
+    "compare": "Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.",
+    "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb "
+    "(OpenVDB).",
+    "atlas": "Show every channel of a layer: the picture that excites it, and the smoke patch it makes of a ball of "
+    "smoke.",
+    "info": "Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest "
+    "velocity.",
+    "weights": "List the GoogLeNet weights that are found, and say where others come from.",
+    "doctor": "Check Python, Mitsuba, Dr.Jit, LLVM, GPU, OptiX, torch, weights and memory; say how to get what is "
+    "missing.",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,10 +48,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         arguments = sys.argv[1:]
         for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(errors="replace")  # for consoles without λ and →
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")  # for consoles without λ and →
     arguments = list(arguments)
     try:
-        code = _parsed(arguments).run()
+        code = _run(arguments)
         sys.stdout.flush()
         return code
     except SystemExit as stop:  # after --help
@@ -72,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bad_input = next((link for link in _chain(error) if isinstance(link, InputError)), None)
         if bad_input is not None:
             return _failed(arguments, str(bad_input), 2)
-        cause = error
+        cause: BaseException = error
         while cause.__cause__ is not None:
             cause = cause.__cause__
         because = "" if cause is error else f", caused by {type(cause).__name__}: {cause}"
@@ -94,23 +92,44 @@ def _failed(arguments: list[str], message: str, code: int) -> int:
     return code
 
 
-def _parsed(arguments: list[str]) -> Command:
-    """Read the arguments; --help prints and raises SystemExit."""
+def _run(arguments: list[str]) -> int:
+    """Run the command that the arguments name, or print what the commands do."""
     name = arguments[0] if arguments else "--help"
     if name in ("-h", "--help"):
-        return _help()
+        print(_overview())
+        return 0
     if name not in COMMANDS:
         nearest = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {nearest[0]}?" if nearest else f"expected one of {', '.join(COMMANDS)}"
         raise InputError(f"no command {name!r}; {hint} (tnst-mi --help explains them)")
+    parsed = _parsed(name, arguments[1:])
+    return importlib.import_module(f"tnst_mi.commands.{name}").run(parsed)
+
+
+def _overview() -> str:
+    """What the commands do."""
+    description = "Transport-based neural style transfer for smoke. Each command has its own --help."
+    rows = [
+        textwrap.fill(summary, width=80, initial_indent=f"  {name:9}", subsequent_indent=" " * 11)
+        for name, summary in COMMANDS.items()
+    ]
+    return "\n".join(["usage: tnst-mi COMMAND ...", "", description, "", *rows])
+
+
+def _parsed(name: str, arguments: list[str]) -> Arguments:
+    """Read the arguments of a command; --help prints and raises SystemExit."""
+    import tyro
+
+    from tnst_mi.commands.arguments import ARGUMENTS
+
     framed = io.StringIO()
     try:
         with contextlib.redirect_stderr(framed):
-            command, unknown = tyro.cli(
-                COMMANDS[name],
+            parsed, unknown = tyro.cli(
+                ARGUMENTS[name],
                 prog=f"tnst-mi {name}",
-                args=arguments[1:],
-                config=_MARKERS,
+                args=arguments,
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
                 return_unknown_args=True,
             )
     except SystemExit as stop:
@@ -119,23 +138,16 @@ def _parsed(arguments: list[str]) -> Command:
         raise
     if unknown:
         flag = unknown[0].partition("=")[0]
-        nearest = difflib.get_close_matches(flag, _flags(command), n=1, cutoff=0.5)
+        nearest = difflib.get_close_matches(flag, list(_flags(parsed)), n=1, cutoff=0.5)
         hint = f"did you mean {nearest[0]}?" if nearest else f"tnst-mi {name} --help lists what is known"
         raise InputError(f"{name}: unexpected {flag!r}; {hint}")
-    return command
+    return parsed
 
 
-def _help() -> Command:
-    """Print what the commands do."""
-    commands = [Annotated[command, tyro.conf.subcommand(name)] for name, command in COMMANDS.items()]
-    description = "Transport-based neural style transfer for smoke. Each command has its own --help."
-    return tyro.cli(reduce(or_, commands), prog="tnst-mi", description=description, args=["--help"])
-
-
-def _flags(command: object) -> Iterator[str]:
+def _flags(arguments: Any) -> Iterator[str]:
     """The flags of a command, those of its nested dataclasses included."""
-    for field in dataclasses.fields(command):
-        value = getattr(command, field.name)
+    for field in dataclasses.fields(arguments):
+        value = getattr(arguments, field.name)
         if dataclasses.is_dataclass(value):
             yield from _flags(value)
         else:

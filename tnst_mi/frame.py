@@ -40,6 +40,16 @@ class Frame:
 
     Raises:
         InputError: an array has another shape, is empty, or holds values that no simulation produces.
+
+    Example:
+        >>> import numpy as np
+        >>> import tnst_mi
+        >>> frame = tnst_mi.Frame(np.full((2, 3, 4), 0.5), name="smoke_0008", number=8)
+        >>> frame.density.dtype, frame.mass
+        (dtype('float32'), 12.0)
+        >>> tnst_mi.Frame(np.full((2, 3, 4), -0.5))
+        Traceback (most recent call last):
+        tnst_mi.errors.InputError: frame: density has 24 negative values (smallest -0.5), expected values of 0 or more
     """
 
     density: np.ndarray

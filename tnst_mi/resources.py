@@ -1,4 +1,4 @@
-"""Files that come with the package: its data, and the scenes, which lie beside it in a checkout."""
+"""Where files are that come with the package: its data, and the scenes and weights that lie beside it in a checkout."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ DATA = Path(__file__).resolve().parent / "data"
 
 #: In an installed package, and in a checkout.
 _SCENES = (DATA.parent / "scenes", DATA.parents[1] / "scenes")
+
+#: Network weights that several checkouts share, in a folder beside them (it need not exist).
+SHARED_WEIGHTS = DATA.parents[2] / "shared" / "weights"
 
 
 def scene_file(name: str) -> Path:

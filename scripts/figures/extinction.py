@@ -10,7 +10,7 @@ from figures.seen import FRONT, JUDGED, images_of, losses_of
 from figures.setting import Setting
 from tnst_mi.choices import LOOKS
 from tnst_mi.losses.terms import Style
-from tnst_mi.rendering.pictures import PathTraced
+from tnst_mi.rendering.pictures import PathTracedPainter
 
 _GAMMAS = (0.01, 1.0)
 _KEYS = {
@@ -46,7 +46,7 @@ def make(setting: Setting) -> Made:
     }
     rows = [[Panel(_from_the_left(field), f"{name}, side")] for name, field in inside.items()]
     for look in LOOKS:
-        painter = PathTraced([frame], [FRONT], look, "volpath", size, samples, 0, False)
+        painter = PathTracedPainter([frame], [FRONT], look, "volpath", size, samples, 0, False)
         for row, (name, density) in zip(rows, densities.items(), strict=True):
             row.append(Panel(painter.shown(painter.paint(density, FRONT, 0)), f"{name}, {look}"))
     return Made(

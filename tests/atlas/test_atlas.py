@@ -17,7 +17,7 @@ from PIL import Image
 
 from tnst_mi import GoogLeNet, InputError
 from tnst_mi.atlas.excitation import Ascent, excite, noise
-from tnst_mi.atlas.layer_atlas import Atlas, AtlasSettings, channel_numbers
+from tnst_mi.atlas.layer_atlas import AtlasSettings, LayerAtlas, channel_numbers
 from tnst_mi.atlas.smoke_patch import PatchSettings, ball, stylized_ball
 from tnst_mi.fields.pyramid import normalise
 from tnst_mi.losses.objective import as_rgb
@@ -115,7 +115,7 @@ def test_smoke_moves_towards_the_channel(network: GoogLeNet) -> None:
 
 
 def test_an_interrupted_atlas_goes_on_to_the_same_bits(network: GoogLeNet, tmp_path: Path) -> None:
-    whole = Atlas(network, LAYER, tmp_path / "whole", QUICK)
+    whole = LayerAtlas(network, LAYER, tmp_path / "whole", QUICK)
     whole.make([0, 1, 2])
     whole.publish()
 
@@ -124,8 +124,8 @@ def test_an_interrupted_atlas_goes_on_to_the_same_bits(network: GoogLeNet, tmp_p
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Atlas(network, LAYER, tmp_path / "parts", QUICK).make([0, 1, 2], interrupt)
-    again = Atlas(network, LAYER, tmp_path / "parts", QUICK)
+        LayerAtlas(network, LAYER, tmp_path / "parts", QUICK).make([0, 1, 2], interrupt)
+    again = LayerAtlas(network, LAYER, tmp_path / "parts", QUICK)
     assert again.missing([0, 1, 2]) == [1, 2]
     made: Counter[tuple[int, str]] = Counter()
     again.make([0, 1, 2], lambda channel, what: made.update([(channel, what)]))
@@ -135,13 +135,13 @@ def test_an_interrupted_atlas_goes_on_to_the_same_bits(network: GoogLeNet, tmp_p
 
 
 def test_what_a_kill_leaves_behind_is_made_anew(network: GoogLeNet, tmp_path: Path) -> None:
-    atlas = Atlas(network, LAYER, tmp_path, QUICK)
+    atlas = LayerAtlas(network, LAYER, tmp_path, QUICK)
     atlas.make([0, 1])
     expected = files(tmp_path)
     file = tmp_path / "channels" / "001_picture.png"
     file.write_bytes(file.read_bytes()[:-40])
     (tmp_path / "channels" / ".001_smoke.4711.png").write_bytes(b"half")
-    again = Atlas(network, LAYER, tmp_path, QUICK)
+    again = LayerAtlas(network, LAYER, tmp_path, QUICK)
     assert again.missing([0, 1]) == [1]
     again.make([0, 1])
     assert files(tmp_path) == expected
@@ -149,19 +149,19 @@ def test_what_a_kill_leaves_behind_is_made_anew(network: GoogLeNet, tmp_path: Pa
 
 def test_an_atlas_is_of_one_layer_one_network_and_one_way(network: GoogLeNet, tmp_path: Path) -> None:
     out = tmp_path / "atlas"
-    Atlas(network, "mixed3b_3x3_bottleneck_pre_relu", out, QUICK)
-    Atlas(network, LAYER, out, QUICK)  # the same layer by its other name
+    LayerAtlas(network, "mixed3b_3x3_bottleneck_pre_relu", out, QUICK)
+    LayerAtlas(network, LAYER, out, QUICK)  # the same layer by its other name
     with pytest.raises(InputError, match="atlas of another layer; give another --out"):
-        Atlas(network, "inception_3b/1x1", out, QUICK)
+        LayerAtlas(network, "inception_3b/1x1", out, QUICK)
     with pytest.raises(InputError, match="made with other settings"):
-        Atlas(network, LAYER, out)
+        LayerAtlas(network, LAYER, out)
     (out / "atlas.json").write_text("{")
     with pytest.raises(InputError, match=r"atlas\.json: damaged"):
-        Atlas(network, LAYER, out, QUICK)
+        LayerAtlas(network, LAYER, out, QUICK)
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "file").touch()
     with pytest.raises(InputError, match="is not empty; give"):
-        Atlas(network, LAYER, tmp_path / "else", QUICK)
+        LayerAtlas(network, LAYER, tmp_path / "else", QUICK)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import importlib
+import inspect
 import json
 import subprocess
 import sys
@@ -16,6 +18,7 @@ from jobs import FakeOptimiser, frames, optimiser
 from networks import random_googlenet
 
 from tnst_mi.cli import COMMANDS
+from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import KINDS
@@ -37,6 +40,30 @@ def test_help_names_every_command_and_every_flag(run: Run) -> None:
         assert f"--{name.replace('_', '-')} " in ran.out
     for name in COMMANDS:
         assert run(name, "--help").code == 0
+
+
+def test_the_overview_says_what_the_help_of_each_command_says(run: Run) -> None:
+    """It is a table, so that it needs not import the commands."""
+    assert list(COMMANDS) == list(ARGUMENTS)
+    overview = " ".join(run("--help").out.split())
+    for name, summary in COMMANDS.items():
+        assert " ".join(inspect.getdoc(ARGUMENTS[name]).split("\n\n")[0].split()) == summary
+        assert f"{name} {summary}" in overview
+        assert callable(importlib.import_module(f"tnst_mi.commands.{name}").run)
+
+
+def test_what_is_not_needed_is_not_imported(tmp_path: Path) -> None:
+    """The overview and wrong names need no command, those that only read and write no torch."""
+    np.savez(tmp_path / "a.npz", density=np.ones((2, 2, 2)))
+    program = (
+        "import sys; from tnst_mi.cli import main; main(sys.argv[1:]); "
+        "print([name for name in ('tyro', 'torch', 'matplotlib') if name in sys.modules])"
+    )
+    for line, imported in (("--help", "[]"), ("styliz", "[]"), (f"info {tmp_path / 'a.npz'}", "['tyro']")):
+        done = subprocess.run(
+            [sys.executable, "-c", program, *line.split()], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.splitlines()[-1] == imported
 
 
 def test_help_loads_no_torch_and_starts_no_variant() -> None:

@@ -7,17 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Run, refused, run, smoke
+from command_line import refused, run, smoke
 from jobs import FakeOptimiser, optimiser
 
 import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Placement
 from tnst_mi.io import load_frames, save_frames
+from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.io.orientation import from_z_up
-from tnst_mi.io.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.job import Job
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
 
 __all__ = ["optimiser", "run", "smoke"]
 
@@ -196,14 +197,14 @@ def test_another_format_is_asked_for_resumed_and_overwritten(
 
     recipe = Recipe(style=("spirals",), format="vdb")
     optimiser.interrupt_at = "f_08"
-    list(Job(moving, recipe, out, progress=False).run())
+    list(Run(prepare(moving, recipe, out), progress=False))
     assert written() == {"density/f_07.vdb", "velocity/f_07.vdb"}
     optimiser.interrupt_at, optimiser.names[:] = None, []
-    list(Job(moving, recipe, out, progress=False, resume=True).run())
+    list(Run(prepare(moving, recipe, out, resume=True), progress=False))
     assert optimiser.names == ["f_08", "f_09"]
     assert written() == {f"{kind}/f_0{number}.vdb" for kind in ("density", "velocity") for number in (7, 8, 9)}
     assert [grid.name for grid in read_vdb(out / "velocity" / "f_07.vdb").grids] == ["velocity"]
-    list(Job(moving, Recipe(style=("spirals",)), out, progress=False, overwrite=True).run())
+    list(Run(prepare(moving, Recipe(style=("spirals",)), out, overwrite=True), progress=False))
     assert written() == {f"{kind}/f_0{number}.npz" for kind in ("density", "velocity") for number in (7, 8, 9)}
 
 
@@ -213,7 +214,7 @@ def test_a_run_is_resumed_in_its_format_only(optimiser: FakeOptimiser, moving: P
         save_frames(tmp_path / format, frames, format)
     tnst_mi.stylize(tmp_path / "vdb", recipe, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match="its run wrote vdb files, in the format of its input, which now is vol"):
-        Job(tmp_path / "vol", recipe, tmp_path / "out", progress=False, resume=True)
+        Run(prepare(tmp_path / "vol", recipe, tmp_path / "out", resume=True), progress=False)
     assert len(load_frames(tmp_path / "out" / "density")) == 3
 
 
@@ -226,7 +227,7 @@ def test_results_have_the_obstacles_of_their_frames(
     for result, frame in zip(load_frames(out / "density"), load_frames(moving), strict=True):
         np.testing.assert_array_equal(result.obstacle, frame.obstacle)
     # Overwriting knows of the files that they are in.
-    list(Job(load_frames(moving)[:1], recipe, out, progress=False, overwrite=True).run())
+    list(Run(prepare(load_frames(moving)[:1], recipe, out, overwrite=True), progress=False))
     assert not [path for path in out.rglob("*") if "08" in path.name]
 
 

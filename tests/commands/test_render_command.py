@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import imageio_ffmpeg
+import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
@@ -12,6 +13,8 @@ from command_line import Run, refused, run, smoke
 from PIL import Image
 
 import tnst_mi
+from tnst_mi.io.pictures import video
+from tnst_mi.machine import optix
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import shots_of_turn
 
@@ -112,3 +115,24 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
 )
 def test_what_cannot_be_rendered(run: Run, smoke: Path, tmp_path: Path, arguments: str, message: str) -> None:
     refused(run, tmp_path, ["render", smoke, "--out", tmp_path / "out", *arguments.split()], message)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("render", "--look", "thin"), ("render", "--integrator", "volpath"), ("compare",)]
+)
+def test_paths_are_not_traced_on_a_gpu_without_optix(
+    run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(mi, "variant", lambda: "cuda_ad_rgb")
+    monkeypatch.setattr(optix, "LIBRARY", "libnowhere.so.1")
+    command, *flags = arguments
+    message = (
+        rf"^tnst-mi: {command}.*: traces paths, which on a GPU needs OptiX, and libnowhere.* CUDA_VISIBLE_DEVICES=-1"
+    )
+    refused(run, tmp_path, [command, smoke, "--out", tmp_path / "out", *flags], message)
+
+
+def test_videos_need_their_package(run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video, "_ffmpeg", None)
+    arguments = ["render", smoke, "--out", tmp_path / "out", "--turntable", 4]
+    refused(run, tmp_path, arguments, r"smoke_turntable\.mp4: videos need the package imageio-ffmpeg")

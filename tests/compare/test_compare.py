@@ -125,7 +125,7 @@ def empty_frame(folder: Path) -> Path:
 
 def moved_samples(monkeypatch: pytest.MonkeyPatch, offset: float) -> None:
     """Every sample further along its ray by a part of a step."""
-    from tnst_mi.rendering.march.medium import Lattice
+    from tnst_mi.rendering.march.lattice import Lattice
 
     stencil = Lattice.stencil
     monkeypatch.setattr(Lattice, "stencil", lambda self, k: stencil(self, mi.Float(k) + offset))
@@ -141,15 +141,14 @@ def scaled_images(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def moved_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     """The image shifted by half a pixel: both renderers share the rays, so that only the closed form can tell."""
-    from tnst_mi.rendering.cameras.sensor import OrthographicViews
+    from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 
-    sample_ray = OrthographicViews.sample_ray
+    through = OrthographicRays.through
 
-    def shifted(self: Any, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> object:
-        moved = mi.Point2f(sample2.x + 0.5 / self.view_width, sample2.y)
-        return sample_ray(self, time, sample1, moved, sample3, active)
+    def shifted(self: OrthographicRays, position: mi.Point2f, active: Any = True) -> mi.Ray3f:
+        return through(self, mi.Point2f(position.x + 0.5 / self.width, position.y), active)
 
-    monkeypatch.setattr(OrthographicViews, "sample_ray", shifted)
+    monkeypatch.setattr(OrthographicRays, "through", shifted)
 
 
 def wrong_adjoint(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any, Any, Any], tuple]) -> None:

@@ -69,6 +69,14 @@ def test_normalised_bands_have_unit_mean_square() -> None:
         assert root_mean_square(merged)[0] == pytest.approx(1, rel=1e-5)
 
 
+@pytest.mark.parametrize("levels", [0, 1, 3])
+def test_normalising_is_what_its_docstring_says(levels: int) -> None:
+    field = mi.TensorXf(np.random.default_rng(6).standard_normal((13, 9, 6, 3)).astype(np.float32))
+    bands = split(field, levels)
+    bands = [mi.TensorXf(band.array / root_mean_square(band), band.shape) for band in bands]
+    np.testing.assert_allclose(normalise(field, levels).numpy(), merge(bands).numpy(), rtol=1e-5, atol=1e-5)
+
+
 def test_one_number_normalises_all_components_of_a_vector_field() -> None:
     """Ratios between components survive, which separate numbers would level."""
     field = smooth_noise(np.random.default_rng(5), 16, 16, 16)

@@ -20,11 +20,11 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Placement
 from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, require_small, write_vdb
+from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.metadata import read_transform, written_string
 from tnst_mi.io.orientation import from_z_up
 from tnst_mi.io.staggered import centred_velocity
-from tnst_mi.io.vdb import DenseGrid, read_vdb, require_small, write_vdb
-from tnst_mi.io.vdb.cursor import Cursor
-from tnst_mi.io.vdb.metadata import read_transform, written_string
 
 DATA = Path(__file__).parents[1] / "data" / "vdb"
 OFFICIAL = ("blender_float_blosc", "blender_half_zip", "inactive", "shared", "sparse_float", "sparse_half", "tiles")
@@ -276,7 +276,7 @@ def test_grids_larger_than_the_memory(tmp_path: Path, monkeypatch: pytest.Monkey
     write_vdb(path, [DenseGrid("density", density), DenseGrid("velocity", np.stack([density] * 3, axis=-1))], {})
     # A leaf of 8³ voxels, four components, 14 bytes each.
     for free, fits in ((512 * 4 * 14, True), (512 * 4 * 14 - 1, False), (None, True)):
-        monkeypatch.setattr("tnst_mi.io.vdb.tree.free_memory", lambda free=free: free)
+        monkeypatch.setattr("tnst_mi.io.grids.vdb.tree.free_memory", lambda free=free: free)
         if fits:
             load_frames(path)
             continue

@@ -9,7 +9,7 @@ import pytest
 from videos import read_back
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.video import open_video
+from tnst_mi.io.pictures.video import open_video
 
 
 @pytest.mark.parametrize("rows, columns", [(48, 64), (33, 47), (18, 30)])

@@ -12,7 +12,7 @@ import pytest
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
-from tnst_mi.io.vol import read_vol, read_vol_shape, write_vol
+from tnst_mi.io.grids.vol import read_vol, read_vol_shape, write_vol
 
 SHAPE = (3, 5, 4)
 

@@ -10,7 +10,8 @@ from fields import smooth_noise
 from smoke_scenes import EXTINCTION, affine, medium, orthographic, smoke_scene
 
 from tnst_mi.rendering.march.boundary import SceneMedium
-from tnst_mi.rendering.march.medium import GridMedium, GridTransform, Lattice, probe_transform
+from tnst_mi.rendering.march.lattice import Lattice
+from tnst_mi.rendering.march.medium import GridMedium, GridTransform, probe_transform
 
 SHAPE = (7, 9, 6)
 

@@ -17,7 +17,7 @@ import tnst_mi
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
-from tnst_mi.io.npz import read_headers
+from tnst_mi.io.grids.npz import read_headers
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import RunFolder

@@ -27,7 +27,7 @@ from tnst_mi.atlas.page import Channel, write_page, write_sheet
 from tnst_mi.atlas.smoke_patch import PatchSettings, stylized_ball
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import remove_unfinished, written_whole
-from tnst_mi.io.png import eight_bits
+from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.disk import require_writable
@@ -43,7 +43,7 @@ class AtlasSettings:
     patch: PatchSettings = field(default_factory=PatchSettings)
 
 
-class Atlas:
+class LayerAtlas:
     """The atlas of a layer in a folder; `make` makes what is missing in it."""
 
     def __init__(self, network: GoogLeNet, layer: str, out: Path, settings: AtlasSettings | None = None) -> None:
@@ -168,12 +168,12 @@ class Atlas:
 
     def _finished(self, number: int) -> Channel | None:
         """A channel with both of its pictures; None if one is missing."""
-        files = [self._file(number, what) for what in ("picture", "smoke")]
-        means = [self._means(file) for file in files]
-        if None in means:
+        picture, smoke = (self._file(number, what) for what in ("picture", "smoke"))
+        of_picture, of_smoke = self._means(picture), self._means(smoke)
+        if of_picture is None or of_smoke is None:
             return None
-        gains = [after - before for before, after in means]
-        return Channel(number, *files, gains[1] / gains[0] if gains[0] > 0.0 else 0.0)
+        most, gained = (after - before for before, after in (of_picture, of_smoke))
+        return Channel(number, picture, smoke, gained / most if most > 0.0 else 0.0)
 
     @staticmethod
     def _write(file: Path, image: np.ndarray, before: float, after: float) -> None:
@@ -189,7 +189,7 @@ class Atlas:
         try:
             with Image.open(file, formats=["PNG"]) as image:
                 image.load()
-                return float(image.text["before"]), float(image.text["after"])
+                return float(image.info["before"]), float(image.info["after"])
         except (OSError, SyntaxError, ValueError, KeyError, Image.DecompressionBombError):
             return None
 

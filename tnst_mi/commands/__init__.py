@@ -1,5 +1,5 @@
-"""The commands of `tnst-mi`: one dataclass each, its fields the arguments and flags, its `run` the work.
+"""The commands of `tnst-mi`: what each accepts (`arguments`), and one module each for what it does, in `run`.
 
-These modules are imported to print --help, so they import torch, and what needs an active variant, only inside
-`run`.
+They are apart because --help and wrong usage are to be answered at once: `arguments` imports nothing large, while the
+modules of the commands import torch and much else.
 """

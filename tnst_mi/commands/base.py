@@ -1,9 +1,8 @@
-"""What the commands share: the --debug flag, and flags made from the keys of the recipe."""
+"""What the arguments of the commands have in common: --debug, flags made from the keys of the recipe, views."""
 
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
@@ -19,15 +18,11 @@ Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(kw_only=True)
-class Command(ABC):
-    """A command of `tnst-mi`."""
+class Arguments:
+    """What a command of `tnst-mi` is given."""
 
     debug: bool = False
     """Show Python's traceback when something fails."""
-
-    @abstractmethod
-    def run(self) -> int:
-        """Do the work and return the exit code."""
 
 
 def recipe_flag(name: str) -> Any:

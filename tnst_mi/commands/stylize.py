@@ -3,69 +3,37 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import tyro
+from tqdm import tqdm
 
-from tnst_mi.commands.base import Command, Folder, given, recipe_flags
-from tnst_mi.recipe.recipe import Goals, Method, Recipe, Resources
-
-if TYPE_CHECKING:
-    from tnst_mi.run.job import Job, StylizedFrame
-
-GoalFlags = recipe_flags(Goals.__annotations__)
-MethodFlags = recipe_flags(Method.__annotations__)
-ResourceFlags = recipe_flags(Resources.__annotations__)
+from tnst_mi.commands.arguments import StylizeArguments
+from tnst_mi.commands.base import given
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.job import Run, StylizedFrame
+from tnst_mi.run.prepare import prepare
 
 
-@dataclass(kw_only=True)
-class Stylize(Command):
-    """Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.
-
-    Values come from the defaults, then from the recipe file, then from the flags.
-    """
-
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file (one frame) or folder (a sequence)."""
-    out: Folder
-    """New or empty folder for the results."""
-    recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Recipe file (TOML); its keys are the flags below."""
-    resume: bool = False
-    """Continue the run in --out where it stopped, however it did."""
-    overwrite: bool = False
-    """Replace the run in --out."""
-    goals: GoalFlags = field(default_factory=GoalFlags)
-    """What to stylize towards."""
-    method: MethodFlags = field(default_factory=MethodFlags)
-    """How to get there."""
-    resources: ResourceFlags = field(default_factory=ResourceFlags)
-    """What to read, compute with and write."""
-
-    def run(self) -> int:
-        """Stylize, and report every frame."""
-        from tnst_mi.run.job import Job
-
-        recipe = Recipe() if self.recipe is None else Recipe.from_toml(self.recipe)
-        for flags in (self.goals, self.method, self.resources):
-            recipe = recipe.updated_by_flags(given(flags))
-        return run_job(Job(self.input, recipe, self.out, resume=self.resume, overwrite=self.overwrite))
+def run(arguments: StylizeArguments) -> int:
+    """Stylize, and report every frame."""
+    recipe = Recipe() if arguments.recipe is None else Recipe.from_toml(arguments.recipe)
+    for flags in (arguments.goals, arguments.method, arguments.resources):
+        recipe = recipe.updated_by_flags(given(flags))
+    prepared = prepare(arguments.input, recipe, arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
+    return reported(Run(prepared))
 
 
-def run_job(job: Job) -> int:
-    """Run a job that writes, reporting every frame on stdout; 3 if it was interrupted."""
-    from tqdm import tqdm
-
-    for frame in job.run():
+def reported(frames: Run) -> int:
+    """Go through a run that writes, reporting every frame on stdout; 3 if it was interrupted."""
+    out, record = frames.prepared.out, frames.record
+    for frame in frames:
         # tqdm.write keeps the lines apart from the progress bar.
         tqdm.write(summary(frame), file=sys.stdout)
-    print(f"results   {job.out}")
-    if "sequence" in job.record:
-        print(sequence_summary(job.record["sequence"]))
-    if job.record["status"] == "interrupted":
-        print(f"tnst-mi: interrupted; --resume continues the run in {job.out} where it stopped", file=sys.stderr)
+    print(f"results   {out}")
+    if "sequence" in record:
+        print(sequence_summary(record["sequence"]))
+    if record["status"] == "interrupted":
+        print(f"tnst-mi: interrupted; --resume continues the run in {out} where it stopped", file=sys.stderr)
         return 3
     return 0
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tnst_mi.compare.gradients import Directional, Fields, compare_directions, compare_fields
+from tnst_mi.compare.gradients import Directional, GradientFields, compare_directions, compare_fields
 from tnst_mi.compare.quadrature_study import QuadratureStudy, study_quadratures
 from tnst_mi.compare.values import Comparison, Convergence, References, compare_values
 from tnst_mi.compare.verdict import (
@@ -57,7 +57,7 @@ class Results:
     values: list[Comparison]
     convergence: list[Convergence]
     directional: list[Directional]
-    fields: list[Fields]
+    fields: list[GradientFields]
     studies: list[QuadratureStudy]
 
     def checks(self) -> list[Check]:

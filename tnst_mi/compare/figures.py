@@ -16,7 +16,7 @@ from tnst_mi.io.atomic import written_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from tnst_mi.compare.gradients import Directional, Fields
+    from tnst_mi.compare.gradients import Directional, GradientFields
     from tnst_mi.compare.values import Comparison, Convergence
 
 _DIFFERENCES = "RdBu_r"
@@ -103,7 +103,7 @@ def directional_figure(directional: Sequence[Directional]) -> Figure:
     return figure
 
 
-def field_figure(fields: Fields) -> Figure:
+def field_figure(fields: GradientFields) -> Figure:
     """The gradient of every voxel, of each stack along z the value largest in magnitude, and the differences."""
     ours = _projected(fields.ours)
     sheet = _Sheet(ours.shape, 1, (3, 1, 1))

@@ -102,7 +102,7 @@ class Directional:
 
 
 @dataclass(frozen=True, eq=False)
-class Fields:
+class GradientFields:
     """Gradients (D, H, W) of the objective of the view (0, 0) alone, at one γ.
 
     There a voxel is seen by one pixel only: central differences of a whole layer of voxels can be taken at once.
@@ -159,7 +159,9 @@ def compare_directions(
     return Directional(gamma, spp, step, columns[0], columns[1:-1], central, columns[-1], paper_central)
 
 
-def compare_fields(density: np.ndarray, gamma: float, spp: int, seed: Sequence[int], advance: Advance) -> Fields:
+def compare_fields(
+    density: np.ndarray, gamma: float, spp: int, seed: Sequence[int], advance: Advance
+) -> GradientFields:
     """Compare the gradient of every voxel, in the view (0, 0)."""
     view = [(0.0, 0.0)]
     weights = weight_image(density.shape[1:], (*seed, 0))[None]
@@ -176,7 +178,7 @@ def compare_fields(density: np.ndarray, gamma: float, spp: int, seed: Sequence[i
             images.append(objective.images(moved)[0])
         # Image rows run from the top down.
         central[z] = (weights[0] * (images[0] - images[1]) / (2 * change))[::-1]
-    return Fields(gamma, spp, objective.gradient(), traced, central, tracer.region)
+    return GradientFields(gamma, spp, objective.gradient(), traced, central, tracer.region)
 
 
 def weight_image(shape: tuple[int, int], seed: Sequence[int]) -> np.ndarray:

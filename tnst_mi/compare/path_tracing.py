@@ -14,7 +14,9 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import opaque_int
+from tnst_mi.fields.bounds import Region, smoke_box
+from tnst_mi.fields.kernels import opaque_int
+from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.scene import scene_description
 
@@ -46,11 +48,13 @@ class PathTracer:
         region: the slices of the (D, H, W) grid that the medium covers; derivatives outside it are not estimated.
 
     Raises:
-        InputError: the density is 0 everywhere.
+        InputError: the density is 0 everywhere, or a GPU lacks OptiX.
     """
 
     def __init__(self, density: np.ndarray, views: Sequence[View], gamma: float, slack: float = 2.0) -> None:
-        self.shape, self.view_count = density.shape, len(views)
+        require_optix("compare")
+        d, h, w = density.shape
+        self.shape, self.view_count = (d, h, w), len(views)
         self.region = smoke_region(density)
         extinction = np.ascontiguousarray(gamma * density[self.region], np.float32)
 
@@ -132,22 +136,20 @@ class PathTracer:
         return sampler
 
 
-def smoke_region(density: np.ndarray) -> tuple[slice, slice, slice]:
-    """The smallest box of cells (slices of z, y, x) that holds all smoke and two empty cells around it.
+def smoke_region(density: np.ndarray) -> Region:
+    """The smallest box of cells that holds all smoke and two empty cells around it.
 
     Raises:
         InputError: there is no smoke.
     """
-    if not density.any():
+    region = smoke_box(density, _MARGIN)
+    if region is None:
         raise InputError("the density is 0 everywhere, expected smoke to compare renderers on")
-    parts = []
-    for axis, size in enumerate(density.shape):
-        occupied = np.flatnonzero(density.any(axis=tuple(other for other in range(3) if other != axis)))
-        parts.append(slice(max(0, int(occupied[0]) - _MARGIN), min(size, int(occupied[-1]) + 1 + _MARGIN)))
-    return tuple(parts)
+    return region
 
 
 def _pixel_centre_rays(sensor: mi.Sensor, views: Sequence[View]) -> mi.Ray3f:
+    """Those of `OrthographicRays.through_pixels`, by another division: their origins may differ in the last bit."""
     sensor.set_views(views)
     width, height = sensor.film().size()
     index = dr.arange(mi.UInt32, int(width) * int(height))

@@ -22,7 +22,7 @@ from tnst_mi.compare.quadrature_study import STEPS, QuadratureStudy
 from tnst_mi.compare.values import Comparison
 from tnst_mi.compare.verdict import Check
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.exr import write_exr
+from tnst_mi.io.pictures.exr import write_exr
 
 _STYLE = """
 body { font: 16px/1.5 sans-serif; max-width: 1200px; margin: 2em auto; padding: 0 1em; color: #222; background: #fff }

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tnst_mi.compare.gradients import Directional, Fields
+from tnst_mi.compare.gradients import Directional, GradientFields
 from tnst_mi.compare.quadrature_study import QuadratureStudy
 from tnst_mi.compare.values import NEGLIGIBLE, Comparison, Convergence
 
@@ -106,7 +106,7 @@ def directional_checks(directional: Directional) -> Iterator[Check]:
     yield _small(f"{where}: paper against central differences", directional.paper_error, _CENTRAL)
 
 
-def field_checks(fields: Fields) -> Iterator[Check]:
+def field_checks(fields: GradientFields) -> Iterator[Check]:
     """The checks of the gradient of every voxel at one γ."""
     where = f"γ {fields.gamma:g}, every voxel"
     yield _small(f"{where}: exact against central differences", fields.central_error, _CENTRAL)

@@ -5,17 +5,24 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.machine.backend import VARIANTS, activate
+from tnst_mi.machine.backend import VARIANTS, activate, torch_device
+from tnst_mi.machine.lazy import LazyModule
+
+if TYPE_CHECKING:
+    import torch
+else:
+    torch = LazyModule("torch")
 
 
-def _is_torch(value: Any) -> bool:
-    return type(value).__module__.split(".")[0] == "torch"
+def _is_torch(value: Any) -> TypeGuard[torch.Tensor]:
+    """Whether a value is torch's, which need not be loaded to tell."""
+    return type(value).__module__.partition(".")[0] == "torch"
 
 
 def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
@@ -52,16 +59,12 @@ def _as_tensor(value: Any) -> mi.TensorXf:
 
 
 def _call_from_torch(function: Callable, arguments: dict[str, Any], given: dict[str, Any]) -> Any:
-    import torch
-
-    from tnst_mi.machine.backend import torch_device
-
     others = {name: value for name, value in arguments.items() if name not in given}
     tensors = {name: torch.as_tensor(value) for name, value in given.items()}
     home = next(value.device for value in given.values() if _is_torch(value))
 
     @dr.wrap(source="torch", target="drjit")
-    def call(tensors: dict[str, mi.TensorXf]) -> mi.TensorXf:
+    def call(tensors: dict[str, Any]) -> Any:  # of torch outside, of Dr.Jit inside
         return function(**tensors, **others)
 
     # Dr.Jit takes each tensor for its own backend's: those of another device than the variant's would not mix.

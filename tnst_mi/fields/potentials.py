@@ -17,7 +17,8 @@ import mitsuba as mi
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
-from tnst_mi.fields.grid import Cells, Shape, opaque, stored
+from tnst_mi.fields.grid import Cells, Shape
+from tnst_mi.fields.kernels import opaque, stored
 
 
 class _AxisDifference:
@@ -81,7 +82,7 @@ class PotentialVelocity:
     @property
     def shape(self) -> Shape:
         """(D, H, W)."""
-        return tuple(self.phi.shape) if self.phi is not None else tuple(self.psi.shape)[:3]
+        return tuple(next(iter(self.potentials.values())).shape)[:3]
 
     def _in_plane(self, v: mi.Vector3f) -> mi.Vector3f:
         """A vector without its components along axes of one cell; being a projection, its own transpose."""
@@ -169,10 +170,23 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
 
     Raises:
         InputError: both potentials are absent, their shapes disagree, or λ or h is out of range.
+
+    Example:
+        >>> import numpy as np
+        >>> import tnst_mi
+        >>> phi = np.arange(4.0) * np.ones((2, 3, 4))  # rises by 1 per cell along x
+        >>> v = tnst_mi.velocity(phi, None, lam=0.5)
+        >>> v.shape
+        (2, 3, 4, 3)
+        >>> v[0, 0, 0].tolist()
+        [0.5, 0.0, 0.0]
     """
-    if phi is None and psi is None:
+    if phi is not None:
+        shape = tuple(phi.shape)
+    elif psi is not None:
+        shape = tuple(psi.shape)[:-1]
+    else:
         raise InputError("velocity: both potentials are None, expected at least one")
-    shape = tuple(phi.shape) if phi is not None else tuple(psi.shape)[:-1]
     if len(shape) != 3 or (psi is not None and tuple(psi.shape) != (*shape, 3)):
         found = f"phi {None if phi is None else phi.shape}, psi {None if psi is None else psi.shape}"
         raise InputError(f"velocity: {found} given, expected (D, H, W) and (D, H, W, 3) on the same grid")

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.fields.grid import Divisor, opaque, opaque_int
+from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
 
 #: Bands are divided by no less than this: an empty one stays empty.
 FLOOR = 1e-10
@@ -240,6 +240,12 @@ def root_mean_square(field: mi.TensorXf) -> mi.Float:
 
 def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
     """Divide every band by its root mean square (one number for all channels, floor 1e-10) and merge them.
+
+    The same as this, in fewer kernels:
+
+        bands = split(field, levels)
+        bands = [band / max(root_mean_square(band), FLOOR) for band in bands]
+        return merge(bands)
 
     Args:
         field: gradient (D, H, W) or (D, H, W, 3).

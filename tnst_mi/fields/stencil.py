@@ -1,11 +1,102 @@
-"""The trilinear stencil of a grid that continues its outermost cells."""
+"""Trilinear interpolation and its transpose: the eight cells around a position, and their weights.
+
+`Trilinear` is for displacements from cell centres, measured in cells: their fractional part is exact in float32 however
+large the grid is. `ClampedStencil` is for positions anywhere.
+"""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.fields.grid import RepeatableSum, Shape, gather, opaque, opaque_int
+from tnst_mi.fields.grid import Cells, Shape
+from tnst_mi.fields.kernels import gather, opaque, opaque_int
+from tnst_mi.fields.sums import RepeatableSum
+
+#: Displacements are clamped to this many cells, so that they always fit a 32-bit index.
+_FARTHEST = float(2**20)
+
+
+class Trilinear:
+    """Trilinear interpolation at `cell + offset`: the eight surrounding cells and their weights.
+
+    Args:
+        cells: cells that the offsets start from.
+        offset: displacement in cells, components (x, y, z).
+        outside: "zero" (cells outside the grid hold 0) or "edge" (they repeat the nearest cell).
+    """
+
+    def __init__(self, cells: Cells, offset: mi.Vector3f, outside: str) -> None:
+        offset = dr.clip(offset, -_FARTHEST, _FARTHEST)
+        base = dr.floor(offset)
+        self.fraction = offset - base
+        steps = mi.Vector3i(base)
+        low = (cells.x + steps.x, cells.y + steps.y, cells.z + steps.z)
+        #: For each axis, the coordinate of the lower and the upper cell, and whether each lies in the grid.
+        coordinates, inside = [], []
+        for axis in range(3):
+            pair = [low[axis], low[axis] + 1]
+            if outside == "edge":
+                coordinates.append([dr.clip(i, 0, cells.size[axis] - 1) for i in pair])
+                inside.append([mi.Bool(True)] * 2)
+            else:
+                # Negative coordinates are large without their sign.
+                coordinates.append(pair)
+                inside.append([mi.UInt32(i) < mi.UInt32(cells.size[axis]) for i in pair])
+        self.corners = [
+            (
+                (a, b, c),
+                cells.index(coordinates[0][a], coordinates[1][b], coordinates[2][c]),
+                inside[0][a] & inside[1][b] & inside[2][c],
+            )
+            for c in (0, 1)
+            for b in (0, 1)
+            for a in (0, 1)
+        ]
+
+    def read(self, values: mi.Float, channels: int) -> list[list[mi.Float]]:
+        """Values of the eight cells: one list of channels per corner."""
+        return [gather(values, index, channels, active) for _, index, active in self.corners]
+
+    def value(self, corners: list[list[mi.Float]]) -> list[mi.Float]:
+        """Interpolated value of every channel, from the corner values."""
+        x, y, z = self.fraction
+        return [
+            self._along(z, self._along(y, self._along(x, list(channel))))[0] for channel in zip(*corners, strict=True)
+        ]
+
+    def gradient(self, corners: list[list[mi.Float]]) -> list[mi.Vector3f]:
+        """Derivative of every channel's interpolated value with respect to the position, per cell."""
+        x, y, z = self.fraction
+        result = []
+        for channel in zip(*corners, strict=True):
+            in_x = self._along(x, list(channel))
+            in_y = self._along(y, in_x)
+            slope_x = self._along(z, self._along(y, self._differences(list(channel))))
+            slope_y = self._along(z, self._differences(in_x))
+            result.append(mi.Vector3f(*slope_x, *slope_y, *self._differences(in_y)))
+        return result
+
+    @staticmethod
+    def _differences(values: list[mi.Float]) -> list[mi.Float]:
+        """Upper minus lower value of each pair."""
+        return [upper - lower for lower, upper in zip(values[::2], values[1::2], strict=True)]
+
+    @staticmethod
+    def _along(fraction: mi.Float, values: list[mi.Float]) -> list[mi.Float]:
+        """Linear interpolation of each pair: the corners change fastest along x, then along y."""
+        pairs = zip(values[::2], values[1::2], strict=True)
+        return [dr.fma(fraction, upper - lower, lower) for lower, upper in pairs]
+
+    def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
+        """Transpose of `value`: add each channel's weighted value to the eight cells; a value of 0 costs nothing."""
+        for corner, index, active in self.corners:
+            weight = mi.Float(1)
+            for axis, upper in enumerate(corner):
+                weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
+            for c, value in enumerate(values):
+                slot = index if len(values) == 1 else index * len(values) + c
+                target.add(slot, weight * value, active & (value != 0))
 
 
 def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:

@@ -1,4 +1,9 @@
-"""Files in and out: frames as npz, .vol, .uni and .vdb, EXR and PNG pictures, videos."""
+"""Files in and out.
+
+`grids` and `pictures` have the formats. A frame is read and written by `formats`, whatever its format, with what the
+format leaves open (`conventions`, `orientation`, `staggered`) and the files beside it (`companions`); `sequence` is for
+files and folders of frames, and for everyone. `atomic` and `untrusted` are for all that writes and reads.
+"""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ def _around_the_word(stem: str) -> tuple[str, str]:
     match = _DENSITY.search(stem)
     if match:
         return stem[: match.start()], stem[match.end() :]
-    number = re.search(r"\d*$", stem)[0]
-    name = stem.removesuffix(number)
+    name = re.sub(r"\d+$", "", stem)
+    number = stem.removeprefix(name)
     if number:
         return name if name.endswith(("_", ".", "-")) or not name else f"{name}_", f"_{number}"
     return f"{name}_", ""

@@ -78,7 +78,8 @@ class StoredFrame:
         """
         if self.density is None:
             raise InputError(self.lacking)
-        density, obstacle = (self._turned(array, given) for array in (self.density, self.obstacle))
+        density = self._turned(self.density, given)
+        obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
         return Frame(density, self.centred_velocity(given), obstacle, name, number, self._placement(given))
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
@@ -109,8 +110,8 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         return ", ".join([*words, *([] if size is None else [f"voxel size {size:g}"])])
 
-    def _turned(self, array: np.ndarray | None, given: Conventions) -> np.ndarray | None:
-        if array is None or array.ndim < 3:  # of another shape: the frame tells
+    def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
+        if array.ndim < 3:  # of another shape: the frame tells
             return array
         if (given.up or self.up) == "z":
             array = from_z_up(array)

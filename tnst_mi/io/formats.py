@@ -7,6 +7,7 @@ Only npz and .vdb hold whole frames; .vol and .uni have further files beside tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,21 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
 from tnst_mi.io import companions
 from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
-from tnst_mi.io.npz import read_arrays, read_headers, write_arrays
+from tnst_mi.io.grids.npz import read_arrays, read_headers, write_arrays
+from tnst_mi.io.grids.uni import (
+    FLAGS,
+    INTEGER,
+    OBSTACLE_FLAG,
+    REAL,
+    VECTOR,
+    UniHeader,
+    read_uni,
+    read_uni_header,
+    write_uni,
+)
+from tnst_mi.io.grids.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
+from tnst_mi.io.grids.vol import read_vol, read_vol_shape, write_vol
 from tnst_mi.io.orientation import to_z_up
-from tnst_mi.io.uni import FLAGS, INTEGER, OBSTACLE, REAL, VECTOR, read_uni, read_uni_header, write_uni
-from tnst_mi.io.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
-from tnst_mi.io.vol import read_vol, read_vol_shape, write_vol
 
 #: File name endings of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
@@ -150,20 +161,14 @@ def _read_npz(file: Path, velocities: Path | None) -> StoredFrame:
     arrays = read_arrays(file, ("density", "velocity", "obstacle", "x"))
     density = arrays.get("density", arrays.get("x"))
     found = ", ".join(read_headers(file)) or "none"
-    common = {"scene_up": "z", "lacking": f"no array 'density' (or 'x'), the arrays found are: {found}"}
+    lacking = f"no array 'density' (or 'x'), the arrays found are: {found}"
+    frame = StoredFrame(density=density, scene_up="z", lacking=lacking)
     if velocities is None or not (velocities / file.name).exists():
-        return StoredFrame(density=density, velocity=arrays.get("velocity"), obstacle=arrays.get("obstacle"), **common)
+        return replace(frame, velocity=arrays.get("velocity"), obstacle=arrays.get("obstacle"))
     faces = read_arrays(velocities / file.name, ("x",)).get("x")
     if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
         raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
-    return StoredFrame(
-        density=density,
-        velocity=faces,
-        staggered=True,
-        velocity_units=CELLS_PER_TIME,
-        dt=AUTHORS_TIME_STEP,
-        **common,
-    )
+    return replace(frame, velocity=faces, staggered=True, velocity_units=CELLS_PER_TIME, dt=AUTHORS_TIME_STEP)
 
 
 def _read_vol(file: Path) -> StoredFrame:
@@ -181,20 +186,25 @@ def _read_vol(file: Path) -> StoredFrame:
 
 def _read_uni(file: Path) -> StoredFrame:
     header, grid = read_uni(file)
-    common = {"up": "y" if header.build.startswith(_OURS + _Y_UP) else "z"}
-    velocity = file if header.components == 3 else companions.found_companion(file, companions.VELOCITY)
+    up = "y" if header.build.startswith(_OURS + _Y_UP) else "z"
+    if header.components == 3:
+        return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
+    frame = StoredFrame(density=grid, up=up)
+    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
     if velocity is not None:
-        header, vectors = (header, grid) if velocity is file else read_uni(velocity)
-        common |= {"velocity": vectors, "staggered": header.staggered}
-        if not header.build.startswith(_OURS):
-            common |= {"velocity_units": CELLS_PER_TIME, "dt": MANTAFLOW_TIME_STEP}
-    if velocity is file:
-        return StoredFrame(density=None, lacking=_VECTORS, **common)
-    obstacle = companions.found_companion(file, companions.OBSTACLE)
+        frame = _with_velocity(frame, *read_uni(velocity))
     if obstacle is not None:
-        header, flags = read_uni(obstacle)
-        common["obstacle"] = (flags & OBSTACLE) != 0 if flags.dtype.kind == "i" else flags > 0
-    return StoredFrame(density=grid, **common)
+        _, flags = read_uni(obstacle)
+        frame = replace(frame, obstacle=(flags & OBSTACLE_FLAG) != 0 if flags.dtype.kind == "i" else flags > 0)
+    return frame
+
+
+def _with_velocity(frame: StoredFrame, header: UniHeader, velocity: np.ndarray) -> StoredFrame:
+    """The frame with the velocity of a .uni file."""
+    frame = replace(frame, velocity=velocity, staggered=header.staggered)
+    if header.build.startswith(_OURS):
+        return frame
+    return replace(frame, velocity_units=CELLS_PER_TIME, dt=MANTAFLOW_TIME_STEP)
 
 
 def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:
@@ -202,7 +212,7 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
     stored = array if y_up else to_z_up(array)
     kind = VECTOR if stored.ndim == 4 else REAL
     if stored.dtype == bool:
-        stored, kind = stored.astype(np.int32) * OBSTACLE, INTEGER | FLAGS
+        stored, kind = stored.astype(np.int32) * OBSTACLE_FLAG, INTEGER | FLAGS
     write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
 
 

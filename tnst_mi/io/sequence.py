@@ -129,10 +129,31 @@ def open_frames(
 
 
 def load_frames(path: str | Path) -> list[Frame]:
-    """Read the frames of a file, a folder or the authors' layout; see `open_frames`.
+    """Read all frames of a file, a folder or the layout of the paper's authors.
+
+    Formats are npz, .vdb, .uni and .vol. The frames of a folder are the files whose names end in a number, in the order
+    of the numbers; a folder with one file needs none.
+
+    Args:
+        path: the file or folder.
+
+    Returns:
+        One `Frame` for each: densities (D, H, W), velocities (D, H, W, 3) in cells per frame, at the cell centres.
 
     Raises:
-        InputError: as `open_frames`; or a file cannot be used, or the frames differ in shape.
+        InputError: nothing is there, the format is unknown, numbers are missing or double, a file cannot be used, or
+            the frames differ in shape.
+
+    Example:
+        >>> import tempfile
+        >>> import numpy as np
+        >>> import tnst_mi
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     for number in (8, 9):
+        ...         np.savez(f"{folder}/smoke_{number:04d}.npz", density=np.ones((2, 3, 4)))
+        ...     frames = tnst_mi.load_frames(folder)
+        >>> [(frame.name, frame.number, frame.density.shape) for frame in frames]
+        [('smoke_0008', 8, (2, 3, 4)), ('smoke_0009', 9, (2, 3, 4))]
     """
     return list(checked_shapes(open_frames(path)))
 
@@ -162,6 +183,17 @@ def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str =
 
     Raises:
         InputError: the format is unknown, several frames are to go into one file, or they are no frames.
+
+    Example:
+        >>> import os
+        >>> import tempfile
+        >>> import numpy as np
+        >>> import tnst_mi
+        >>> frames = [tnst_mi.Frame(np.ones((2, 3, 4)), name=f"smoke_{number:04d}") for number in (8, 9)]
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tnst_mi.save_frames(folder, frames, format="vdb")
+        ...     sorted(os.listdir(folder))
+        ['smoke_0008.vdb', 'smoke_0009.vdb']
     """
     path = Path(path)
     several = not isinstance(frames, Frame)
@@ -192,13 +224,18 @@ def _number(file: Path) -> int | None:
     return int(match[1]) if match else None
 
 
+def _numbers(files: list[Path]) -> list[int]:
+    """The numbers of those of the files that have one."""
+    return [number for file in files if (number := _number(file)) is not None]
+
+
 def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
     """Those of the files, in the order of their numbers, that are numbered from the first to the last."""
     if numbers is None:
         return files
     wanted = "frames = '{}:{}'".format(*numbers)
-    have = [_number(file) for file in files]
-    if None in have:
+    have = _numbers(files)
+    if len(have) < len(files):
         raise InputError(f"{wanted}: the name of {files[0]} does not end in a frame number; leave out the frames")
     chosen = [file for file, number in zip(files, have, strict=True) if numbers[0] <= number <= numbers[1]]
     if not chosen or (_number(chosen[0]), _number(chosen[-1])) != numbers:
@@ -220,17 +257,17 @@ def _frame_files(folder: Path) -> list[Path]:
         raise InputError(f"{folder}: no frames in this folder, expected files {', '.join(FORMATS)}")
     if len(files) == 1:
         return files
-    files = sorted((file for file in files if _number(file) is not None), key=_number)
-    if not files:
+    numbered = sorted((number, file) for file in files if (number := _number(file)) is not None)
+    if not numbered:
         raise InputError(f"{folder}: no file name ends in a frame number (such as frame_0012.npz)")
-    return files
+    return [file for _, file in numbered]
 
 
 def _require_complete(folder: Path, files: list[Path]) -> None:
     """Check that numbered files are one frame each, and that none is missing between them."""
     if len(files) == 1:
         return
-    numbers = [_number(file) for file in files]
+    numbers = _numbers(files)
     if len(set(numbers)) < len(numbers):
         double = next(number for number in numbers if numbers.count(number) > 1)
         names = ", ".join(file.name for file in files if _number(file) == double)

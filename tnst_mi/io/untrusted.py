@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedIOBase
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -50,14 +50,14 @@ def opening(path: Path, kind: str, damage: tuple[type[Exception], ...] = ()) -> 
         raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason})") from None
 
 
-def read_numbers(stream: BinaryIO, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
+def read_numbers(stream: BufferedIOBase, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
     """Read numbers, which come into memory only as data really come out of the stream.
 
     Returns:
         The numbers (count), and how many bytes of them there were: less than all where the stream ends before.
     """
     numbers = np.empty(count, dtype)
-    buffer = memoryview(numbers.view(np.uint8))
+    buffer = numbers.view(np.uint8).data
     filled = 0
     while filled < len(buffer) and (read := stream.readinto(buffer[filled : filled + _CHUNK])):
         filled += read

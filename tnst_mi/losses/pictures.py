@@ -12,7 +12,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from tnst_mi.errors import InputError
 
 # Only formats that Pillow decodes by itself: others, such as EPS, would start external programs.
-FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
+PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
 SIXTEEN_BIT_MODES = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 
 
@@ -90,13 +90,13 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=FORMATS) as file:
+            with Image.open(path, formats=PICTURE_FORMATS) as file:
                 return _pixels(ImageOps.exif_transpose(file))
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         limit = Image.MAX_IMAGE_PIXELS
         raise InputError(f"{path}: the picture has more than {limit} pixels; make it smaller") from None
     except UnidentifiedImageError:
-        raise InputError(f"{path}: not a picture in a known format; use one of {', '.join(FORMATS)}") from None
+        raise InputError(f"{path}: not a picture in a known format; use one of {', '.join(PICTURE_FORMATS)}") from None
     except Exception as error:  # Pillow's decoders raise many types on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or JPEG") from None

@@ -1,4 +1,5 @@
-"""The machine that the computation runs on: Mitsuba variant and LLVM, memory, disk, Ctrl-C.
+"""The machine that the computation runs on: Mitsuba variant, LLVM and OptiX, memory, disk, Ctrl-C.
 
-Read `backend` first: everything that depends on the machine is decided there.
+Read `backend` first: where the computation runs is decided there. `llvm` comes before it, and is all that may run
+before Dr.Jit is imported.
 """

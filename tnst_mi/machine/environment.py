@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import subprocess
 import sys
 
-_PACKAGES = ("mitsuba", "drjit", "torch", "numpy")
+import drjit as dr
+import psutil
+
+from tnst_mi.machine.llvm import llvm_library
+
+if sys.platform != "win32":
+    import resource
+
+_PACKAGES = ("tnst_mi", "mitsuba", "drjit", "torch", "numpy")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package, Python and the packages that decide the numbers."""
-    import tnst_mi
+    """Versions of Python, this package, and the packages that decide the numbers."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
 
-    found = {"tnst_mi": tnst_mi.__version__, "python": platform.python_version()}
-    return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:  # such as a checkout that is merely on the path
+        return "not installed"
 
 
 def gpus() -> list[dict[str, str]]:
@@ -39,10 +50,6 @@ def gpus() -> list[dict[str, str]]:
 
 def device(variant: str) -> dict[str, object]:
     """The device that a variant computes on, for the run's record."""
-    import drjit as dr
-
-    from tnst_mi.machine.backend import llvm_library
-
     if variant.startswith("cuda"):
         return {"variant": variant, "gpus": gpus()}
     llvm = llvm_library()
@@ -55,32 +62,18 @@ def device(variant: str) -> dict[str, object]:
 
 
 def peak_memory() -> int | None:
-    """The most memory that this process has held so far, in bytes; None where the system does not tell."""
+    """The most memory that this process has held so far, in bytes; None on Windows."""
     if sys.platform == "win32":
         return None
-    import resource
-
     # Linux counts in KiB, macOS in bytes.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def resident_memory() -> int | None:
-    """The memory that this process holds now, in bytes; None where the system does not tell."""
-    try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return None
+def resident_memory() -> int:
+    """The memory that this process holds now, in bytes."""
+    return psutil.Process().memory_info().rss
 
 
-def free_memory() -> int | None:
-    """The memory that is still to be had, in bytes; None where the system does not tell."""
-    try:
-        with open("/proc/meminfo") as file:
-            fields = dict(line.split(":", 1) for line in file)
-        return int(fields["MemAvailable"].split()[0]) * 1024
-    except (OSError, KeyError):
-        names = getattr(os, "sysconf_names", {})
-        if "SC_AVPHYS_PAGES" not in names:
-            return None
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+def free_memory() -> int:
+    """The memory that is still to be had without swapping, in bytes."""
+    return psutil.virtual_memory().available

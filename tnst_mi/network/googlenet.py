@@ -1,6 +1,6 @@
 """GoogLeNet (Szegedy et al. 2015, Going Deeper with Convolutions): one torch module for all its weights.
 
-A `_Flavour` says what differs between them; the layers are the same. Names are BVLC's
+A `Flavour` says what differs between them; the layers are the same. Names are BVLC's
 (`inception_4b/pool_proj`), the TensorFlow graph's (`mixed4b_pool_reduce_pre_relu`) are aliases.
 """
 
@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from tnst_mi.errors import InputError
 from tnst_mi.network.class_names import class_index, class_names, imagenet_names, matching_classes
 from tnst_mi.network.download import file_hash
+from tnst_mi.network.flavours import FLAVOURS
 from tnst_mi.network.grey_convolution import grey_convolution
 from tnst_mi.network.readers import CLASS_LIST, read_weights
 from tnst_mi.network.readers.network_weights import (
@@ -28,7 +29,6 @@ from tnst_mi.network.readers.network_weights import (
     CONVOLUTIONS,
     STEM,
     NetworkWeights,
-    ResponseNorm,
     tensorflow_name,
 )
 from tnst_mi.network.response_norm import LocalResponseNorm
@@ -55,33 +55,6 @@ _POOLED = ("inception_3a", "inception_4a", "inception_5a")
 """The blocks with a stride-2 pooling before them."""
 
 
-@dataclass(frozen=True)
-class _Flavour:
-    """How a network sees its image and what it does between the convolutions."""
-
-    mean: tuple[float, float, float]
-    """Subtracted from the image in 0 to 255, in the order R, G, B."""
-    divisor: float
-    """Divides the difference."""
-    reversed_channels: bool
-    """The first convolution was trained on B, G, R."""
-    same_padding: bool
-    """TensorFlow's SAME rule where a stride of 2 does not divide the image, in place of Caffe's."""
-    response_norm: ResponseNorm | None
-    last_pool: int
-    """Window of the pooling before inception_5a."""
-
-
-_FLAVOURS = {
-    # Caffe divides alpha by the window's size, 5; `ResponseNorm` does not.
-    "bvlc": _Flavour((123.0, 117.0, 104.0), 1.0, True, False, ResponseNorm(2, 1.0, 1e-4 / 5, 0.75), 3),
-    "inception5h": _Flavour((117.0, 117.0, 117.0), 1.0, False, True, ResponseNorm(5, 2.0, 1e-4, 0.5), 3),
-    # Its ImageNet statistics and transform_input=True together map 0..1 to −1..1.
-    "torchvision": _Flavour((127.5, 127.5, 127.5), 127.5, False, False, None, 2),
-    PATTERNS: _Flavour((117.0, 117.0, 117.0), 1.0, False, False, None, 3),
-}
-
-
 class GoogLeNet(nn.Module):
     """GoogLeNet with fixed weights: images to features, differentiable with respect to the images.
 
@@ -89,13 +62,17 @@ class GoogLeNet(nn.Module):
     `source` and `sha256`, the file the weights come from.
     """
 
+    mean: Tensor
+    norm1: nn.Module
+    norm2: nn.Module
+
     def __init__(self, weights: NetworkWeights, stride1: bool = True) -> None:
         """The network of these weights; `stride1` lowers the first convolution's stride from 2 to 1.
 
         Stride 1 is the paper's remedy for checkerboards; it doubles the resolution of every later layer.
         """
         super().__init__()
-        description = _FLAVOURS[weights.flavour]
+        description = FLAVOURS[weights.flavour]
         self.flavour = weights.flavour
         self.source = ""
         self.sha256 = ""
@@ -105,28 +82,49 @@ class GoogLeNet(nn.Module):
         #: The first convolution's answer to black, for the size of image that was last asked for.
         self._black: dict[tuple, Tensor] = {}
         self.convolutions = nn.ModuleDict({layer: _convolution(weights, layer) for layer in CONVOLUTIONS})
-        stem = self.convolutions[STEM[0]]
+        stem = self._convolution(STEM[0])
         stem.stride = (1, 1) if stride1 else (2, 2)
         if description.reversed_channels:
             stem.weight = nn.Parameter(stem.weight.flip(1))
-        self.classifier = nn.Linear(*weights.tensors[f"{CLASSIFIER}.weight"].shape[::-1], device="meta")
+        classes, features = weights.tensors[f"{CLASSIFIER}.weight"].shape
+        self.classifier = nn.Linear(features, classes, device="meta")
         _set_parameters(self.classifier, weights, CLASSIFIER)
         constants = weights.response_norms or (description.response_norm,) * 2
         for name, layer, norm in zip(("norm1", "norm2"), (STEM[0], STEM[2]), constants, strict=True):
-            channels = self.convolutions[layer].out_channels
+            channels = self._convolution(layer).out_channels
             self.add_module(name, nn.Identity() if norm is None else LocalResponseNorm(channels, norm))
         self.register_buffer("mean", torch.tensor(description.mean).reshape(1, 3, 1, 1), persistent=False)
         # In channels-last layout the convolutions take a quarter less time on a CPU.
-        self.to(memory_format=torch.channels_last).requires_grad_(False).eval()
+        # torch's annotations of `to` leave the memory format out.
+        self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.requires_grad_(False).eval()
 
     @classmethod
     def load(cls, source: str | Path | None = None, flavour: str | None = None, stride1: bool = True) -> GoogLeNet:
         """The network of a weights file, in evaluation mode, float32, without gradients of its weights.
 
-        `source` (a file, a folder, or "patterns") and `flavour` ("bvlc", "inception5h", "torchvision",
-        "patterns") are as in `weights.find_weights`, which searches where `source` is None. Where that finds
-        only the network that ships with the package, stderr says so once.
-        Raises `InputError` where there are no such weights, or the file is damaged or another network's.
+        Args:
+            source: a file, a folder, or "patterns", the network that ships with the package. Where None, the places
+                that `tnst-mi weights` lists are searched; if nothing but "patterns" is there, stderr says so once.
+            flavour: "bvlc", "inception5h", "torchvision" or "patterns", if it has to be that one.
+            stride1: the first convolution has stride 1 in place of 2, the paper's remedy for checkerboards; it doubles
+                the resolution of every later layer.
+
+        Returns:
+            A module from images (N, 3, H, W), RGB in 0 to 1, and names of layers to {name: features (N, C, h, w)}.
+
+        Raises:
+            InputError: there are no such weights, or the file is damaged or another network's.
+
+        Example:
+            >>> import torch
+            >>> import tnst_mi
+            >>> network = tnst_mi.GoogLeNet.load("patterns")
+            >>> features = network(torch.rand(2, 3, 32, 48), layers=["conv2/3x3", "inception_4b/output"])
+            >>> [tuple(values.shape) for values in features.values()]
+            [(2, 192, 16, 24), (2, 512, 4, 6)]
+            >>> network.channels("inception_4b/output")
+            512
         """
         path, _, fallback = find_weights(source, flavour)
         if fallback:
@@ -169,9 +167,9 @@ class GoogLeNet(nn.Module):
         if name == "logits":
             return self.classifier.out_features
         if name in self.convolutions:
-            return self.convolutions[name].out_channels
+            return self._convolution(name).out_channels
         block = name.removesuffix("/output")
-        return sum(self.convolutions[f"{block}/{branch}"].out_channels for branch in CONCATENATED)
+        return sum(self._convolution(f"{block}/{branch}").out_channels for branch in CONCATENATED)
 
     def check_channels(self, layer: str, channels: Sequence[int]) -> None:
         """Raise `InputError` unless the layer exists and has all these channels (counted from 0)."""
@@ -197,6 +195,9 @@ class GoogLeNet(nn.Module):
                 f"{error} of the network {PATTERNS}; it is an ImageNet class: "
                 f"`{DOWNLOAD_COMMAND}` gets a network that knows those"
             ) from None
+
+    def _convolution(self, layer: str) -> nn.Conv2d:
+        return cast("nn.Conv2d", self.convolutions[layer])
 
     def _value(self, name: str, known: dict[str, Tensor]) -> Tensor:
         """The value of a layer, computed at most once: `known` holds what is there already."""
@@ -245,7 +246,7 @@ class GoogLeNet(nn.Module):
         return self._convolved(image.contiguous(memory_format=torch.channels_last))
 
     def _convolved(self, image: Tensor) -> Tensor:
-        convolution = self.convolutions[STEM[0]]
+        convolution = self._convolution(STEM[0])
         if not self._description.same_padding:
             return convolution(image)
         image = F.pad(image, self._stem_padding(image))
@@ -257,7 +258,7 @@ class GoogLeNet(nn.Module):
         The filters of the three channels add up to one. What the means contribute, which the padding leaves out at the
         border, is the same for all images of a size: the convolution of a black one.
         """
-        convolution = self.convolutions[STEM[0]]
+        convolution = self._convolution(STEM[0])
         key = (*grey.shape[2:], grey.dtype, grey.device)
         if key not in self._black:
             black = (-self.mean / self._description.divisor).expand(1, -1, *grey.shape[2:])
@@ -270,7 +271,7 @@ class GoogLeNet(nn.Module):
         """Columns and rows that the first convolution adds around an image, before and after."""
         if not self._description.same_padding:
             return (3, 3, 3, 3)
-        stride = self.convolutions[STEM[0]].stride[0]
+        stride = self._convolution(STEM[0]).stride[0]
         rows, columns = (_same_padding(size, 7, stride) for size in image.shape[2:])
         return (*columns, *rows)
 

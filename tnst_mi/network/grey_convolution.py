@@ -5,9 +5,10 @@ Libraries have no fast convolution for one input channel, least of all for its d
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 
@@ -15,7 +16,7 @@ class _GreyConvolution(torch.autograd.Function):
     """Patches of the images times filters; backwards, the patches' derivatives added up where they overlap."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, images: Tensor, filters: Tensor, stride: int) -> Tensor:
+    def forward(ctx: Any, images: Tensor, filters: Tensor, stride: int) -> Tensor:
         ctx.save_for_backward(filters)
         ctx.stride, ctx.size = stride, images.shape[2:]
         window = filters.shape[-1]
@@ -23,7 +24,7 @@ class _GreyConvolution(torch.autograd.Function):
         return (patches @ filters.flatten(1).t()).permute(0, 3, 1, 2)
 
     @staticmethod
-    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         (filters,) = ctx.saved_tensors
         window = filters.shape[-1]
         patches = filters.flatten(1).t() @ gradient.flatten(2)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from tnst_mi.network.readers.network_weights import ResponseNorm
@@ -35,14 +36,14 @@ class _Normalise(torch.autograd.Function):
     """y = x · p with p = s^(−β) and s = bias + B x²; ∂y/∂xᵀ g = g · p − 2 β x · B(g · x · p / s), B being symmetric."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, x: Tensor, band: Tensor, bias: Tensor, beta: float) -> Tensor:
+    def forward(ctx: Any, x: Tensor, band: Tensor, bias: Tensor, beta: float) -> Tensor:
         s = functional.conv2d(x * x, band, bias)
         ctx.save_for_backward(x, s, band)
         ctx.beta = beta
         return _negative_power(s, beta).mul_(x)
 
     @staticmethod
-    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         x, s, band = ctx.saved_tensors
         scaled = _negative_power(s, ctx.beta).mul_(gradient)
         spread = functional.conv2d((scaled * x).div_(s), band).mul_(x)

@@ -24,7 +24,7 @@ from tnst_mi.network.download import Unreachable, download, file_hash
 from tnst_mi.network.readers import flavour_of
 from tnst_mi.network.readers.network_weights import FLAVOURS
 from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS, shipped_weights
-from tnst_mi.resources import DATA
+from tnst_mi.resources import SHARED_WEIGHTS
 
 ENVIRONMENT_VARIABLE = "TNST_MI_WEIGHTS"
 
@@ -103,7 +103,7 @@ def cache_folder() -> Path:
 
 def shared_folder() -> Path:
     """`shared/weights` beside the checkout (it need not exist)."""
-    return DATA.parents[2] / "shared" / "weights"
+    return SHARED_WEIGHTS
 
 
 def find_weights(source: str | Path | None = None, flavour: str | None = None) -> ChosenWeights:
@@ -170,7 +170,7 @@ def download_weights(flavour: str) -> Path:
     Raises `InputError` where the flavour is not published, or cannot be fetched or written.
     """
     known = next((known for known in PUBLISHED if known.flavour == flavour and known.url), None)
-    if known is None:
+    if known is None or known.url is None:
         downloadable = dict.fromkeys(known.flavour for known in PUBLISHED if known.url)
         raise InputError(f"download {flavour!r}: no such network; expected one of {', '.join(downloadable)}")
     target = cache_folder() / known.name

@@ -27,12 +27,15 @@ class Turns(Protocol):
 
     def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
         """All of some frames, one by one."""
+        ...
 
     def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
         """The frames whose own step of iteration k has not been found yet."""
+        ...
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
         """The frames whose fields have not followed the steps of iteration k yet."""
+        ...
 
 
 def algorithm_1(

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.advection import step
-from tnst_mi.fields.grid import opaque
+from tnst_mi.fields.kernels import opaque
 
 #: Below this share of smoke an average over smoke has no meaning, and the mask of the frame itself is as good as 0.
 _LEAST_SHARE = 1e-6

@@ -14,7 +14,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.fields.grid import opaque
+from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.pyramid import root_mean_square
 from tnst_mi.optimisation.parameterisation import Fields, normalised_step
 from tnst_mi.optimisation.plan import FramePlan, Plan

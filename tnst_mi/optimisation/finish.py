@@ -43,9 +43,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     if source.obstacle is not None:
         density = np.where(source.obstacle, source.density, density)
     blend = frame.recipe.blend
-    blended = np.float32((1.0 - blend) * source.density + blend * np.maximum(density, 0))
-    potential = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
-    return Stylized(blended, velocity, tuple(potential))
+    blended = (1.0 - blend) * source.density + blend * np.maximum(density, 0)
+    phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
+    return Stylized(blended.astype(np.float32), velocity, (phi, psi))
 
 
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:

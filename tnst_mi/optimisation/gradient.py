@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Octave, opaque
+from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.kernels import opaque
 from tnst_mi.losses.objective import BoundObjective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
@@ -126,7 +127,8 @@ class OctaveProblem:
         return self.loss if frame.weights is None else self.loss.weighed(frame.weights)
 
     def _images(self, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]) -> mi.TensorXf:
-        views = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
+        angles = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
+        views = [(float(azimuth), float(elevation)) for azimuth, elevation in angles]
         return self._rendered(density, views, recipe, seed)
 
     def _rendered(

@@ -8,7 +8,7 @@ import numpy as np
 from tnst_mi.fields.pyramid import gaussian
 
 #: Width of the soft edge, in full-resolution cells.
-SIGMA = 1.2
+EDGE_SIGMA = 1.2
 
 
 def soft_mask(density: np.ndarray, obstacle: np.ndarray | None = None, strength: float = 1.0) -> np.ndarray:
@@ -22,7 +22,7 @@ def soft_mask(density: np.ndarray, obstacle: np.ndarray | None = None, strength:
     """
     axes = [axis for axis in range(3) if density.shape[axis] > 1]
     density = mi.TensorXf(np.ascontiguousarray(density, np.float32))
-    mask = np.clip(gaussian(density, SIGMA, "zero", axes).numpy(), 0, 1) ** np.float32(strength)
+    mask = np.clip(gaussian(density, EDGE_SIGMA, "zero", axes).numpy(), 0, 1) ** np.float32(strength)
     if obstacle is not None:
         mask[obstacle] = 0
     return mask

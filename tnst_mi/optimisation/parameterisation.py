@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.advection import advect, step
-from tnst_mi.fields.grid import Divisor, Octave, opaque, stored
+from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.kernels import Divisor, opaque, stored
 from tnst_mi.fields.potentials import PotentialVelocity, velocity
 from tnst_mi.fields.pyramid import gaussian, normalise
 from tnst_mi.fields.resampling import resample_potential

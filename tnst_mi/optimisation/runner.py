@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import drjit as dr
@@ -44,7 +44,7 @@ class SequenceOptimisation:
 
     def run(
         self, on_iteration: Callable[[Progress], None] | None = None, finished: Collection[int] = ()
-    ) -> Iterator[tuple[int, Stylized]]:
+    ) -> Generator[tuple[int, Stylized], None, None]:
         """Stylize the frames, and give each with its index once it is done.
 
         Ctrl-C ends the run after the current step; a second one at once. A single frame is given as far as it got;

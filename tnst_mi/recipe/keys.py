@@ -14,19 +14,22 @@ class Kind(Protocol):
     @property
     def expected(self) -> str:
         """The allowed values in words."""
+        ...
 
     @property
     def placeholder(self) -> str:
         """What --help shows in place of the value."""
+        ...
 
     def check(self, value: Any) -> Any:
         """Return the value in its normal form, or raise ValueError; a value that passed passes again."""
 
-    def read(self, text: str) -> Any:
-        """Turn a command-line text into a value for `check`, or raise ValueError."""
+    def read(self, text: Any) -> Any:
+        """Turn the text of a flag, of a repeatable one all its texts, into a value for `check`, or raise ValueError."""
 
     def show(self, value: Any) -> str:
         """Write a checked value as it is typed on the command line."""
+        ...
 
 
 @dataclass(frozen=True)

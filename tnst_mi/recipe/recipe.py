@@ -46,6 +46,19 @@ class Recipe(Resources, Method, Goals):
 
     Raises:
         InputError: a value has the wrong type or is out of range.
+
+    Example:
+        >>> import tnst_mi
+        >>> recipe = tnst_mi.Recipe(style=("spirals",), octaves=2, gamma={10: 0.1, 20: 1.0})
+        >>> recipe.lam, recipe.gamma, recipe.at(15).gamma
+        (1.0, 0.1, 0.55)
+        >>> recipe.style_layers
+        {'conv2/3x3': 1.0, 'inception_3b/output': 1.0, 'inception_4b/output': 1.0}
+        >>> "octaves = 2" in recipe.to_toml()
+        True
+        >>> tnst_mi.Recipe(lam=2.0)
+        Traceback (most recent call last):
+        tnst_mi.errors.InputError: recipe: lam = 2.0: expected a number from 0 to 1
     """
 
     keyframes: Mapping[str, Keyframes] = field(default_factory=dict)
@@ -72,7 +85,8 @@ class Recipe(Resources, Method, Goals):
                 f"recipe: style_shares = {self.style_shares}: expected a number for each of the {len(self.style)} "
                 "pictures of style"
             )
-        if self.frames is not None and self.frame_range[0] > self.frame_range[1]:
+        span = self.frame_range
+        if span is not None and span[0] > span[1]:
             raise InputError(f"recipe: frames = {self.frames!r}: expected the smaller number first")
 
     @classmethod

@@ -152,8 +152,10 @@ def documentation() -> dict[str, str]:
     """The documentation of each key, one paragraph: the text below its field in this file."""
     paragraphs = {}
     for section in _SECTIONS:
-        (body,) = ast.parse(inspect.getsource(section)).body
-        for field_node, text_node in itertools.pairwise(body.body):
-            if isinstance(field_node, ast.AnnAssign):
-                paragraphs[field_node.target.id] = " ".join(text_node.value.value.split())
+        nodes = ast.walk(ast.parse(inspect.getsource(section)))
+        (statements,) = (node.body for node in nodes if isinstance(node, ast.ClassDef))
+        for pair in itertools.pairwise(statements):
+            match pair:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    paragraphs[name] = " ".join(text.split())
     return paragraphs

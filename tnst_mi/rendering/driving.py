@@ -40,6 +40,6 @@ def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=4)
-def _scattering(variant: str, *arguments: object) -> ScatteringRenderer:
+def _scattering(variant: str, shape: Shape, gamma: float, h: float, lighting: Lighting) -> ScatteringRenderer:
     """Loading a scene is slow, and Mitsuba does not give back all its memory."""
-    return ScatteringRenderer(*arguments)
+    return ScatteringRenderer(shape, gamma, h, lighting)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+from tnst_mi.errors import InputError
 from tnst_mi.resources import scene_file
 
 
@@ -15,8 +16,11 @@ def look_file(look: str) -> Path:
 
 def extinction(look: str) -> float:
     """Optical thickness of smoke of density 1 along the longest edge of the grid, which the look's scene states."""
-    default = ElementTree.parse(look_file(look)).find("default[@name='extinction']")
-    return float(default.get("value"))
+    file = look_file(look)
+    default = ElementTree.parse(file).find("default[@name='extinction']")
+    if default is None:
+        raise InputError(f"{file}: states no default of extinction; install the package again")
+    return float(default.attrib["value"])
 
 
 def gamma(look: str, shape: tuple[int, int, int]) -> float:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from tnst_mi.frame import Frame
-from tnst_mi.io.png import srgb
+from tnst_mi.io.pictures.png import srgb
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.renderer import render
 from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
@@ -49,15 +49,18 @@ class Painter(Protocol):
 
     def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
         """Linear values of picture `number`, (H, W) or (H, W, 3)."""
+        ...
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The same as an 8-bit picture shows it, in [0, 1]."""
+        ...
 
     def attributes(self) -> Attributes:
         """What the header of an EXR says about all pictures."""
+        ...
 
 
-class EmissionAbsorption:
+class EmissionAbsorptionPainter:
     """Grey pictures by the emission–absorption integrator; one exposure, 1 / the largest value in the `first` view."""
 
     def __init__(self, frames: Sequence[Frame], first: View, gamma: float, quadrature: str) -> None:
@@ -79,7 +82,7 @@ class EmissionAbsorption:
         return {"gamma": self.gamma, "quadrature": self.quadrature, "exposure": self.exposure}
 
 
-class PathTraced:
+class PathTracedPainter:
     """Pictures (height, width, 3) of the smoke in the studio of a look; every picture has noise of its own.
 
     Args:

@@ -11,7 +11,7 @@ import sys
 
 import mitsuba as mi
 
-from tnst_mi.machine.backend import check_llvm
+from tnst_mi.machine.loaded_llvm import check_llvm
 
 _MODULES = ("tnst_mi.rendering.march.integrator", "tnst_mi.rendering.cameras.sensor")
 

@@ -19,7 +19,8 @@ import numpy as np
 from tnst_mi.choices import QUADRATURES
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
-from tnst_mi.fields.grid import Shape, opaque_int
+from tnst_mi.fields.grid import Shape
+from tnst_mi.fields.kernels import opaque_int
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.march.medium import GridMedium
@@ -203,6 +204,19 @@ def render(
 
     Raises:
         InputError: an argument has another shape or range than stated.
+
+    Example:
+        >>> import torch
+        >>> import tnst_mi
+        >>> density = torch.full((4, 2, 3), 0.5, requires_grad=True)
+        >>> image = tnst_mi.render(density, quadrature="exact")  # everywhere (1 − exp(−0.1 · 4 · 0.5)) / 0.1
+        >>> image.shape, round(image[0, 0].item(), 3)
+        (torch.Size([2, 3]), 1.813)
+        >>> image.sum().backward()
+        >>> density.grad.shape
+        torch.Size([4, 2, 3])
+        >>> tnst_mi.render(density, view=[(0, 0), (30, 10)]).shape
+        torch.Size([2, 2, 3])
     """
     angles = np.asarray(view, dtype=np.float64)
     if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():

@@ -16,6 +16,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
+from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.renderer import Renderer
 from tnst_mi.rendering.scene import scene_description
@@ -61,10 +62,11 @@ class ScatteringRenderer(Renderer):
         lighting: the smoke's scattering and its light.
 
     Raises:
-        InputError: the light's file cannot be used.
+        InputError: the light's file cannot be used, or a GPU lacks OptiX.
     """
 
     def __init__(self, shape: Shape, gamma: float, h: float, lighting: Lighting) -> None:
+        require_optix("--integrator prbvolpath")
         self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
         # Kept: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)

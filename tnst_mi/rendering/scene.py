@@ -7,6 +7,7 @@ of a `heterogeneous` medium.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -18,7 +19,7 @@ from tnst_mi.fields.grid import Shape
 _MAJORANT = 1e6
 
 
-def medium_description(shape: Shape, h: float) -> dict[str, object]:
+def medium_description(shape: Shape, h: float) -> dict[str, Any]:
     """A medium on a grid (D, H, W) of cells of size h, in full-resolution cells; its density is still 0."""
     d, rows, columns = shape
     return {
@@ -44,7 +45,7 @@ def view_distance(shape: Shape, h: float) -> float:
 
 def scene_description(
     shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Box, medium, sensor and integrator; the density is still 0.
 
     Args:

@@ -21,7 +21,9 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.fields.grid import Shape
+from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View, camera_frame
 from tnst_mi.rendering.looks import look_file
 
@@ -46,13 +48,13 @@ class Smoke:
     Attributes:
         shape: (D, H, W) of their grids.
         largest: the largest density.
-        occupied: slices (z, y, x) of the box that holds all smoke and a cell around it; path tracing is slow in it
-            and fast elsewhere.
+        occupied: the box that holds all smoke and a cell around it, the whole grid where there is none; path tracing
+            is slow in it and fast elsewhere.
     """
 
     shape: Shape
     largest: float
-    occupied: tuple[slice, slice, slice]
+    occupied: Region
 
     @classmethod
     def of(cls, densities: Iterable[np.ndarray]) -> Smoke:
@@ -61,25 +63,18 @@ class Smoke:
         Raises:
             InputError: there are none, or their shapes differ.
         """
-        shape, largest, anywhere = None, 0.0, []
+        shape, largest, boxes = None, 0.0, []
         for density in densities:
             if shape is not None and density.shape != shape:
                 raise InputError(f"render: a frame of shape {density.shape} after ones of {shape}, expected one shape")
             shape = density.shape
             largest = max(largest, float(density.max()))
-            profiles = [density.any(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
-            anywhere = [a | b for a, b in zip(anywhere, profiles, strict=True)] if anywhere else profiles
+            box = smoke_box(density, 1)
+            boxes += [] if box is None else [box]
         if shape is None:
             raise InputError("render: no frames given, expected one or more")
-        return cls(shape, largest, tuple(_occupied(profile) for profile in anywhere))
-
-
-def _occupied(profile: np.ndarray) -> slice:
-    """The range of cells of one axis that hold smoke, and a cell on either side; all of them if none does."""
-    cells = np.flatnonzero(profile)
-    if not cells.size:
-        return slice(0, len(profile))
-    return slice(max(int(cells[0]) - 1, 0), min(int(cells[-1]) + 2, len(profile)))
+        d, h, w = shape
+        return cls((d, h, w), largest, hull(boxes) if boxes else (slice(0, d), slice(0, h), slice(0, w)))
 
 
 class Studio:
@@ -93,10 +88,11 @@ class Studio:
         size: (width, height) of the pictures in pixels.
 
     Raises:
-        InputError: a view is from below the ground.
+        InputError: a view is from below the ground, or a GPU lacks OptiX.
     """
 
     def __init__(self, look: str, integrator: str, smoke: Smoke, views: Sequence[View], size: tuple[int, int]) -> None:
+        require_optix("render --look")
         self.smoke, self.size = smoke, size
         edges = np.array(smoke.shape[::-1]) / max(smoke.shape)
         self._load(look, integrator, edges)

@@ -28,10 +28,10 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import remove_unfinished, written_whole
 from tnst_mi.io.companions import OBSTACLE, companion
 from tnst_mi.io.conventions import Conventions
-from tnst_mi.io.exr import read_exr, write_exr
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
-from tnst_mi.io.png import write_png
-from tnst_mi.io.video import can_encode
+from tnst_mi.io.pictures.exr import read_exr, write_exr
+from tnst_mi.io.pictures.png import write_png
+from tnst_mi.io.pictures.video import can_encode
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview

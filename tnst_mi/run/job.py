@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import errno
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -36,8 +36,9 @@ class Optimisation(Protocol):
 
     def run(
         self, on_iteration: Callable[[Progress], None] | None, finished: Collection[int]
-    ) -> Iterator[tuple[int, Stylized]]:
+    ) -> Generator[tuple[int, Stylized], None, None]:
         """Stylize the frames but those that are finished, and give each with its index."""
+        ...
 
 
 #: Makes the optimisation of a plan: of these frames, judged by this network, with the state in this store.
@@ -85,7 +86,7 @@ class Run(Iterator[StylizedFrame]):
         """End the run early, as Ctrl-C does between two frames."""
         self._frames.close()
 
-    def _stylized(self) -> Iterator[StylizedFrame]:
+    def _stylized(self) -> Generator[StylizedFrame, None, None]:
         prepared = self.prepared
         finished = {record["name"] for record in self.record["frames"]}
         if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):

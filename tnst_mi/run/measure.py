@@ -41,10 +41,10 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
     measures = []
     for frame in checked_shapes(frames):
         image = main_view(frame.density, recipe.at(frame.number))
-        digest = hashlib.sha256(frame.density)
+        digest = hashlib.sha256(frame.density.data)
         for array in (frame.velocity, frame.obstacle):
             if array is not None:
-                digest.update(array)
+                digest.update(array.data)
         measures.append(
             Measure(
                 frame.name,

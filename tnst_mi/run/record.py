@@ -70,7 +70,7 @@ def sequence_record(
         "loss_after": after,
         **{key: _mean_terms([record[key] for record in records]) for key in ("terms_before", "terms_after")},
         # Style distances are positive; activations to be raised are losses below 0, of which no share can be told.
-        "loss_reduction": None if before is None or before <= 0 else 1 - after / before,
+        "loss_reduction": None if before is None or after is None or before <= 0 else 1 - after / before,
     }
 
 

@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.png import eight_bits
-from tnst_mi.io.video import open_video
+from tnst_mi.io.pictures.png import eight_bits
+from tnst_mi.io.pictures.video import open_video
 from tnst_mi.losses.pictures import resized
 from tnst_mi.run.before_after import side_by_side
 

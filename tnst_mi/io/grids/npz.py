@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import cast
 
 import numpy as np
 
@@ -64,7 +64,8 @@ def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
 def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write a compressed npz file."""
     with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        # The stub takes the arrays for the flag allow_pickle as well.
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 @contextmanager
@@ -77,7 +78,12 @@ def _names(archive: zipfile.ZipFile) -> list[str]:
     return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
-def _parse_header(path: Path, name: str, stream: BinaryIO) -> ArrayHeader:
+def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
+    """An array's member of the archive, open for reading, which `ZipFile.open` promises to be no more than `IO`."""
+    return cast("zipfile.ZipExtFile", archive.open(f"{name}.npy"))
+
+
+def _parse_header(path: Path, name: str, stream: zipfile.ZipExtFile) -> ArrayHeader:
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -95,14 +101,14 @@ def _parse_header(path: Path, name: str, stream: BinaryIO) -> ArrayHeader:
 
 
 def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader:
-    with archive.open(f"{name}.npy") as stream:
+    with _member(archive, name) as stream:
         return _parse_header(path, name, stream)
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
     """Read one array, which must not claim more than its member of the archive can hold."""
     member = archive.getinfo(f"{name}.npy")
-    with archive.open(member) as stream:
+    with _member(archive, name) as stream:
         header = _parse_header(path, name, stream)
         if header.dtype.kind not in "fiub":
             raise InputError(f"{path}: array {name!r} has type {header.dtype}, expected numbers")

@@ -12,7 +12,6 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from tnst_mi.io.untrusted import LARGEST_ARRAY, LARGEST_EXTENT, LARGEST_RATIO, o
 REAL, INTEGER, VECTOR, MAC, FLAGS = 1, 2, 4, 8, 32
 
 #: Bit of a cell in a grid of flags that marks it as solid (Mantaflow's FlagGrid::TypeObstacle).
-OBSTACLE = 2
+OBSTACLE_FLAG = 2
 
 _MAGIC = b"MNT3"
 _SIZES = struct.Struct("<6i")
@@ -114,7 +113,7 @@ def _read(path: Path, values: bool) -> tuple[UniHeader, np.ndarray]:
         return header, _read_values(path, file, header) if values else np.empty(0)
 
 
-def _read_header(path: Path, file: BinaryIO) -> UniHeader:
+def _read_header(path: Path, file: gzip.GzipFile) -> UniHeader:
     magic = file.read(4)
     if magic not in _HEADER_BYTES:
         known = ", ".join(key.decode() for key in _HEADER_BYTES)
@@ -132,7 +131,7 @@ def _read_header(path: Path, file: BinaryIO) -> UniHeader:
     return UniHeader((depth, height, width), grid_type, np.dtype(dtype), components, build)
 
 
-def _read_values(path: Path, file: BinaryIO, header: UniHeader) -> np.ndarray:
+def _read_values(path: Path, file: gzip.GzipFile, header: UniHeader) -> np.ndarray:
     """Read the values, which must not be more than the file can hold."""
     shape = header.shape if header.components == 1 else (*header.shape, header.components)
     size = math.prod(shape) * header.dtype.itemsize

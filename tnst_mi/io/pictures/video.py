@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import write_failure, written_whole
-from tnst_mi.io.png import eight_bits
+from tnst_mi.io.pictures.png import eight_bits
+
+#: The package is large: installations may leave it out, and videos with it.
+_ffmpeg: Any = importlib.import_module("imageio_ffmpeg") if importlib.util.find_spec("imageio_ffmpeg") else None
 
 #: Players guess the colour matrix from the size of the picture; this is written into the file.
 _COLOURS = ["-vf", "scale=out_color_matrix=bt709"]
@@ -22,7 +27,7 @@ _PLAYS_WHILE_LOADING = ["-movflags", "+faststart"]
 
 def can_encode() -> bool:
     """Whether the package that carries ffmpeg is installed."""
-    return importlib.util.find_spec("imageio_ffmpeg") is not None
+    return _ffmpeg is not None
 
 
 class Video:
@@ -30,7 +35,7 @@ class Video:
 
     def __init__(self, path: Path, frames_per_second: float) -> None:
         self._path, self._frames_per_second = path, frames_per_second
-        self._encoder = None
+        self._encoder: Any = None
         self._shape: tuple[int, int] = (0, 0)
         self._count = 0
 
@@ -48,17 +53,15 @@ class Video:
         pixels = np.pad(pixels, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
         if self._encoder is None:
             self._shape = (rows, columns)
-            self._start(pixels.shape[1], pixels.shape[0])
+            self._encoder = self._started(pixels.shape[1], pixels.shape[0])
         if (rows, columns) != self._shape:
             first = f"{self._shape[1]} x {self._shape[0]}"
             raise InputError(f"video: a picture of {columns} x {rows} pixels after ones of {first}, expected one size")
         self._encoder.send(np.ascontiguousarray(pixels))
         self._count += 1
 
-    def _start(self, columns: int, rows: int) -> None:
-        import imageio_ffmpeg
-
-        self._encoder = imageio_ffmpeg.write_frames(
+    def _started(self, columns: int, rows: int) -> Any:
+        encoder = _ffmpeg.write_frames(
             str(self._path),
             (columns, rows),
             fps=self._frames_per_second,
@@ -68,7 +71,8 @@ class Video:
             ffmpeg_log_level="error",
             output_params=_COLOURS + _PLAYS_WHILE_LOADING,
         )
-        self._encoder.send(None)
+        encoder.send(None)
+        return encoder
 
     def close(self) -> None:
         """Finish the file.
@@ -78,12 +82,10 @@ class Video:
         """
         if self._encoder is None:
             return
-        import imageio_ffmpeg
-
         self._encoder.close()
         self._encoder = None
         try:
-            count, _ = imageio_ffmpeg.count_frames_and_secs(str(self._path))
+            count, _ = _ffmpeg.count_frames_and_secs(str(self._path))
         except (OSError, RuntimeError):
             count = 0
         if count != self._count:
@@ -97,7 +99,12 @@ def open_video(path: Path, frames_per_second: float = 24.0) -> Iterator[Video]:
     Args:
         path: the file, ending in .mp4.
         frames_per_second: how fast it plays.
+
+    Raises:
+        InputError: nothing is installed that could encode it.
     """
+    if not can_encode():
+        raise InputError(f"{path}: videos need the package imageio-ffmpeg, which is not installed: pip install it")
     with written_whole(path) as temporary:
         video = Video(temporary, frames_per_second)
         try:

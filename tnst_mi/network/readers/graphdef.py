@@ -63,8 +63,8 @@ def _response_norm(attributes: dict[str, Message]) -> ResponseNorm:
     """The attributes of an LRN node; an absent one has the default of TensorFlow's operation."""
 
     def number(name: str, default: float) -> float:
-        values = attributes[name].floats(4) if name in attributes else ()
-        return float(values[-1]) if len(values) else default
+        values = attributes[name].floats(4) if name in attributes else np.empty(0)
+        return float(values[-1]) if values.size else default
 
     radius = attributes["depth_radius"].integers(3) if "depth_radius" in attributes else []
     norm = ResponseNorm(

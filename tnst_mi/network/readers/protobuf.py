@@ -54,9 +54,10 @@ class Message:
     def byte_ranges(self, number: int) -> list[memoryview]:
         """Every occurrence of a field of bytes; nothing is copied."""
         values = self._fields.get(number, [])
-        if any(isinstance(value, int) for value in values):
+        ranges = [value for value in values if not isinstance(value, int)]
+        if len(ranges) < len(values):
             raise MalformedFile(f"not the expected protocol buffer (field {number} is an integer)")
-        return values
+        return ranges
 
     def messages(self, number: int) -> list[Message]:
         """Every occurrence of a sub-message."""

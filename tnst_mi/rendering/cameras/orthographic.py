@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.grid import Divisor, opaque, opaque_int
+from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
 from tnst_mi.rendering.cameras.views import View, camera_frame
 
 

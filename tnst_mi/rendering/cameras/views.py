@@ -49,6 +49,14 @@ def sample_views(
     Raises:
         InputError: n < 1, a range that is not (low, high) with finite low <= high, or a seed that is not made
             of non-negative integers.
+
+    Example:
+        >>> import tnst_mi
+        >>> views = tnst_mi.sample_views(9, azimuth=(0, 40), elevation=(-5, 5), seed=1)
+        >>> views.shape
+        (9, 2)
+        >>> views[0].tolist()
+        [20.0, 0.0]
     """
     if not isinstance(n, int | np.integer) or n < 1:
         raise InputError(f"views: {n!r} is not a number of views; give an integer of at least 1")
@@ -84,7 +92,7 @@ def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarr
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
     up = np.cross(towards_camera, right)
     # The cosine of 90° is 6e-17 in floating point; a ray that should run along a face would cross it far away.
-    return tuple(np.round(axis, 15) for axis in (right, up, towards_camera))
+    return np.round(right, 15), np.round(up, 15), np.round(towards_camera, 15)
 
 
 def _check_range(name: str, limits: tuple[float, float]) -> tuple[float, float]:

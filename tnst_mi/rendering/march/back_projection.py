@@ -13,9 +13,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.grid import Cells, opaque, opaque_int
+from tnst_mi.fields.grid import Cells
+from tnst_mi.fields.kernels import opaque, opaque_int
 from tnst_mi.fields.stencil import larger, smaller
-from tnst_mi.rendering.march.medium import GridMedium, Lattice
+from tnst_mi.rendering.cameras.orthographic import ParallelRays
+from tnst_mi.rendering.march.lattice import Lattice
+from tnst_mi.rendering.march.medium import GridMedium
 
 _RUN = 2
 """Voxels per thread, neighbours along z: they share most of the samples that they read."""
@@ -31,12 +34,12 @@ class BackProjection:
 
     Args:
         medium: the grid and its place in the world.
-        lattice: the samples of parallel rays.
+        lattice: the samples of the rays.
+        rays: what the rays have in common.
     """
 
-    def __init__(self, medium: GridMedium, lattice: Lattice) -> None:
-        self.shape, self.rays = medium.grid_shape, lattice.rays
-        rays = lattice.rays
+    def __init__(self, medium: GridMedium, lattice: Lattice, rays: ParallelRays) -> None:
+        self.shape, self.rays = medium.grid_shape, rays
         # Enough to cover the grid to both sides of its centre.
         extent = np.abs(rays.direction @ np.linalg.inv(medium.transform.matrix)).sum()
         before = math.ceil(extent / (2 * lattice.spacing)) + 1

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
 
 
@@ -84,3 +85,33 @@ def first_surface(scene: mi.Scene, shape: mi.Shape, ray: mi.Ray3f, active: mi.Bo
     n = dr.width(ray)
     state = (mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n), dr.zeros(mi.SurfaceInteraction3f, n))
     return dr.while_loop(state, lambda here, active, *_: active, body, label="first surface")[2]
+
+
+def seen_behind(
+    scene: mi.Scene, medium: SceneMedium, lattice: Lattice, ray: mi.Ray3f, active: mi.Bool
+) -> tuple[mi.Spectrum | None, mi.Bool]:
+    """What rays see of emitters behind the medium, None where there are none, and which rays pass through it at all.
+
+    The samples of rays that end on a surface before the medium are taken out of the lattice.
+
+    Raises:
+        RuntimeError: a surface lies inside the medium.
+    """
+    through = active & (lattice.exit > lattice.entry)
+    alone = len(scene.shapes()) == 1
+    if alone and scene.environment() is None:
+        return None, through
+    surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
+    surface.wi, surface.t = -ray.d, dr.inf
+    if not alone:
+        surface = first_surface(scene, medium.shape, ray, active)
+        distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
+        if dr.any(through & (distance > lattice.entry) & (distance < lattice.exit)):
+            raise RuntimeError(
+                "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
+            )
+        hidden = distance < lattice.exit
+        through &= ~hidden
+        lattice.leave_out(hidden)
+    background = surface.emitter(scene, active).eval(surface, active) if len(scene.emitters()) > 0 else None
+    return background, through

@@ -10,19 +10,20 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-from mitsuba.ad.integrators.common import RBIntegrator
 
 from tnst_mi.choices import QUADRATURES
-from tnst_mi.fields.grid import RepeatableSum, opaque
+from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.stencil import ClampedStencil
+from tnst_mi.fields.sums import RepeatableSum
 from tnst_mi.rendering.cameras.orthographic import ParallelRays
 from tnst_mi.rendering.march.back_projection import BackProjection
-from tnst_mi.rendering.march.boundary import SceneMedium, crossing, first_surface
-from tnst_mi.rendering.march.medium import GridMedium, Lattice
+from tnst_mi.rendering.march.boundary import SceneMedium, crossing, seen_behind
+from tnst_mi.rendering.march.lattice import Lattice
+from tnst_mi.rendering.march.medium import GridMedium
 from tnst_mi.rendering.march.occupancy import Occupancy
 
 
-class EmissionAbsorption(RBIntegrator):
+class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     r"""
     Emission–absorption integrator (:monosp:`emission_absorption`)
     --------------------------------------------------------------
@@ -46,7 +47,7 @@ class EmissionAbsorption(RBIntegrator):
     Works in any scene with one ``heterogeneous`` medium, its ``sigma_t`` a ``gridvolume``, inside a convex shape with a
     ``null`` BSDF, and with any sensor. The medium emits and absorbs; its albedo and phase function play no part.
     Emitters seen through the medium are attenuated and added. Surfaces inside the medium are an error. The sample
-    positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.medium.Lattice`.
+    positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`.
 
     Derivatives are those with respect to ``sigma_t.data``. The reverse-mode pass replays the march and stores
     nothing per step; its result has the same bits in every run. With one extinction channel the march is scalar,
@@ -126,25 +127,7 @@ class EmissionAbsorption(RBIntegrator):
     ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
         bounds = None if medium.fills_box else crossing(scene, medium.shape, ray, active)
         lattice = Lattice(medium, ray, self._sample_distance(medium), bounds)
-        through = active & (lattice.exit > lattice.entry)
-
-        alone = len(scene.shapes()) == 1
-        if alone and scene.environment() is None:
-            return lattice, None, through
-        surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
-        surface.wi, surface.t = -ray.d, dr.inf
-        if not alone:
-            surface = first_surface(scene, medium.shape, ray, active)
-            distance = dr.select(surface.is_valid(), dr.dot(surface.p - ray.o, ray.d), dr.inf)
-            if dr.any(through & (distance > lattice.entry) & (distance < lattice.exit)):
-                raise RuntimeError(
-                    "emission_absorption: a surface lies inside the medium, expected none between entry and exit"
-                )
-            hidden = distance < lattice.exit
-            through &= ~hidden
-            lattice.leave_out(hidden)
-        background = surface.emitter(scene, active).eval(surface, active) if len(scene.emitters()) > 0 else None
-        return lattice, background, through
+        return lattice, *seen_behind(scene, medium, lattice, ray, active)
 
     # --------------------------------------------------------------------
     # The march
@@ -194,19 +177,19 @@ class EmissionAbsorption(RBIntegrator):
 
         if self.quadrature == "paper":
 
-            def visit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
+            def emit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
                 σ = self._extinction(medium, σ_t, stencil)
                 τ = τ + h * σ
                 return τ, L + h * σ * dr.exp(-τ)
 
-            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), visit, "emission_absorption")
+            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), emit, "emission_absorption")
             L *= inv_gamma
         else:
             # The segments' transmittances telescope: only the optical depth is needed.
-            def visit(stencil: ClampedStencil, τ: Any) -> tuple:
+            def absorb(stencil: ClampedStencil, τ: Any) -> tuple:
                 return (τ + h * self._extinction(medium, σ_t, stencil),)
 
-            (τ,) = self._march_smoke(medium, lattice, (zeros,), visit, "emission_absorption")
+            (τ,) = self._march_smoke(medium, lattice, (zeros,), absorb, "emission_absorption")
             L = -_expm1(-τ)
             if self.quadrature == "exact":
                 L *= inv_gamma
@@ -230,7 +213,7 @@ class EmissionAbsorption(RBIntegrator):
             A, B = mi.Color3f(δL), mi.Color3f(δL * L)
 
         if lattice.rays is not None and medium.channels == 1:
-            projection = BackProjection(medium, lattice)
+            projection = BackProjection(medium, lattice, lattice.rays)
             self._march_adjoint(medium, lattice, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
             with dr.resume_grad():
                 # Taken out of the AD graph, whose reference to it would make an addition in place copy the array.
@@ -275,11 +258,11 @@ class EmissionAbsorption(RBIntegrator):
         else:
             constant = (A * self._limit - B) * h * scale
 
-            def visit(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
+            def visit_alike(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
                 deposit(k, stencil, constant)
                 return ()
 
-            self._march(lattice, (), visit, label)
+            self._march(lattice, (), visit_alike, label)
 
     @property
     def _limit(self) -> mi.Float:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.fields.grid import Cells, Shape, gather, opaque_int
+from tnst_mi.fields.grid import Cells, Shape
+from tnst_mi.fields.kernels import gather, opaque_int
 
 _LOG2_EDGE = 2
 """Blocks of 4³ cells. Larger ones hold more empty space, and smaller ones no longer fit the cache."""
@@ -25,8 +26,9 @@ class Occupancy:
 
     def __init__(self, values: mi.Float, shape: Shape, channels: int) -> None:
         self.values = values
-        blocks = tuple(((n - 1) >> _LOG2_EDGE) + 1 for n in shape)
-        self._rows, self._columns = opaque_int(blocks[1]), opaque_int(blocks[2])
+        planes, rows, columns = (((n - 1) >> _LOG2_EDGE) + 1 for n in shape)
+        blocks = (planes, rows, columns)
+        self._rows, self._columns = opaque_int(rows), opaque_int(columns)
 
         cells = Cells.of(shape)
         filled = mi.Bool(False)

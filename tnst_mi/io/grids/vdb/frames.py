@@ -22,12 +22,12 @@ from tnst_mi.io.conventions import (
     VELOCITY_UNITS,
     StoredFrame,
 )
+from tnst_mi.io.grids.uni import OBSTACLE_FLAG
+from tnst_mi.io.grids.vdb.metadata import Value
+from tnst_mi.io.grids.vdb.reader import Grid, VdbFile, read_vdb
+from tnst_mi.io.grids.vdb.tree import Box, require_small
+from tnst_mi.io.grids.vdb.writer import DenseGrid, write_vdb
 from tnst_mi.io.orientation import to_z_up
-from tnst_mi.io.uni import OBSTACLE
-from tnst_mi.io.vdb.metadata import Value
-from tnst_mi.io.vdb.reader import Grid, VdbFile, read_vdb
-from tnst_mi.io.vdb.tree import Box, require_small
-from tnst_mi.io.vdb.writer import DenseGrid, write_vdb
 
 _DENSITY, _VELOCITY, _OBSTACLE, _FLAGS = ("density",), ("velocity", "vel", "v"), ("obstacle",), ("flags",)
 
@@ -60,12 +60,13 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
     box = box or _box_of(path, file, [grid for grid in (density, velocity) if grid is not None])
     if box is None:
         raise InputError(f"{path}: no active voxel in it, so the size of the grid is unknown")
-    require_small(path, box, sum(grid.kind.components for grid in (density, velocity, obstacle) if grid is not None))
-    corner = tuple(main.voxel_size * int(low) + origin for low, origin in zip(box[0], main.translation, strict=True))
+    kinds = [grid.kind for grid in (density, velocity, obstacle) if grid is not None]
+    require_small(path, box, sum(kind.components for kind in kinds if kind is not None))
+    x, y, z = (main.voxel_size * int(low) + origin for low, origin in zip(box[0], main.translation, strict=True))
     solid = None
     if obstacle is not None:
         solid = obstacle.tree.values_in(box)
-        solid = (solid.astype(np.int32) & OBSTACLE) != 0 if obstacle.name.lower() in _FLAGS else solid > 0
+        solid = (solid.astype(np.int32) & OBSTACLE_FLAG) != 0 if obstacle.name.lower() in _FLAGS else solid > 0
     up, units, dt = _conventions(file, main)
     return StoredFrame(
         density=None if density is None else density.tree.values_in(box),
@@ -78,7 +79,7 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
         velocity_units=units,
         dt=dt,
         voxel_size=main.voxel_size,
-        corner=corner,
+        corner=(x, y, z),
         lacking=lacking,
     )
 
@@ -89,11 +90,10 @@ def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placem
     if placement.up == "z":
         arrays = {name: to_z_up(array) for name, array in arrays.items()}
     size = placement.voxel_size
-    first = tuple(round(coordinate / size) for coordinate in placement.corner)
-    if max(map(abs, first)) > _FARTHEST:
-        first = (0, 0, 0)
+    i, j, k = (round(coordinate / size) for coordinate in placement.corner)
+    first = (i, j, k) if max(map(abs, (i, j, k))) <= _FARTHEST else (0, 0, 0)
     rest = [coordinate - index * size for coordinate, index in zip(placement.corner, first, strict=True)]
-    translation = tuple(value if abs(value) > _TOLERANCE * size else 0.0 for value in rest)
+    x, y, z = (value if abs(value) > _TOLERANCE * size else 0.0 for value in rest)
     extents = next(iter(arrays.values())).shape[2::-1]
     last = tuple(low + extent - 1 for low, extent in zip(first, extents, strict=True))
     metadata: dict[str, tuple[str, Value]] = {
@@ -103,7 +103,7 @@ def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placem
         _LOWEST: ("vec3i", first),
         _HIGHEST: ("vec3i", last),
     }
-    grids = [DenseGrid(name, array.astype(np.float32), first, size, translation) for name, array in arrays.items()]
+    grids = [DenseGrid(name, array.astype(np.float32), first, size, (x, y, z)) for name, array in arrays.items()]
     write_vdb(path, grids, metadata)
 
 

@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.cursor import Cursor
 
 #: A named value: a text, a number, or three of them.
 Value = str | bool | int | float | tuple[int, ...] | tuple[float, ...]
@@ -55,7 +55,7 @@ def read_metadata(cursor: Cursor) -> dict[str, Value]:
             values[name] = bytes(data).decode("utf-8", "replace")
         elif kind in _LAYOUTS and _LAYOUTS[kind].size == size:
             numbers = _LAYOUTS[kind].unpack(data)
-            values[name] = numbers if len(numbers) > 1 else numbers[0]
+            values[name] = numbers[0] if len(numbers) == 1 else numbers
     return values
 
 
@@ -63,7 +63,7 @@ def written_metadata(values: dict[str, tuple[str, Value]]) -> bytes:
     """What `read_metadata` reads back, of (type, value) by name."""
     data = _COUNT.pack(len(values))
     for name, (kind, value) in values.items():
-        if kind == "string":
+        if isinstance(value, str):
             content = value.encode("utf-8")
         else:
             content = _LAYOUTS[kind].pack(*(value if isinstance(value, tuple) else (value,)))
@@ -104,7 +104,8 @@ def read_transform(cursor: Cursor) -> tuple[float, tuple[float, float, float]]:
             f"{cursor.path}: voxels that are turned or no cubes (matrix {scale.round(6).tolist()}), "
             "expected cubes along the axes; resample the grid"
         )
-    return edge, tuple(map(float, translation))
+    x, y, z = map(float, translation)
+    return edge, (x, y, z)
 
 
 def written_transform(edge: float, translation: tuple[float, float, float]) -> bytes:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.metadata import Value, read_metadata, read_transform
+from tnst_mi.io.grids.vdb.tree import Tree, TreeReader
+from tnst_mi.io.grids.vdb.values import BLOSC, VALUE_TYPES, ZIP, ValueType
 from tnst_mi.io.untrusted import opening
-from tnst_mi.io.vdb.cursor import Cursor
-from tnst_mi.io.vdb.metadata import Value, read_metadata, read_transform
-from tnst_mi.io.vdb.tree import Tree, TreeReader
-from tnst_mi.io.vdb.values import BLOSC, VALUE_TYPES, ZIP, ValueType
 
 #: The first eight bytes of every file.
 MAGIC = struct.pack("<q", 0x56444220)
@@ -55,7 +55,7 @@ class Grid:
         metadata: named values.
         voxel_size: edge of a voxel, in units of the scene.
         translation: where voxel (0, 0, 0) is in the scene.
-        compression: bits, see `tnst_mi.io.vdb.values`.
+        compression: bits, see `tnst_mi.io.grids.vdb.values`.
         span: where in the file its tree starts, where the values of the leaves do, and where it ends.
     """
 

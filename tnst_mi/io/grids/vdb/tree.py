@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.vdb.cursor import Cursor
-from tnst_mi.io.vdb.values import ACTIVE_MASK, ValueType, read_run
+from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, ValueType, read_run
 from tnst_mi.machine.environment import free_memory
 
 #: Voxels along an edge of a leaf, and in it.

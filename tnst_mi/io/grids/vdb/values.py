@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import blosc
 import numpy as np
+from blosc.blosc_extension import error as BloscError
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.cursor import Cursor
 
 # Bits of a grid's compression.
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4
@@ -111,7 +112,7 @@ def _decompressed_by_blosc(cursor: Cursor, data: memoryview, size: int) -> bytes
         if claimed == size and compressed == len(data):
             try:
                 return blosc.decompress(bytes(data))
-            except blosc.blosc_extension.error:
+            except BloscError:
                 pass
     raise InputError(f"{cursor.path}: damaged: values that blosc cannot decompress")
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.vdb.metadata import Value, written_metadata, written_string, written_transform
-from tnst_mi.io.vdb.reader import MAGIC
-from tnst_mi.io.vdb.tree import LEAF_EDGE, LEAF_VOXELS
-from tnst_mi.io.vdb.values import ACTIVE_MASK, BLOSC, ZIP, written_run
+from tnst_mi.io.grids.vdb.metadata import Value, written_metadata, written_string, written_transform
+from tnst_mi.io.grids.vdb.reader import MAGIC
+from tnst_mi.io.grids.vdb.tree import LEAF_EDGE, LEAF_VOXELS
+from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, BLOSC, ZIP, written_run
 
 #: The compressions that can be written, by name.
 COMPRESSIONS = {"blosc": BLOSC | ACTIVE_MASK, "zip": ZIP | ACTIVE_MASK, "none": ACTIVE_MASK}

@@ -1,0 +1,52 @@
+"""What the machine tells of itself: GPUs, memory, versions."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from tnst_mi.machine import environment
+
+
+def test_the_driver_is_asked_and_understood(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    answer = "echo 'NVIDIA H100 80GB HBM3, 550.54.15, 9.0, 81559 MiB, 81000 MiB'"
+    (tmp_path / "nvidia-smi").write_text(f"#!/bin/sh\n{answer}\n")
+    (tmp_path / "nvidia-smi").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (gpu,) = environment.gpus()
+    assert (gpu["name"], gpu["driver"], gpu["compute_capability"]) == (
+        "NVIDIA H100 80GB HBM3",
+        "550.54.15",
+        "9.0",
+    )
+    (tmp_path / "nvidia-smi").unlink()
+    assert environment.gpus() == []
+
+
+def test_memory_is_told_in_bytes() -> None:
+    free, resident, peak = environment.free_memory(), environment.resident_memory(), environment.peak_memory()
+    assert 1 << 20 < free < 1 << 50
+    held = bytearray(200 << 20)
+    held[:: 1 << 12] = b"1" * len(held[:: 1 << 12])
+    assert environment.resident_memory() >= max(resident, 200 << 20)
+    assert peak is None or environment.peak_memory() >= max(peak, 200 << 20)
+
+
+def test_versions_of_what_is_installed_and_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checkout that is merely on the path is not installed, and runs all the same."""
+
+    def version(package: str) -> str:
+        if package == "tnst_mi":
+            raise importlib.metadata.PackageNotFoundError
+        return "1.2.3"
+
+    found = environment.versions()
+    assert set(found) == {"tnst_mi", "python", "mitsuba", "drjit", "torch", "numpy"}
+    assert found["numpy"] == np.__version__ and found["drjit"] == dr.__version__
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    assert environment.versions()["tnst_mi"] == "not installed"
+    assert environment.versions()["torch"] == "1.2.3"

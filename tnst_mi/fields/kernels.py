@@ -1,0 +1,61 @@
+"""What keeps kernels few and fast: numbers that are no part of the generated code, division, and access to memory."""
+
+from __future__ import annotations
+
+import functools
+
+import drjit as dr
+import mitsuba as mi
+
+
+def opaque(value: float) -> mi.Float:
+    """A number that changes between calls, kept out of the generated code so that no kernel is recompiled."""
+    return _opaque(mi.Float, value)
+
+
+def opaque_int(value: int) -> mi.Int32:
+    """As `opaque`, for whole numbers."""
+    return _opaque(mi.Int32, value)
+
+
+@functools.lru_cache(maxsize=512)
+def _opaque(kind: type, value: float) -> mi.Float | mi.Int32:
+    # Creating one costs a memory allocation and a fill; a run uses few different numbers.
+    return dr.opaque(kind, value)
+
+
+class Divisor:
+    """Division of indices below 2^30 by a size that is not part of the generated code.
+
+    Vector units have no integer division. A multiplication by a scaled reciprocal is exact here (Granlund and
+    Montgomery 1994): with d' = 2d and l = ⌈log2 d'⌉, ⌊n/d⌋ = ⌊2n · (⌊2^(31+l)/d'⌋ + 1) / 2^(31+l)⌋ for 2n < 2^31.
+    """
+
+    def __init__(self, size: int) -> None:
+        bits = (2 * size - 1).bit_length()
+        factor = 2 ** (31 + bits) // (2 * size) + 1
+        self.size = opaque_int(size)
+        self.factor, self.shift = _opaque(mi.UInt32, factor), _opaque(mi.UInt32, bits - 1)
+
+    def split(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        """Quotient and remainder."""
+        quotient = dr.mul_hi(index << 1, self.factor) >> self.shift
+        return quotient, index - quotient * mi.UInt32(self.size)
+
+
+def gather(values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | bool = True) -> list[mi.Float]:
+    """All channels of the cells at `index`; inactive lanes read 0."""
+    if channels == 1:
+        return [dr.gather(mi.Float, values, index, active)]
+    return [dr.gather(mi.Float, values, index * channels + c, active) for c in range(channels)]
+
+
+def stored(value: mi.Float | mi.Bool) -> mi.Float | mi.Bool:
+    """The value as an array in memory, written with the next evaluation, and through the cache.
+
+    On CPUs `dr.eval` itself writes past the cache, and a gather that follows waits until such a write is done. That
+    makes a kernel that gathers several times slower (measured: 36 ms instead of 4 for one gather of 3 million floats).
+    """
+    target = dr.empty(type(value), dr.width(value))
+    dr.scatter(target, value, dr.arange(mi.UInt32, dr.width(value)), mode=dr.ReduceMode.NoConflicts)
+    return target

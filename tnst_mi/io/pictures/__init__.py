@@ -1,0 +1,1 @@
+"""The file formats of pictures and videos: PNG, EXR, mp4."""
