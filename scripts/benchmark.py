@@ -1,4 +1,4 @@
-"""Times what an iteration consists of, ours against PyTorch and against plain Dr.Jit, and how it all grows.
+"""Times the parts of an iteration, ours against PyTorch and against plain Dr.Jit, and how the times scale.
 
     python scripts/benchmark.py [--size 128] [--weights FILE] [--out FOLDER] [--only SECTION,SECTION…]
 
@@ -7,12 +7,12 @@ parts      transport, rendering and both together, forward and backward, for one
 iteration  a whole iteration of a style recipe with 9 views, ours and PyTorch's
 scaling    transport and rendering against the number of cells, views and threads, and an iteration of a sequence
            against its window, with the fitted exponents
-floor      the least that each part can take: bytes that must move, or operations that must be done, by what this
-           machine moves and does in a second
+floor      a lower bound for each part: bytes that must move, or operations that must be done, over this machine's
+           bandwidth or rate
 frame      a whole frame of the paper's size: 200×300×200 cells, semantic recipe, 3 octaves × 20 iterations × 9 views
 
-All sides are measured in one run, in turns; times are medians, and what counts is their ratio. The smoke is the bundled
-frame, resampled. Writes benchmark.json and, for `scaling`, scaling.png. Peers: `scripts/peers`.
+All sides are measured alternately in one run; times are medians, and their ratios are what counts. The smoke is the
+bundled frame, resampled. Writes benchmark.json and, for `scaling`, scaling.png. Peers: `scripts/peers`.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ PARTS = {
 
 
 def medians(tasks: dict[str, Task], repeat: int) -> dict[str, float]:
-    """Median seconds of each task over `repeat` calls in turns, after one to warm up."""
+    """Median seconds of each task over `repeat` alternating calls, after a warm-up."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
     for _ in range(repeat + 1):
         for name, task in tasks.items():
@@ -96,7 +96,7 @@ def medians(tasks: dict[str, Task], repeat: int) -> dict[str, float]:
 
 
 def parts(size: int, repeat: int) -> dict[str, dict[str, float]]:
-    """Seconds of every part by side."""
+    """Seconds of every part, per side."""
     density = bundled_density(size)
     sides = {"ours": Ours, "torch": Torch, "plain Dr.Jit": PlainDrJit}
     made = {name: side(density, [(8.0, 3.0)]) for name, side in sides.items()}
@@ -108,7 +108,7 @@ def parts(size: int, repeat: int) -> dict[str, dict[str, float]]:
 
 
 def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
-    """A whole iteration, ours as `stylize` does it, and PyTorch's: transport, 9 views, network, normalised step."""
+    """A whole iteration, ours as in `stylize`, and PyTorch's: transport, 9 views, network, normalised step."""
     density = bundled_density(size)
     recipe = tnst_mi.Recipe.from_dict(STYLE)
     network = GoogLeNet.load(weights).to(torch_device())
@@ -147,7 +147,7 @@ def scaling(weights: str | None, repeat: int) -> dict[str, list[dict[str, float]
 
 
 def windowed(window: int, weights: str | None) -> dict[str, float]:
-    """Seconds that an iteration of one frame takes, in a sequence of nine with a window."""
+    """Seconds per iteration of one frame, in a sequence of nine with a window."""
     density = bundled_density(32)
     rising = np.zeros((*density.shape, 3), np.float32)
     rising[..., 1] = 0.4
@@ -165,13 +165,13 @@ def windowed(window: int, weights: str | None) -> dict[str, float]:
     run = SequenceOptimisation(plan, frames, GoogLeNet.load(weights), MemoryStore())
     for _ in run.run(note):
         pass
-    # With a window all frames take their turns before the first is due again; without, it goes on by itself.
+    # With a window, all frames are processed before the first is due again; without, the first continues alone.
     turns = len(frames) if window > 1 else 1
     return {"window": window, "seconds": float(np.median(np.diff(passed[1:]))) / turns}
 
 
 def memory() -> dict[str, int | None]:
-    """The most bytes held by the process, by Dr.Jit and by torch on a GPU."""
+    """Peak bytes held by the process, by Dr.Jit, and by torch on a GPU."""
     on_gpu = mi.variant().startswith("cuda")
     backend = dr.JitBackend.CUDA if on_gpu else dr.JitBackend.LLVM
     torch_peak = torch.cuda.max_memory_allocated() if on_gpu else None
@@ -179,24 +179,24 @@ def memory() -> dict[str, int | None]:
 
 
 def exponent(name: str, rows: list[dict[str, float]]) -> float:
-    """Slope of log seconds over log size, without the smallest."""
+    """Slope of log seconds over log size, without the smallest size."""
     sizes, seconds = ([np.log(row[key]) for row in rows[1:]] for key in (name, "seconds"))
     return float(np.polyfit(sizes, seconds, 1)[0])
 
 
-#: Bytes by cell that must be read or written, if every array is touched once: the inputs and results of a part.
+#: Bytes per cell that must be read or written if every array is touched once: the inputs and results of a part.
 BYTES = {
     "transport, forward": 12,  # Φ, d → d*
     "transport, forward + backward": 12 + 16,  # and Φ, d, ∂L/∂d* → ∂L/∂Φ
     "rendering, forward": 4,  # d
     "rendering, forward + backward": 4 + 8,  # and d → ∂L/∂d
     "transport + rendering, forward + backward": 12 + 16 + 4 + 8,
-    "smooth, normalise, step": 8 + 16,  # g → bands, of which the RMS must be known; bands, mask, Φ → Φ
+    "smooth, normalise, step": 8 + 16,  # g → bands, whose RMS must be known; bands, mask, Φ → Φ
 }
 
 
 def floor(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
-    """What this machine moves and multiplies in a second, and the seconds that every part cannot go below."""
+    """This machine's bandwidth and rate of multiplication, and the resulting lower bound for every part in seconds."""
     from torch.utils.flop_counter import FlopCounterMode
 
     density = bundled_density(size)
@@ -238,7 +238,7 @@ def frame(weights: str | None) -> dict[str, Any]:
 
 
 def print_row(label: str, seconds: dict[str, float]) -> None:
-    """Milliseconds of every side, and how many times longer than ours."""
+    """Milliseconds of every side, and their ratio to ours."""
     cells = (f"{name} {1e3 * value:8.1f} ({value / seconds['ours']:.1f}×)" for name, value in seconds.items())
     print(f"  {label:44s} {'   '.join(cells)}", flush=True)
 
@@ -258,7 +258,7 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
 
 
 def chosen(only: str) -> Iterator[str]:
-    """The sections asked for."""
+    """The requested sections."""
     for name in only.split(","):
         if name not in ("parts", "iteration", "scaling", "floor", "frame"):
             raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling, floor or frame")

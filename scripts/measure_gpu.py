@@ -1,27 +1,27 @@
-"""All that is to be known of a GPU, in one run of a few minutes, the most important first.
+"""Measures everything of interest on a GPU in one run of a few minutes, the most important first.
 
     python scripts/measure_gpu.py --out FOLDER [--reference FILE] [--weights FILE] [--parts NAME,…] [--budget SECONDS]
     python scripts/measure_gpu.py --record FILE [--weights FILE]        on a CPU: the reference of the agreement
 
 environment  versions, GPU, driver, whether OptiX is installed
-tiny         `stylize` on a frame of 24×36×24 cells: does anything work at all
+tiny         `stylize` on a frame of 24×36×24 cells: does it work at all
 agreement    the first iteration of a semantic recipe on the bundled frame against that of the CPU, TF32 off: relative
-             L2 differences of what each stage makes of the CPU's input, and end to end; and the same bits twice
-paper        a frame of the paper's size (200×300×200, 3 octaves × 20 iterations × 9 views) after one to warm up:
-             seconds by octave, memory of both allocators
+             L2 differences of each stage's output for the CPU's input, and end to end; whether bits repeat
+paper        a frame of the paper's size (200×300×200, 3 octaves × 20 iterations × 9 views) after a warm-up: seconds
+             per octave, memory of both allocators
 kernels      an iteration of that size: milliseconds of its phases, and of Dr.Jit's kernels
-sequence     nine frames of 64×96×64 cells with a window of 9, state in a folder: seconds by frame and iteration
+sequence     nine frames of 64×96×64 cells with a window of 9, state in a folder: seconds per frame and iteration
 large        a frame of 400×600×400 cells with one iteration in each octave
-precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and cosine
-             of the derivative to that of float32
+precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and the
+             cosine between the derivative and that of float32
 peer         transport, rendering and a whole style iteration against plain PyTorch on the same card
 compare      `tnst-mi compare --quick`: our renderer against Mitsuba's path tracer (needs OptiX)
 beauty       `tnst-mi render --look medium`, with and without OptiX's denoiser
-tests        the suite on the variant
+tests        the test suite on the variant
 
-Each part is a process of its own, ended when it takes too long, and its result is on disk before the next begins: a
-run that is cut off still tells. Writes FOLDER/PART.json, FOLDER/PART.log and gpu.json, of all parts. `--dry-run` takes
-small grids and a CPU. Exit code 1 where a part failed or the GPU does not agree with the CPU.
+Each part runs in a separate process, which is killed when it takes too long, and its result is on disk before the next
+part begins, so that a run that is cut off still leaves results. Writes FOLDER/PART.json, FOLDER/PART.log, and gpu.json
+with all parts. `--dry-run` uses small grids and the CPU. Exit code 1 if a part failed or the GPU and CPU disagree.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from tnst_mi.machine.backend import torch_device
 ROOT = Path(__file__).resolve().parents[1]
 FRAME = ROOT / "scenes" / "suzanne" / "frame_0010.npz"
 
-#: How far a stage may be from the CPU's, given the same input. Potentials differ where a limiter decides otherwise.
+#: How far a stage may deviate from the CPU's, given the same input. Potentials differ where a limiter switches.
 LIMITS = {
     "stylized": 1e-3,
     "images": 1e-3,
@@ -62,7 +62,7 @@ LIMITS = {
     "potential": 1e-2,
 }
 
-#: Seconds after which a part is ended.
+#: Seconds after which a part is killed.
 PARTS = {
     "environment": 60,
     "tiny": 90,
@@ -100,7 +100,7 @@ def environment(options: argparse.Namespace) -> Result:
 
 
 def tiny(options: argparse.Namespace) -> Result:
-    """A small frame through the public functions."""
+    """Stylize a small frame with the public functions."""
     from benchmark import bundled_density
 
     frame = tnst_mi.Frame(bundled_density(24))
@@ -115,11 +115,11 @@ def tiny(options: argparse.Namespace) -> Result:
 def first_iteration(
     weights: str | None, size: int, given: dict[str, np.ndarray] | None = None
 ) -> dict[str, np.ndarray]:
-    """What each stage of a first iteration gives, with Φ not 0 so that transport counts.
+    """The output of each stage of a first iteration, with Φ not 0 so that transport counts.
 
-    `given` are another machine's: each stage starts from these in place of what the stage before gave here. The network
-    is why: its pools and rectifiers choose, and in empty space their inputs are equal up to rounding, so that a change
-    of the images by 1e-7 changes their derivative there by half.
+    `given` are the outputs on another machine: each stage starts from these instead of the previous stage's output
+    here. The reason is the network: its max-pooling and ReLUs switch, and in empty space their inputs are equal up to
+    rounding, so that a change of the images by 1e-7 changes the derivative there by half.
     """
     import drjit as dr
     import mitsuba as mi
@@ -164,7 +164,7 @@ def first_iteration(
 
 
 def agreement(options: argparse.Namespace) -> Result:
-    """Relative L2 differences to the CPU's reference, stage by stage and end to end; the same bits in a second run."""
+    """Relative L2 differences from the CPU's reference, per stage and end to end; whether the bits repeat."""
     if options.reference is None:
         raise SystemExit("--reference is missing: record one on a CPU with --record")
     with np.load(options.reference) as arrays:
@@ -191,17 +191,17 @@ def agreement(options: argparse.Namespace) -> Result:
 
 
 def paper(options: argparse.Namespace) -> Result:
-    """A frame of the paper's size, after one iteration of each octave to warm up."""
+    """A frame of the paper's size, after one iteration of each octave as a warm-up."""
     return whole_frame(options, paper_shape(options), 20, warm=True)
 
 
 def kernels(options: argparse.Namespace) -> Result:
-    """What an iteration at the paper's size consists of."""
+    """The phases and kernels of an iteration at the paper's size."""
     return iteration_kernels(options, paper_shape(options), 1 if options.dry_run else 9)
 
 
 def paper_shape(options: argparse.Namespace) -> tuple[int, int, int]:
-    """(D, H, W) of the paper's grids; of small ones where this is only a trial."""
+    """(D, H, W) of the paper's grids; of small ones in a dry run."""
     return (24, 36, 24) if options.dry_run else (200, 300, 200)
 
 
@@ -237,7 +237,7 @@ def whole_frame(options: argparse.Namespace, shape: tuple[int, int, int], iterat
 
 @contextlib.contextmanager
 def device_memory() -> Iterator[list[int]]:
-    """The most bytes in use on the GPU meanwhile, as its first element; all processes count, and so do contexts."""
+    """The peak bytes in use on the GPU, as the list's first element; all processes and contexts count."""
     import threading
 
     import torch
@@ -262,7 +262,7 @@ def device_memory() -> Iterator[list[int]]:
 
 
 def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], views: int) -> Result:
-    """One iteration at a size: seconds of each phase, and Dr.Jit's kernels with their milliseconds on the device."""
+    """One iteration at a given size: time of each phase, and Dr.Jit's kernels with their milliseconds on the device."""
     import drjit as dr
     from benchmark import PAPER, bundled_density
     from peers.sides import Iteration, Ours
@@ -307,7 +307,7 @@ def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], 
 
 
 def median_milliseconds(task: Callable[[], object], repeat: int = 7) -> float:
-    """Median of several calls, after one to warm up, each to its end on the device."""
+    """Median of several calls, after a warm-up, each synchronised with the device."""
     import drjit as dr
     import torch
 
@@ -326,7 +326,7 @@ def median_milliseconds(task: Callable[[], object], repeat: int = 7) -> float:
 
 
 def sequence(options: argparse.Namespace) -> Result:
-    """Nine frames of the bundled jet with a window of 9, as `stylize` does it, results and state in a folder."""
+    """Nine frames of the bundled jet with a window of 9, through `stylize`, with results and state in a folder."""
     frames = tnst_mi.load_frames(ROOT / "scenes" / "smokejet")
     iterations, octaves = (1, 1) if options.dry_run else (10, 2)
     window = 3 if options.dry_run else 9
@@ -347,7 +347,7 @@ def sequence(options: argparse.Namespace) -> Result:
 
 
 def precision(options: argparse.Namespace) -> Result:
-    """The network with less precise products and fewer views at once: time, memory, cosine of the derivative."""
+    """The network with lower-precision products and fewer views at once: time, memory, cosine of the derivative."""
     import torch
     from benchmark import PAPER, STYLE, bundled_density
 
@@ -395,7 +395,7 @@ def precision(options: argparse.Namespace) -> Result:
 
 
 def peer(options: argparse.Namespace) -> Result:
-    """Ours and plain PyTorch on the same device, in turns."""
+    """Ours and plain PyTorch on the same device, measured alternately."""
     import benchmark
 
     size = 24 if options.dry_run else 128
@@ -407,7 +407,7 @@ def peer(options: argparse.Namespace) -> Result:
 
 
 def compare(options: argparse.Namespace) -> Result:
-    """Our renderer against Mitsuba's path tracer, as the command does it, on the GPU where one answers."""
+    """Our renderer against Mitsuba's path tracer through the command, on the GPU if one is available."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "tnst_mi", "compare", str(FRAME), "--quick", "--out", folder, "--debug"]
         process = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -416,7 +416,7 @@ def compare(options: argparse.Namespace) -> Result:
 
 
 def beauty(options: argparse.Namespace) -> Result:
-    """Lit pictures through the command, path traced, with OptiX's denoiser and without."""
+    """Lit, path-traced pictures through the command, with and without OptiX's denoiser."""
     found: Result = {}
     for name, flags in (("plain", []), ("denoised", ["--denoise"])):
         out = options.out / name
@@ -435,7 +435,7 @@ def beauty(options: argparse.Namespace) -> Result:
 
 
 def tests(options: argparse.Namespace) -> Result:
-    """The part of the suite that computes on the variant, which takes a few minutes."""
+    """The part of the test suite that computes on the variant; takes a few minutes."""
     names = (
         "advection alignment arrays back_projection beauty coherence emitters grid integrator losses mask medium "
         "objective optimise parameterisation path_tracing potentials pyramid resample scattering scene sensor sequence"
@@ -459,7 +459,7 @@ def tests(options: argparse.Namespace) -> Result:
 
 
 def run_part(name: str, options: argparse.Namespace) -> None:
-    """A part, in this process; its result goes to a file."""
+    """Run a part in this process; its result goes to a file."""
     tnst_mi.activate(options.variant)
     torch_device()  # switches TF32 off
     result = globals()[name](options)
@@ -467,7 +467,7 @@ def run_part(name: str, options: argparse.Namespace) -> None:
 
 
 def in_process(name: str, options: argparse.Namespace, limit: float) -> Result:
-    """A part in a process of its own: its result, or why there is none."""
+    """Run a part in a separate process; return its result, or why there is none."""
     command = [sys.executable, __file__, *sys.argv[1:], "--part", name]
     since = time.perf_counter()
     path, log = options.out / f"{name}.json", options.out / f"{name}.log"
@@ -484,19 +484,19 @@ def in_process(name: str, options: argparse.Namespace, limit: float) -> Result:
 
 
 def failed(result: Result) -> bool:
-    """Whether a part's result says that something is wrong."""
+    """Whether a part's result indicates a failure."""
     return bool(result.get("failed")) or result.get("agrees") is False or result.get("exit_code", 0) != 0
 
 
 def main() -> None:
-    """Measure and write, part by part; or do one part."""
+    """Measure and write part by part, or run one part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="folder for the results")
     parser.add_argument("--variant", default="cuda_ad_rgb")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
     parser.add_argument("--reference", type=Path, help="what --record wrote")
-    parser.add_argument("--record", type=Path, help="write the CPU's reference to this .npz, and end")
-    parser.add_argument("--parts", default=",".join(PARTS), help="default: all, in their order")
+    parser.add_argument("--record", type=Path, help="write the CPU's reference to this .npz and exit")
+    parser.add_argument("--parts", default=",".join(PARTS), help="default: all, in order")
     parser.add_argument("--budget", type=float, default=480.0, help="seconds for everything (default 480)")
     parser.add_argument("--dry-run", action="store_true", help="small grids on llvm_ad_rgb")
     parser.add_argument("--part", help=argparse.SUPPRESS)

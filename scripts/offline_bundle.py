@@ -1,21 +1,21 @@
-"""One archive with all that a machine without a network needs to run tnst_mi, and an installer in it.
+"""Packs everything that a machine without network access needs to run tnst_mi into one archive, with an installer.
 
     python scripts/offline_bundle.py --out bundle.tar [--limit 60MB] [--python 3.12] [--weights FILE]
         [--have torch,numpy,...] [--variants cuda_ad_rgb,llvm_ad_rgb] [--wheels FOLDER] [--without-project]
 
-For render farms: Linux on x86-64, a Python with pip, and PyTorch, which is too large to bundle. There,
+For render farms: Linux on x86-64, Python with pip, and PyTorch, which is too large to bundle. On the target,
 `bash install.sh [TARGET]` puts everything into one folder, and `. TARGET/env.sh` makes Python find it.
 
-The packages are those of constraints.txt that the project and its tests import, less those of `--have`; wheels that
-`--wheels` does not hold are downloaded. Those with much machine code are freed of what the chosen variants do not
-need, and packed better than wheels are. The weights of a GoogLeNet are stored in half precision. An `--out` that ends
-in .tar becomes an archive, any other a folder.
+The packages are those of constraints.txt that the project and its tests import, except those of `--have`; wheels that
+are not in `--wheels` are downloaded. Packages with much machine code are stripped of what the chosen variants do not
+need, and compressed better than wheels are. The weights of a GoogLeNet are stored in half precision. An `--out` that
+ends in .tar becomes an archive, any other a folder.
 
-Two tests of the suite switch to other variants; `--variants llvm_ad_rgb,llvm_ad_mono,scalar_rgb` takes along what
-they need.
+Two tests of the suite switch to other variants; `--variants llvm_ad_rgb,llvm_ad_mono,scalar_rgb` includes what they
+need.
 
-Where the limit would be passed, the optional packages stay out, and the output and manifest.json say what does not
-work without them. Exit code 2 where even the least does not fit.
+If the limit would be exceeded, optional packages are left out, and the output and manifest.json say what does not
+work without them. Exit code 2 if not even the minimum fits.
 """
 
 from __future__ import annotations
@@ -46,27 +46,27 @@ ROOT = Path(__file__).resolve().parents[1]
 
 PROJECT = ("tnst_mi", "scenes", "scripts", "tests", "pyproject.toml", "constraints.txt", "README.md", "LICENSE")
 
-#: The C libraries that a wheel may ask for, as pip names them.
+#: The C library versions that a wheel may require, as pip names them.
 PLATFORMS = ("2_28", "2_27", "2_17", "2_34", "2_35", "2_24", "2014")
 
-#: What every target machine must bring.
+#: What every target machine must already have.
 ALWAYS_THERE = "torch"
 
 LLVM = "karellen-llvm-core"
 
-#: What can stay out, the most useful first, and what does not work then.
+#: What can be left out, the most useful first, and what does not work without it.
 OPTIONAL = {
     LLVM: "the variant llvm_ad_rgb, unless the machine has an LLVM library of version 16 or newer",
     "imageio-ffmpeg": "reading and writing videos (.mp4)",
 }
 
-#: Packages with much machine code, of which nothing lies outside the folder of the package.
+#: Packages with much machine code and no files outside the folder of the package.
 PACKED = ("blosc", "drjit", "mitsuba", "openexr")
 
-#: Bytes for the installer, the manifest and what long names take in an archive.
+#: Bytes for the installer, the manifest, and long names in an archive.
 OVERHEAD = 1 << 15
 
-#: Of xz; slow, for it is done once.
+#: Preset of xz; slow, which is acceptable since it runs once.
 PRESET = 9 | lzma.PRESET_EXTREME
 
 Files = dict[str, tuple[bytes, int]]
@@ -75,7 +75,7 @@ Files = dict[str, tuple[bytes, int]]
 _VARIANT = re.compile(r"mitsuba/((?:scalar|llvm|cuda)_\w+)\.[^/]*\.so")
 _DEVELOPMENT = re.compile(
     r"""
-    (mitsuba|drjit)/(include|cmake|pkgconfig|mitsuba_stubs)/.*  # to build on them
+    (mitsuba|drjit)/(include|cmake|pkgconfig|mitsuba_stubs)/.*  # for building on them
     | mitsuba/python/test/.*
     | share/.* | [^/]+\.data/.* | mitsuba/mitsuba               # documentation, libraries for C, programs
     | .*\.(pyi|pat|a) | .*/py\.typed
@@ -87,12 +87,12 @@ _LLVM_FILE = re.compile(r"[^/]+\.data/data/(lib/(?:.+/)?(?:libLLVM\.so\..+|lib(?
 
 
 class DoesNotFit(Exception):
-    """Not even the least fits into the limit."""
+    """Not even the minimum fits into the limit."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A file of the bundle, at `place` in it; the installer does with it what the folder says that it is in."""
+    """A file of the bundle, at `place` in it; its folder there tells the installer how to handle it."""
 
     path: Path
     place: str
@@ -120,15 +120,15 @@ def megabytes(size: int) -> str:
 
 
 def bundle_size(parts: Iterable[Part]) -> int:
-    """Bytes that an archive of these parts takes at most: each has a header, in blocks of 512 bytes."""
+    """Upper bound of an archive of these parts in bytes: each has a header, and blocks are 512 bytes."""
     return OVERHEAD + sum(512 * (1 + -(-part.size // 512)) for part in parts)
 
 
 def is_kept(name: str, variants: Collection[str]) -> bool:
     """Whether a file of a wheel is needed to run these variants of Mitsuba.
 
-    All plugins are kept, for a scene of the user may name any of them. The table srgb.coeff takes half as much as they
-    do, and is only read where colours become spectra.
+    All plugins are kept, since a user's scene may name any of them. The table srgb.coeff takes half as much space as
+    they do, and is only read where colours are converted to spectra.
     """
     if match := _VARIANT.fullmatch(name):
         return match[1] in variants
@@ -146,7 +146,7 @@ def files_of(wheel: Path) -> Iterator[tuple[str, bytes, int]]:
 
 
 def trimmed(wheel: Path, variants: Collection[str]) -> Files:
-    """The files of a wheel that are needed, its list of files made to agree."""
+    """The files of a wheel that are needed, with its list of files (RECORD) adapted."""
     kept = {name: (content, mode) for name, content, mode in files_of(wheel) if is_kept(name, variants)}
     for name, (content, mode) in kept.items():
         if name.endswith(".dist-info/RECORD"):
@@ -156,7 +156,7 @@ def trimmed(wheel: Path, variants: Collection[str]) -> Files:
 
 
 def require_variants(wheel: Path, variants: Collection[str]) -> None:
-    """Stop where a wheel of Mitsuba lacks one of the variants."""
+    """Stop if a wheel of Mitsuba lacks one of the variants."""
     with zipfile.ZipFile(wheel) as archive:
         found = {match[1] for name in archive.namelist() if (match := _VARIANT.fullmatch(name))}
     if missing := sorted(set(variants) - found):
@@ -164,13 +164,13 @@ def require_variants(wheel: Path, variants: Collection[str]) -> None:
 
 
 def llvm_files(wheel: Path) -> Files:
-    """The LLVM library in the wheel of karellen-llvm-core, and those of C++ that it loads, under the names it asks for.
+    """The LLVM library in the wheel of karellen-llvm-core, and the C++ libraries that it loads, named as it needs them.
 
-    The package itself is of no use here: its links are made when Python starts, and only in the folder of Python.
+    The package itself is of no use here: its links are created when Python starts, and only in Python's own folder.
     """
     found: Files = {}
     for name, content, mode in files_of(wheel):
-        # libc++.so.1.0 is asked for as libc++.so.1
+        # libc++.so.1.0 is loaded as libc++.so.1
         if match := _LLVM_FILE.fullmatch(re.sub(r"(/lib(?!LLVM)[^/]+\.so\.\d+)\.\d+$", r"\1", name)):
             found[match[1]] = (content, mode)
     if not any("libLLVM" in name for name in found):
@@ -179,11 +179,11 @@ def llvm_files(wheel: Path) -> Files:
 
 
 def write_packed(files: Files, path: Path) -> None:
-    """Write a .tar.xz, as small as it gets: machine code of x86 is rewritten before it is compressed."""
+    """Write a .tar.xz, as small as possible: x86 machine code passes a filter before it is compressed."""
     filters = [{"id": lzma.FILTER_X86}, {"id": lzma.FILTER_LZMA2, "preset": PRESET}]
     with lzma.open(path, "w", check=lzma.CHECK_CRC64, filters=filters) as compressed:
         with tarfile.open(fileobj=compressed, mode="w") as archive:
-            # Files of a kind resemble one another.
+            # Files of the same type resemble one another, which helps compression.
             for name in sorted(files, key=lambda name: (PurePosixPath(name).suffix, name)):
                 content, mode = files[name]
                 entry = tarfile.TarInfo(name)
@@ -192,9 +192,9 @@ def write_packed(files: Files, path: Path) -> None:
 
 
 def write_half_precision(source: Path, target: Path) -> None:
-    """Copy a .safetensors file with float16 for float32, the names and the metadata as they are.
+    """Copy a .safetensors file with float16 for float32, keeping the names and the metadata.
 
-    The readers make float32 of it again. A file with tensors of 8 bits stays as it is: it is small, and its reader
+    The readers convert it back to float32. A file with 8-bit tensors is copied unchanged: it is small, and its reader
     expects the scales in float32.
     """
     import torch
@@ -224,14 +224,14 @@ def pinned_versions(text: str) -> dict[str, str]:
 
 
 def requirements_of(wheel: Path) -> list[str]:
-    """What a wheel says that it needs."""
+    """The requirements that a wheel declares."""
     with zipfile.ZipFile(wheel) as archive:
         name = next(name for name in archive.namelist() if re.fullmatch(r"[^/]+\.dist-info/METADATA", name))
         return HeaderParser().parsestr(archive.read(name).decode()).get_all("Requires-Dist") or []
 
 
 def needed_names(requirements: Iterable[str], python: str) -> list[str]:
-    """The canonical names of those requirements that apply on Linux, x86-64, without extras."""
+    """The canonical names of the requirements that apply on Linux, x86-64, without extras."""
     environment = {
         "extra": "",
         "os_name": "posix",
@@ -247,7 +247,7 @@ def needed_names(requirements: Iterable[str], python: str) -> list[str]:
 
 
 def find_wheel(name: str, version: str, python: str, folder: Path) -> Path | None:
-    """The wheel of this version in a folder that fits the Python of the target, if it is there."""
+    """The wheel of this version in a folder that fits the target's Python, if there is one."""
     tag, platform = f"cp{python.replace('.', '')}", re.compile(r"any|manylinux\w*_x86_64|linux_x86_64")
     for path in sorted(folder.glob("*.whl")):
         parts = path.stem.split("-")
@@ -275,7 +275,7 @@ def fetch_wheel(name: str, version: str, python: str, folder: Path) -> Path:
 def collect_wheels(
     have: Collection[str], python: str, given: Path | None, folder: Path
 ) -> tuple[dict[str, Path], list[str]]:
-    """The wheels, by canonical name, of all that the project and its tests need; and what the target is to bring."""
+    """The wheels, by canonical name, that the project and its tests need; and what the target must already have."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     pins = pinned_versions((ROOT / "constraints.txt").read_text(encoding="utf-8"))
     waiting = needed_names([*project["dependencies"], *project["optional-dependencies"]["test"]], python)
@@ -290,13 +290,13 @@ def collect_wheels(
                 raise SystemExit(f"{name} is needed, but constraints.txt has no version of it (--have {name}?)")
             wheel = find_wheel(name, pins[name], python, given) if given else None
             wheels[name] = wheel or fetch_wheel(name, pins[name], python, folder)
-            if name != LLVM:  # of which only the library is taken
+            if name != LLVM:  # only its library is used
                 waiting += needed_names(requirements_of(wheels[name]), python)
     return wheels, sorted(expected)
 
 
 def project_files() -> Files:
-    """The files of the project as they are in the working tree, new ones too, but none that git ignores."""
+    """The project's files as in the working tree, including new ones, except those that git ignores."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *PROJECT]
     listed = subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
     if listed.returncode:
@@ -309,7 +309,7 @@ def project_files() -> Files:
 
 
 def fitting(required: Sequence[Part], optional: Sequence[Part], limit: int | None) -> tuple[list[Part], list[Part]]:
-    """The parts to bundle, and the optional ones to leave out; these are to come the most useful first."""
+    """The parts to bundle, and the optional ones to leave out; `optional` is ordered by usefulness."""
     taken, left_out = list(required), []
     if limit is not None and bundle_size(taken) > limit:
         sizes = ", ".join(f"{part.contents} {megabytes(part.size)}" for part in sorted(taken, key=_by_size))
@@ -325,7 +325,7 @@ def fitting(required: Sequence[Part], optional: Sequence[Part], limit: int | Non
 def manifest(
     parts: Sequence[Part], left_out: dict[str, str], python: str, variants: Sequence[str], expected: Sequence[str]
 ) -> dict[str, Any]:
-    """What is in the bundle, what is not, and what the target is to bring; the installer reads it."""
+    """What the bundle contains, what it lacks, and what the target must already have; the installer reads it."""
     return {
         "python": python,
         "variants": list(variants),
@@ -438,7 +438,7 @@ END
 
 
 def require_replaceable(out: Path) -> None:
-    """Stop before a folder is replaced that is no earlier bundle."""
+    """Stop before replacing a folder that is not an earlier bundle."""
     if out.suffix == ".tar":
         if out.is_dir():
             raise SystemExit(f"--out {out}: is a folder")
@@ -447,7 +447,7 @@ def require_replaceable(out: Path) -> None:
 
 
 def write_bundle(parts: Sequence[Part], facts: dict[str, Any], out: Path) -> None:
-    """Write a folder, or an archive of one; what was there before is replaced when the new one is whole."""
+    """Write a folder, or an archive of one; an earlier one is replaced once the new one is complete."""
     beside = out.resolve().parent
     beside.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=beside) as temporary:
@@ -471,7 +471,7 @@ def write_bundle(parts: Sequence[Part], facts: dict[str, Any], out: Path) -> Non
 
 
 def make_parts(arguments: argparse.Namespace, wheels: dict[str, Path], folder: Path) -> tuple[list[Part], list[Part]]:
-    """The parts that must be in the bundle and those that may, the most useful first; `folder` is for what is made."""
+    """The required and the optional parts of the bundle, the most useful first; `folder` is for the files made here."""
     required, optional = [], {}
     for name, wheel in sorted(wheels.items()):
         version = wheel.stem.split("-")[1]
@@ -498,7 +498,7 @@ def make_parts(arguments: argparse.Namespace, wheels: dict[str, Path], folder: P
 
 
 def build(arguments: argparse.Namespace, folder: Path) -> None:
-    """Make the bundle; `folder` is for what is made on the way."""
+    """Make the bundle; `folder` is for intermediate files."""
     require_replaceable(arguments.out)
     if arguments.weights and not arguments.weights.is_file():
         raise SystemExit(f"--weights {arguments.weights}: no such file")
@@ -543,12 +543,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--out", type=Path, required=True, help="the archive (.tar) or folder to write")
-    add("--limit", type=parse_size, help="the most that the archive may take, as 60MB or 45MiB")
-    add("--python", type=python_version, default="3.12", help="the version on the machine (default: 3.12)")
-    add("--weights", type=Path, help="a GoogLeNet (.safetensors) to take along")
-    add("--have", type=names, default=[], help="the packages that the machine has besides torch, separated by commas")
+    add("--limit", type=parse_size, help="maximum size of the archive, such as 60MB or 45MiB")
+    add("--python", type=python_version, default="3.12", help="the Python version of the target (default: 3.12)")
+    add("--weights", type=Path, help="a GoogLeNet (.safetensors) to include")
+    add("--have", type=names, default=[], help="packages that the target has besides torch, separated by commas")
     add("--variants", type=names, default=["cuda_ad_rgb", "llvm_ad_rgb"], help="of Mitsuba (default: both that run)")
-    add("--wheels", type=Path, help="a folder of wheels to look in before downloading")
+    add("--wheels", type=Path, help="a folder of wheels to search before downloading")
     add("--without-project", action="store_true", help="leave out the files of this checkout")
     return parser.parse_args(arguments)
 

@@ -26,9 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
-import torch
 
 import tnst_mi
 
@@ -167,8 +165,13 @@ def _coarse(field: np.ndarray) -> np.ndarray:
 
 def machine() -> dict[str, str]:
     """All that decides how sums are rounded: variant, processor, threads, and the versions that compute."""
+    variant = tnst_mi.activate()
+    # Before the package is imported, torch's threads would spin, and a busy machine take ten times as long.
+    import drjit as dr
+    import torch
+
     return {
-        "variant": tnst_mi.activate(),
+        "variant": variant,
         "processor": _processor(),
         "threads": str(dr.thread_count()),
         "llvm": ".".join(map(str, dr.detail.llvm_version())) if dr.has_backend(dr.JitBackend.LLVM) else "",

@@ -1,9 +1,8 @@
 """Transport-based neural style transfer for smoke, on Mitsuba 3, Dr.Jit and PyTorch.
 
 `activate()` selects the Mitsuba variant; every public function calls it if none is active. Importing the package
-imports Mitsuba, whose variants it waits for, and nothing else that is large: the plugins `emission_absorption` and
-`orthographic_views` are registered for each variant as it becomes active, and the public names are imported with
-their first use.
+imports Mitsuba but no other large dependency: a callback registers the plugins `emission_absorption` and
+`orthographic_views` for each variant as it becomes active, and the public names are imported on first use.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from tnst_mi.rendering.renderer import render
     from tnst_mi.run.api import Result, stylize
 
-#: Public names and the modules they live in; a module is imported at the first use of its name.
+#: Public names and the modules that define them; a module is imported on first use of its name.
 _PUBLIC = {
     "Frame": "frame",
     "GoogLeNet": "network.googlenet",
@@ -80,11 +79,11 @@ def _register_plugins(old: str | None, new: str | None) -> None:
 
 
 def _prepare() -> None:
-    """Decide what must be decided before Dr.Jit or torch are imported, and have the plugins follow the variant."""
-    # While torch's OpenMP threads wait they would spin, taking cores from Dr.Jit's threads, with which they alternate,
-    # and from other programs: on two shared cores the network took five times as long.
+    """Make the choices that must precede the import of Dr.Jit and torch, and register the plugins for each variant."""
+    # By default, torch's OpenMP threads spin while they wait and take cores from Dr.Jit's threads, which run in
+    # alternation with them, and from other programs: on two shared cores the network took five times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    # Dr.Jit, which Mitsuba imports, loads LLVM while it is imported.
+    # Mitsuba imports Dr.Jit, which loads LLVM on import.
     choose_llvm()
     if "drjit" in sys.modules:
         importlib.import_module("tnst_mi.machine.loaded_llvm").replace_unusable_llvm()

@@ -1,4 +1,4 @@
-"""`python -m tnst_mi`: the command `tnst-mi`, where its script is not on the PATH."""
+"""`python -m tnst_mi`: the command `tnst-mi`, for when its script is not on the PATH."""
 
 import sys
 

@@ -2,7 +2,7 @@
 
 Exit codes: 0 done, 1 failed, 2 bad input, 3 interrupted. Results go to stdout, progress and errors to stderr.
 
-Imports wait until it is known that they are needed: the overview and wrong names need none, --help and wrong flags only
+Imports are deferred until they are needed: the overview and unknown commands need none, --help and wrong flags only
 those of `tnst_mi.commands.arguments`.
 """
 
@@ -25,7 +25,7 @@ from tnst_mi.errors import InputError, StoppedError
 if TYPE_CHECKING:
     from tnst_mi.commands.base import Arguments
 
-#: Each command, of which the module of that name in `tnst_mi.commands` has the `run`, and what it does.
+#: Commands with their summaries; the module of the same name in `tnst_mi.commands` provides `run`.
 COMMANDS = {
     "demo": "Stylize the bundled frame with the bundled recipe; needs nothing else.",
     "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
@@ -33,11 +33,10 @@ COMMANDS = {
     "compare": "Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.",
     "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb "
     "(OpenVDB).",
-    "atlas": "Show every channel of a layer: the picture that excites it, and the smoke patch it makes of a ball of "
-    "smoke.",
+    "atlas": "Show every channel of a layer: the picture that excites it, and what it makes of a ball of smoke.",
     "info": "Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest "
     "velocity.",
-    "weights": "List the GoogLeNet weights that are found, and say where others come from.",
+    "weights": "List the GoogLeNet weights found, and where to get others.",
     "doctor": "Check Python, Mitsuba, Dr.Jit, LLVM, GPU, OptiX, torch, weights and memory; say how to get what is "
     "missing.",
 }
@@ -63,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except StoppedError as error:
         return _failed(arguments, str(error), 3)
     except BrokenPipeError:  # such as `tnst-mi info ... | head`
-        # Python flushes stdout once more when it ends.
+        # Python flushes stdout once more on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
@@ -93,7 +92,7 @@ def _failed(arguments: list[str], message: str, code: int) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    """Run the command that the arguments name, or print what the commands do."""
+    """Run the command that the arguments name, or print the overview."""
     name = arguments[0] if arguments else "--help"
     if name in ("-h", "--help"):
         print(_overview())
@@ -107,7 +106,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _overview() -> str:
-    """What the commands do."""
+    """The commands with their summaries."""
     description = "Transport-based neural style transfer for smoke. Each command has its own --help."
     rows = [
         textwrap.fill(summary, width=80, initial_indent=f"  {name:9}", subsequent_indent=" " * 11)
@@ -145,7 +144,7 @@ def _parsed(name: str, arguments: list[str]) -> Arguments:
 
 
 def _flags(arguments: Any) -> Iterator[str]:
-    """The flags of a command, those of its nested dataclasses included."""
+    """The flags of a command, including those of nested dataclasses."""
     for field in dataclasses.fields(arguments):
         value = getattr(arguments, field.name)
         if dataclasses.is_dataclass(value):
@@ -155,6 +154,6 @@ def _flags(arguments: Any) -> Iterator[str]:
 
 
 def _unframed(framed: str) -> str:
-    """tyro's framed error message as one line, without the frame's title and the closing hint at --help."""
+    """tyro's framed error message as one line, without the frame's title and the closing pointer to --help."""
     rows = [row.strip("│╰╯─| ") for row in framed.splitlines()[1:]]
     return " ".join(row for row in rows if row).split(" For full helptext")[0]

@@ -1,4 +1,4 @@
-"""One frame of a smoke simulation: the arrays that go in, checked once, where they enter."""
+"""One frame of a smoke simulation: the input arrays, validated once, on construction."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A density grid with what belongs to it.
+    """A density grid with its velocity, obstacles, name and placement.
 
     Grids are indexed (z, y, x) with y up and values at cell centres; a 2-D grid has D = 1.
 
@@ -36,7 +36,7 @@ class Frame:
         obstacle: (D, H, W) bool, True inside solid objects, or None.
         name: names the output files.
         number: the frame's number in its sequence, or None.
-        placement: where the grid lies in the scene it came from, or None if that is not known.
+        placement: where the grid lies in the scene it came from, or None if unknown.
 
     Raises:
         InputError: an array has another shape, is empty, or holds values that no simulation produces.
@@ -96,7 +96,7 @@ class Frame:
         array = np.asarray(values)
         if array.dtype.kind not in "fiub":
             raise InputError(f"{self.name}: {key} has type {array.dtype}, expected numbers")
-        # What overflows float32 becomes infinite here and is reported as such.
+        # Values that overflow float32 become infinite here and are reported as such.
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(array, dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""Where files are that come with the package: its data, and the scenes and weights that lie beside it in a checkout."""
+"""Paths of the files that come with the package: its data, and the scenes and weights beside it in a checkout."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHARED_WEIGHTS = DATA.parents[2] / "shared" / "weights"
 
 
 def scene_file(name: str) -> Path:
-    """A file of the scenes, such as "looks/thin.xml".
+    """A bundled scene file, such as "looks/thin.xml".
 
     Raises:
         InputError: the installation lacks it.

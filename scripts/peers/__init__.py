@@ -1,1 +1,1 @@
-"""The same computation written in other ways, for `benchmark.py` to compare with."""
+"""Other implementations of the same computation, for comparison in `benchmark.py`."""

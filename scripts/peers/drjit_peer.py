@@ -1,7 +1,7 @@
-"""Transport and rendering in Dr.Jit as one writes them first: gathers, and derivatives by automatic differentiation.
+"""Transport and rendering in Dr.Jit, written the direct way: gathers, and derivatives by automatic differentiation.
 
-The formulas are those of the package. The march along the rays is an evaluated loop, through which Dr.Jit
-differentiates in reverse without further ado.
+The formulas are those of the package. The march along the rays is an evaluated loop, which Dr.Jit can differentiate in
+reverse mode as it is.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def advect(density: mi.Float, motion: mi.Vector3f, shape: Shape) -> mi.Float:
 
 
 def render(density: mi.Float, shape: Shape, views: Sequence[tuple[float, float]], gamma: float) -> list[mi.Float]:
-    """Inclusive sum along the depth of the grid's box, rotated for each view: an image (H · W) for each."""
+    """Inclusive sum along the depth of the grid's box, rotated for each view: one image (H · W) per view."""
     return [_render_view(density, shape, view, gamma) for view in views]
 
 

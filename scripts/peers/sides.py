@@ -69,7 +69,7 @@ class Ours:
 
 
 class Iteration:
-    """A whole iteration of one frame, as `stylize` does it: views → loss → derivative → normalised step.
+    """A whole iteration of one frame, as in `stylize`: views → loss → derivative → normalised step.
 
     Args:
         density: (D, H, W).
@@ -125,7 +125,7 @@ class Torch:
         return torch.autograd.grad(moved, self.phi, self._gradient_of_views(moved))
 
     def _gradient_of_views(self, density: torch.Tensor) -> torch.Tensor:
-        # View by view, so that only the graph of one is in memory.
+        # View by view, so that only one view's graph is in memory.
         seen = density.detach().requires_grad_()
         total = torch.zeros_like(seen)
         for view in self.views:

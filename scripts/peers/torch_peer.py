@@ -54,7 +54,7 @@ def advect(density: Tensor, motion: Tensor) -> Tensor:
 
 
 def _corner_range(density: Tensor, departure: Tensor) -> tuple[Tensor, Tensor]:
-    """Smallest and largest of the eight cells around the departure points, cells outside being 0."""
+    """Minimum and maximum of the eight cells around the departure points; cells outside are 0."""
     padded = functional.pad(density[None, None], (2, 2, 2, 2, 2, 2))
     high = functional.max_pool3d(padded, 2, stride=1)[0, 0]
     low = -functional.max_pool3d(-padded, 2, stride=1)[0, 0]
@@ -97,7 +97,7 @@ def _blurred(field: Tensor, kernel: Tensor, padding: str) -> Tensor:
 
 
 def normalised(gradient: Tensor, levels: int, sigma: float = 1.2) -> Tensor:
-    """Blurred, the bands of its Laplacian pyramid divided by their root mean square, and merged."""
+    """The gradient, blurred, with the bands of its Laplacian pyramid divided by their RMS and merged."""
     reach = math.ceil(4 * sigma)
     gaussian = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, device=gradient.device) / sigma) ** 2)
     field = _blurred(gradient, gaussian / gaussian.sum(), "replicate")
@@ -128,7 +128,7 @@ class StyleIteration:
         self.phi.requires_grad_()
         self.recipe, self.network, self.exposure = recipe, network, exposure
         self.layers = list(recipe.style_layers)
-        # Any picture costs the same.
+        # The cost does not depend on the picture.
         picture = torch.rand(1, 3, *density.shape[1:], generator=torch.Generator().manual_seed(0)).to(device)
         with torch.no_grad():
             features = network(picture, layers=self.layers)
@@ -152,6 +152,6 @@ class StyleIteration:
 
 
 def gram(features: Tensor) -> Tensor:
-    """(N, C, h, w) to (N, C, C), over the number of positions."""
+    """Gram matrices: (N, C, h, w) → (N, C, C), divided by the number of positions."""
     flat = features.flatten(2)
     return flat @ flat.transpose(1, 2) / flat.shape[2]

@@ -1,1 +1,1 @@
-"""The atlas of a network's layer: what each channel looks for, and what it makes of smoke."""
+"""The atlas of a network's layer: what excites each channel, and how it stylizes smoke."""

@@ -1,11 +1,11 @@
 """The picture that excites a channel: gradient ascent on grey pixels, as in DeepDream (Mordvintsev et al. 2015).
 
-It starts from faint noise at a coarse size and goes on at the full one. Every step moves the pixels along the gradient
-of the channel's mean, which is smoothed and normalised by bands as that of a stylization is. Before each step the
-picture is shifted at random, around its edges: what depends on where the network's grids lie averages out, and shapes
+It starts from faint noise at a coarse size and continues at the full size. Every step moves the pixels along the
+gradient of the channel's mean, smoothed and normalised per band as in a stylization. Before each step the picture is
+shifted at random, with wrap-around: whatever depends on the alignment of the network's grids averages out, and shapes
 remain.
 
-Pixels are grey because smoke is: in colour a channel may answer to green alone, which no smoke can give it.
+Pixels are grey because smoke is: in colour a channel may respond to green alone, which smoke cannot show.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from tnst_mi.losses.terms import Semantic
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
 
-#: Octave k from the last is smaller by this to the k, as in a stylization.
+#: The octave k before the last is smaller by this factor to the power k, as in a stylization.
 _SCALE_FACTOR = 1.8
 
-#: Smoothing of the gradient, in pixels, and bands it is normalised in, besides the residual.
+#: Width of the gradient's blur in pixels, and number of bands it is normalised in, besides the residual.
 _SIGMA, _LEVELS = 1.2, 4
 
-#: Mean and standard deviation of the noise to start from.
+#: Mean and standard deviation of the initial noise.
 _GREY, _NOISE = 0.5, 0.03
 
 
@@ -48,7 +48,7 @@ class Ascent:
 
     @property
     def steps(self) -> int:
-        """Of all octaves together."""
+        """Steps of all octaves together."""
         return self.octaves * self.iterations
 
     @property
@@ -61,7 +61,7 @@ class Ascent:
 
 
 def noise(ascent: Ascent, channel: int, size: int) -> np.ndarray:
-    """What the ascent for a channel starts from, (size, size) float32 in [0, 1]."""
+    """The picture from which the ascent for a channel starts, (size, size) float32 in [0, 1]."""
     values = np.random.default_rng((ascent.seed, channel)).standard_normal((size, size))
     return np.clip(_GREY + _NOISE * values, 0.0, 1.0).astype(np.float32)
 
@@ -73,7 +73,7 @@ def excite(
     ascent: Ascent | None = None,
     on_iteration: Callable[[], None] = lambda: None,
 ) -> np.ndarray:
-    """Find a grey picture that a channel's mean is large for.
+    """Find a grey picture for which a channel's mean is large.
 
     The same arguments give the same bits, whatever else was computed before.
 
@@ -81,8 +81,8 @@ def excite(
         network: the network, on the device of the active variant.
         layer: a layer of it.
         channel: a channel of that layer, from 0.
-        ascent: how to get there.
-        on_iteration: called after every step; what it raises ends the ascent.
+        ascent: the settings; None for the defaults.
+        on_iteration: called after every step; an exception from it ends the ascent.
 
     Returns:
         The picture (size, size) float32 in [0, 1].
@@ -109,5 +109,5 @@ def _direction(bound: BoundObjective, pixels: Tensor, shift: tuple[int, int]) ->
     shifted = pixels.roll(shift, (0, 1))[None].requires_grad_()
     (gradient,) = torch.autograd.grad(bound(shifted), shifted)
     gradient = gradient.roll((-shift[0], -shift[1]), (1, 2))
-    # A grid of one layer in depth: there the filters along z change nothing.
+    # A grid with a single cell along z, along which the filters change nothing.
     return normalise(gaussian(mi.TensorXf(gradient), _SIGMA), _LEVELS).torch()[0]

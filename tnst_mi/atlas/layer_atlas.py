@@ -1,11 +1,11 @@
-"""An atlas of a layer: for every channel what excites it, and what it makes of smoke; the way to choose `--semantic`.
+"""An atlas of a layer: what excites every channel, and how it stylizes smoke; a guide for choosing `--semantic`.
 
-    OUT/atlas.html              to look through, needs no other file
+    OUT/atlas.html              a page to browse, self-contained
     OUT/atlas.png               all tiles with their numbers
     OUT/atlas.json              layer, network and settings: what the pictures depend on
     OUT/channels/016_*.png      picture and smoke of channel 16, each with the channel's mean before and after as text
 
-The pictures in `channels` are kept, and made once: each appears whole, and depends on nothing but atlas.json.
+The pictures in `channels` are made once and kept: each is written atomically, and depends only on atlas.json.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class AtlasSettings:
 
 
 class LayerAtlas:
-    """The atlas of a layer in a folder; `make` makes what is missing in it."""
+    """The atlas of a layer in a folder; `make` adds the missing pictures."""
 
     def __init__(self, network: GoogLeNet, layer: str, out: Path, settings: AtlasSettings | None = None) -> None:
-        """Begin an atlas, or take up the one in the folder.
+        """Begin an atlas, or continue the one in the folder.
 
         Args:
             network: the network.
@@ -56,7 +56,7 @@ class LayerAtlas:
             settings: how pictures are made.
 
         Raises:
-            InputError: the layer is unknown, or the folder holds something else or cannot be written to.
+            InputError: the layer is unknown, or the folder holds something else or is not writable.
         """
         self.layer = network.resolve(layer)
         self.out = out
@@ -78,21 +78,21 @@ class LayerAtlas:
         return self._settings.ascent.steps + self._settings.patch.steps
 
     def missing(self, channels: Sequence[int]) -> list[int]:
-        """Those of some channels that are not finished, in order."""
+        """The given channels that are not finished, in order."""
         return [channel for channel in channels if self._finished(channel) is None]
 
     def make(
         self, channels: Sequence[int], on_iteration: Callable[[int, str], None] = lambda channel, what: None
     ) -> None:
-        """Make the missing pictures of some channels.
+        """Make the missing pictures of the given channels.
 
         Args:
             channels: their numbers.
-            on_iteration: called after every iteration, with the channel and what is made of it.
+            on_iteration: called after every iteration, with the channel and which of its pictures is being made.
 
         Raises:
             InputError: the layer has no such channel.
-            KeyboardInterrupt: Ctrl-C was pressed; what was finished stays.
+            KeyboardInterrupt: Ctrl-C was pressed; finished pictures are kept.
         """
         self._network.check_channels(self.layer, channels)
         with deferred_interrupt() as interrupt:
@@ -109,7 +109,7 @@ class LayerAtlas:
                     self._make_smoke(channel, lambda advance=advance: advance("smoke"))
 
     def publish(self) -> list[Channel]:
-        """Write sheet and page of all finished channels, and give those in the order of their numbers."""
+        """Write sheet and page of all finished channels, and return these in the order of their numbers."""
         numbers = range(self._network.channels(self.layer))
         channels = [channel for channel in map(self._finished, numbers) if channel is not None]
         if channels:
@@ -195,10 +195,10 @@ class LayerAtlas:
 
 
 def channel_numbers(text: str, count: int) -> list[int]:
-    """The channels that a text of --channels stands for, such as "0:16" or "6,16,40:47"; both ends are included.
+    """The channels that the text of --channels denotes, such as "0:16" or "6,16,40:47"; both ends are included.
 
     Raises:
-        InputError: it is no such text, or a number is not below `count`.
+        InputError: the text is malformed, or a number is not below `count`.
     """
     numbers: set[int] = set()
     for part in text.split(","):

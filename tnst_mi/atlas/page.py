@@ -1,4 +1,4 @@
-"""The two ways to look through an atlas: a contact sheet, and a page for the browser that needs no other file."""
+"""The two views of an atlas: a contact sheet, and a self-contained page for the browser."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tnst_mi.resources import DATA
 
 _TEMPLATE = DATA / "atlas.html"
 
-#: Channels in a row of the sheet, at least; more where there are more than fit a page of about this many rows.
+#: Minimum number of channels in a row of the sheet; with many, a row has about twice as many tiles as a column.
 _IN_ROW = 8
 
-#: Pixels between tiles, and of a line of text above them.
+#: Pixels between tiles, and height of the line of text above them.
 _GAP, _CAPTION = 6, 18
 
 
@@ -67,7 +67,7 @@ def write_page(path: Path, layer: str, network: str, channels: Sequence[Channel]
     Args:
         path: the file, ending in .html.
         layer: BVLC's name of the layer.
-        network: what to say of the network, and of where it comes from.
+        network: a description of the network and of its origin.
         channels: in the order of their numbers.
     """
     page = Template(_TEMPLATE.read_text("utf-8")).substitute(

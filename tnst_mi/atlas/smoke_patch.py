@@ -1,4 +1,4 @@
-"""What a channel makes of a ball of smoke: a small stylization, seen from the front."""
+"""A ball of smoke stylized towards a channel: a small stylization, seen from the front."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PatchSettings:
 class Patch:
     """The main view (H, W) in [0, 1] of the stylized ball, and the channel's mean before and after.
 
-    The means are those of three views, `before` and `after` the stylization.
+    The means are taken over three views, `before` and `after` the stylization.
     """
 
     image: np.ndarray
@@ -60,9 +60,9 @@ class Patch:
 
 
 def ball(shape: tuple[int, int, int], seed: int) -> np.ndarray:
-    """An uneven, soft ball of smoke that fills a grid: (D, H, W) float32, 0 or more.
+    """An uneven, soft ball of smoke that fills a grid: (D, H, W) float32, ≥ 0.
 
-    Even smoke would not do: moving it changes nothing.
+    Uniform smoke would not do: transporting it changes nothing.
     """
     square = sum(
         ((np.arange(n) - (n - 1) / 2) / (_RADIUS * n)).reshape([-1 if i == axis else 1 for i in range(3)]) ** 2
@@ -88,7 +88,7 @@ def stylized_ball(
         network: the network.
         layer: a layer of it.
         channel: a channel of that layer, from 0.
-        settings: how it is done.
+        settings: of the ball and the stylization; None for the defaults.
         on_iteration: called after every iteration.
 
     Raises:

@@ -1,5 +1,5 @@
-"""The commands of `tnst-mi`: what each accepts (`arguments`), and one module each for what it does, in `run`.
+"""The commands of `tnst-mi`: `arguments` defines what each accepts, and a module per command does its work in `run`.
 
-They are apart because --help and wrong usage are to be answered at once: `arguments` imports nothing large, while the
+They are separate so that --help and wrong usage are answered at once: `arguments` imports nothing large, while the
 modules of the commands import torch and much else.
 """

@@ -15,12 +15,12 @@ from tnst_mi.machine.backend import activate
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.recipe.recipe import Recipe
 
-#: How many of the channels that the smoke answers to best are named at the end.
+#: How many of the channels with the strongest response in the smoke are listed at the end.
 _NAMED = 8
 
 
 def run(arguments: AtlasArguments) -> int:
-    """Make what is missing, write sheet and page, and say where they are."""
+    """Make the missing channels, write the sheet and the page, and print their paths."""
     recipe = Recipe().updated_by_flags(given(arguments.resources))
     activate(recipe.variant)
     network = GoogLeNet.load(recipe.weights)

@@ -1,4 +1,4 @@
-"""What the arguments of the commands have in common: --debug, flags made from the keys of the recipe, views."""
+"""What the arguments of the commands share: --debug, flags derived from the keys of the recipe, views."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
 @dataclass(kw_only=True)
 class Arguments:
-    """What a command of `tnst-mi` is given."""
+    """Arguments common to all commands of `tnst-mi`."""
 
     debug: bool = False
     """Show Python's traceback when something fails."""
 
 
 def recipe_flag(name: str) -> Any:
-    """The type of the flag for a key of the recipe: its text; None, or no texts, where it is not given."""
+    """The type of the flag for a recipe key: its text or texts; None or () if the flag is not given."""
     kind = KINDS[name]
     options = tyro.conf.arg(
         metavar=kind.placeholder,
@@ -45,15 +45,15 @@ def recipe_flags(keys: Iterable[str]) -> type:
 
 
 def given(flags: Any) -> dict[str, Any]:
-    """The texts of those among some recipe flags that were given, by key."""
+    """The texts of the recipe flags that were given, by key."""
     return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
 
 
 def view_of(text: str) -> tuple[float, float]:
-    """The view (azimuth, elevation) in degrees that a text of `--views` stands for.
+    """Parse one view of `--views`: (azimuth, elevation) in degrees.
 
     Raises:
-        InputError: it is no such pair.
+        InputError: it is not such a pair.
     """
     try:
         azimuth, elevation = (Number(-360.0, 360.0).check(float(part)) for part in text.split(","))

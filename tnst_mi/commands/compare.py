@@ -23,7 +23,7 @@ from tnst_mi.recipe.recipe import KINDS
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
-#: Derivatives need fewer paths than images: every path adds to many voxels.
+#: Derivatives need fewer paths than images: every path contributes to many voxels.
 _GRADIENT_SHARE = 4
 
 
@@ -61,7 +61,7 @@ def run(arguments: CompareArguments) -> int:
 
 
 def _settings(arguments: CompareArguments) -> Settings:
-    """What to compare, and how precisely; raises InputError for what cannot be used."""
+    """What to compare, and how precisely; raises InputError for invalid values."""
     quick = arguments.quick
     views = tuple(view_of(text) for text in arguments.views)
     gammas = tuple(_checked("gamma", text, KINDS["gamma"]) for text in arguments.gamma)

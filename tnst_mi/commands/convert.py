@@ -44,7 +44,7 @@ def run(arguments: ConvertArguments) -> int:
 
 
 def _files(arguments: ConvertArguments, frames: FrameFiles) -> list[Path]:
-    """The files that the frames go to."""
+    """The output file of each frame."""
     output = arguments.output
     if not output.suffix or output.is_dir():
         suffix = f".{arguments.format}" if arguments.format else FORMATS[0]
@@ -62,7 +62,7 @@ def _files(arguments: ConvertArguments, frames: FrameFiles) -> list[Path]:
 
 
 def _identity(path: Path) -> object:
-    """What is equal for all names of a file, which does not have to exist."""
+    """A key that is equal for all names of a file, which need not exist."""
     if not path.exists():
         return path.resolve()
     status = path.stat()
@@ -79,7 +79,7 @@ def _conventions(flags: ReadingFlags) -> Conventions:
 
 
 def _lost(frame: Frame, suffix: str) -> str | None:
-    """What of a frame a format cannot hold, in words."""
+    """What a format cannot store of a frame, in words."""
     place = frame.placement
     if place is None or suffix == ".vdb":
         return None

@@ -22,7 +22,7 @@ try:
     from tnst_mi.network.weights import find_weights
 
     _broken_torch = ""
-except ImportError as error:  # a torch that is missing or broken is what the doctor is there to tell
+except ImportError as error:  # the doctor reports a missing or broken torch
     _broken_torch = str(error)
 
 #: Free memory below which even the bundled scene may not fit, in bytes.
@@ -36,13 +36,13 @@ _OPTIX_USES = (
 
 @dataclass(frozen=True)
 class Requirement:
-    """One thing that the main job depends on, and what was found of it.
+    """One thing that the main job depends on, and what was found.
 
     Attributes:
         name: what was looked at.
         found: what is there.
         remedy: what to do; empty if there is nothing to do.
-        required: the main job cannot run without it.
+        required: whether the main job needs it.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Requirement:
 
     @property
     def ok(self) -> bool:
-        """Nothing needs to be done."""
+        """Whether nothing needs to be done."""
         return not self.remedy
 
     def __str__(self) -> str:
@@ -63,7 +63,7 @@ class Requirement:
 
 
 def run(arguments: DoctorArguments) -> int:
-    """Print what is there and what is not; 0 if the main job can run, else 1."""
+    """Print what is present and what is missing; return 0 if the main job can run, else 1."""
     found = examine()
     for requirement in found:
         print(requirement)
@@ -75,7 +75,7 @@ def run(arguments: DoctorArguments) -> int:
 
 
 def examine() -> list[Requirement]:
-    """Look at everything that the main job depends on; nothing is downloaded."""
+    """Check everything that the main job depends on; nothing is downloaded."""
     found = [_python(), _package("mitsuba"), _package("drjit"), _torch(), _llvm()]
     if not _broken_torch:
         found += [_gpu(), _variant(), _optix(), _weights()]
@@ -140,7 +140,7 @@ def _variant() -> Requirement:
 
 
 def _optix() -> Requirement:
-    """What traces paths on a GPU; looked for once a variant is active."""
+    """OptiX, which path tracing on a GPU needs; checked once a variant is active."""
     if not (mi.variant() or "").startswith("cuda"):
         return Requirement("OptiX", "not needed: no GPU computes")
     if optix.optix_answers():

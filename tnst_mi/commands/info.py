@@ -25,9 +25,9 @@ def run(arguments: InfoArguments) -> int:
 
 
 def _describe_contents(frames: FrameFiles, index: int) -> list[str]:
-    """How a file of a sequence is read, and what comes out."""
+    """How a file of a sequence is read, and what it contains."""
     stored = frames.stored(index)
-    # Of an npz the shape has been told, and there is one way to read it.
+    # For npz, the shape is already described, and there is only one way to read it.
     plain = frames.files[index].suffix.lower() == ".npz"
     reading = [] if plain else [f"  read as: {stored.reading(Conventions())}"]
     if stored.density is not None:
@@ -42,7 +42,7 @@ def _describe_contents(frames: FrameFiles, index: int) -> list[str]:
 
 
 def describe_frame(frame: Frame) -> list[str]:
-    """What the arrays of a frame hold, a line each."""
+    """The contents of the arrays of a frame, one line each."""
     density = frame.density
     empty = 100.0 * float((density == 0.0).mean())
     lines = [f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty"]
@@ -54,5 +54,5 @@ def describe_frame(frame: Frame) -> list[str]:
 
 
 def describe_velocity(velocity: np.ndarray) -> list[str]:
-    """The largest velocity of a grid (D, H, W, 3), a line."""
+    """The largest velocity of a grid (D, H, W, 3), in one line."""
     return [f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"]

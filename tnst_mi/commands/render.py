@@ -26,7 +26,7 @@ from tnst_mi.rendering import pictures
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
 
-#: Largest picture: what the standard of the videos allows at most.
+#: Longest edge of a picture in pixels, the maximum of the video standard.
 _LARGEST_SIDE = 8192
 
 
@@ -70,7 +70,7 @@ def run(arguments: RenderArguments) -> int:
 
 
 def _write(arguments: RenderArguments, frames: FrameFiles, shots: list[Shot], painter: Painter) -> None:
-    """Make and write every picture, and the video of a turntable."""
+    """Render and write every picture, and the video of a turntable."""
     source, out = arguments.input.resolve(), arguments.out
     film = out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
     turning = arguments.turntable is not None
@@ -93,14 +93,14 @@ def _write(arguments: RenderArguments, frames: FrameFiles, shots: list[Shot], pa
 
 
 def _with_frames(shots: list[Shot], frames: FrameFiles) -> Iterator[tuple[Shot, Frame]]:
-    """Every shot with the frame that it shows, which is read once for the shots that follow each other."""
+    """Every shot with the frame it shows, which is read once for consecutive shots of it."""
     for index, group in itertools.groupby(shots, key=lambda shot: shot.frame):
         frame = frames[index]
         yield from ((shot, frame) for shot in group)
 
 
 def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
-    """Raise InputError for values out of range, and for flags that would not change anything."""
+    """Raise InputError for values out of range, and for flags that would have no effect."""
     studio, renderer = arguments.studio, arguments.renderer
     for flag, value, low, high in (
         ("turntable", arguments.turntable, 1, 100_000),

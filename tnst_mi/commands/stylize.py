@@ -24,7 +24,7 @@ def run(arguments: StylizeArguments) -> int:
 
 
 def reported(frames: Run) -> int:
-    """Go through a run that writes, reporting every frame on stdout; 3 if it was interrupted."""
+    """Iterate over a run, which writes its results, and report every frame on stdout; 3 if it was interrupted."""
     out, record = frames.prepared.out, frames.record
     for frame in frames:
         # tqdm.write keeps the lines apart from the progress bar.
@@ -39,7 +39,7 @@ def reported(frames: Run) -> int:
 
 
 def sequence_summary(sequence: dict[str, Any]) -> str:
-    """One line on a sequence: how steady it is, with what was reached."""
+    """One line on a sequence: its flicker, loss and change."""
     parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
     parts.append(f"mean loss {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
     parts.append(f"relative change {_number(sequence['relative_change'])}")

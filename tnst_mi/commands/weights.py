@@ -1,4 +1,4 @@
-"""`tnst-mi weights`: which network weights are at hand and how to get others."""
+"""`tnst-mi weights`: which network weights are available and how to get others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tnst_mi.network.weights import (
 
 
 def run(arguments: WeightsArguments) -> int:
-    """Download, or list the tags, or else print one line for each file found and for each that is published."""
+    """Download, list the tags, or print one line for each file found and each file published."""
     if arguments.download is not None:
         _download(arguments.download or (PAPERS_FLAVOUR,))
     elif arguments.tags:

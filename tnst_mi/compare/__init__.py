@@ -1,5 +1,5 @@
 """Our integrator checked against Mitsuba's path tracer, a closed form and finite differences (`tnst-mi compare`).
 
-closed_form  float64 references    values  images    gradients  derivatives    quadrature  step size against error
-verdict  the checks    figures, report  what is written    comparison  all of it
+closed_form  float64 references    values  images    gradients  derivatives    quadrature_study  step size against error
+verdict  the checks    figures, report  the output    comparison  all of it
 """

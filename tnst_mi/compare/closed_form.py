@@ -1,7 +1,7 @@
-"""Reference images in float64 numpy, written from the conventions alone: nothing of the renderer is used here.
+"""Reference images in float64 numpy, written from the conventions alone, without any code of the renderer.
 
 Along a straight ray the trilinear interpolation of a grid is a cubic polynomial between two crossings of the planes
-through the cell centres. Gauss's rule with two points integrates cubics exactly, so the optical depth of a ray is known
+through the cell centres. The two-point Gauss rule integrates cubics exactly, so the optical depth of a ray is exact up
 to rounding, whatever its direction.
 """
 
@@ -18,7 +18,7 @@ _RAYS = 2048
 
 
 def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
-    """The continuous emission–absorption image (1 − exp(−γ ∫ d))/γ from what `column_density` gives."""
+    """The continuous emission–absorption image (1 − exp(−γ ∫ d))/γ from the result of `column_density`."""
     return -np.expm1(-gamma * columns) / gamma
 
 
@@ -44,9 +44,9 @@ def column_density(density: np.ndarray, view: tuple[float, float]) -> np.ndarray
 
 
 def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Sequence[float]) -> np.ndarray:
-    """The images Σ d_k exp(−γ Σ_{i≤k} d_i) of the quadrature "paper", a step being a cell: (len(gammas), H, W) float64.
+    """The images Σ d_k exp(−γ Σ_{i≤k} d_i) of the quadrature "paper", for a step of one cell: (gammas, H, W) float64.
 
-    Sample k of n lies k − (n − 1)/2 cells from the point nearest the grid's centre, k counted from the camera away.
+    Sample k of n lies k − (n − 1)/2 cells from the point nearest the grid's centre; k increases away from the camera.
     """
     size = density.shape
     n = 2 * int(np.ceil(np.linalg.norm(size) / 2)) + size[0] % 2
@@ -87,7 +87,7 @@ def _crossings(shape: tuple[int, int, int], origins: np.ndarray, direction: np.n
         walls = np.sort((np.array([[-0.5], [size - 0.5]]) - position) / direction[axis], axis=0)
         begin, end = np.maximum(begin, walls[0]), np.minimum(end, walls[1])
         planes.append((np.arange(size) - position[:, None]) / direction[axis])
-    # A ray that misses the box crosses it at one distance only.
+    # For a ray that misses the box the interval shrinks to a point.
     end = np.maximum(begin, end)
     inner = np.clip(np.concatenate(planes, axis=1), begin[:, None], end[:, None])
     return np.sort(np.concatenate([begin[:, None], inner, end[:, None]], axis=1), axis=1)

@@ -1,4 +1,4 @@
-"""The whole comparison of one frame: values, gradients, quadratures, and the verdict on them."""
+"""The whole comparison of one frame: values, gradients, quadratures, and the verdict."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from tnst_mi.compare.verdict import (
 )
 from tnst_mi.rendering.cameras.views import View
 
-#: Told the name of what is measured and the share of all work, 0 to 1, that is done since the last call.
+#: Called with the name of the current measurement and the share of all work, 0 to 1, done since the last call.
 Report = Callable[[str, float], None]
 
-#: Work of a path whose derivative is taken, in units of one that is only traced.
+#: Cost of a path whose derivative is taken, relative to one that is only traced.
 _GRADIENT_WORK = 6.0
 
 
@@ -34,7 +34,7 @@ class Settings:
     Attributes:
         views: (azimuth, elevation) in degrees.
         gammas: extinctions γ per unit of density and cell, for the values.
-        gradient_gammas: those for the derivatives.
+        gradient_gammas: the same for the derivatives.
         spp: paths per pixel for the values.
         gradient_spp: paths per pixel for the derivatives.
         directions: number of random smooth directions.
@@ -52,7 +52,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What was measured."""
+    """All measurements."""
 
     values: list[Comparison]
     convergence: list[Convergence]

@@ -104,7 +104,7 @@ def directional_figure(directional: Sequence[Directional]) -> Figure:
 
 
 def field_figure(fields: GradientFields) -> Figure:
-    """The gradient of every voxel, of each stack along z the value largest in magnitude, and the differences."""
+    """The gradient of every voxel, as the value largest in magnitude along z, and the differences."""
     ours = _projected(fields.ours)
     sheet = _Sheet(ours.shape, 1, (3, 1, 1))
     limit = _largest([ours])
@@ -134,7 +134,7 @@ def order_figure(studies: Sequence[QuadratureStudy]) -> Figure:
 
 
 def departure_figure(studies: Sequence[QuadratureStudy]) -> Figure:
-    """A column for each γ: exact, paper, and their ratio against γ h d of the smoke that a pixel shows."""
+    """A column for each γ: exact, paper, and their ratio against γ h d of the smoke visible in a pixel."""
     figure = Figure(figsize=(4.2 * len(studies), 9), layout="constrained")
     for column, study in zip(figure.subplots(3, len(studies), squeeze=False).T, studies, strict=True):
         brightest = _largest([study.front_exact])
@@ -155,7 +155,7 @@ def departure_figure(studies: Sequence[QuadratureStudy]) -> Figure:
 class _Sheet:
     """A grid of pictures in groups of columns, each group with one colour bar.
 
-    The places are computed here: matplotlib's automatic layout takes seconds for so many axes.
+    Positions are computed here: matplotlib's automatic layout takes seconds for so many axes.
     """
 
     _GAP, _BAR, _TITLE, _WIDTH = 0.08, 0.75, 0.3, 1.95  # inches
@@ -179,7 +179,7 @@ class _Sheet:
         return self.figure.add_axes(place)
 
     def show(self, row: int, column: int, image: np.ndarray, title: str, colours: str, low: float, high: float) -> None:
-        """Put an image into its place; the last of a group gets the colour bar."""
+        """Draw an image in its place; the last of a group gets the colour bar."""
         axes = self._axes(self.lefts[column], row, self._WIDTH)
         axes.set_facecolor("0.8")
         shown = axes.imshow(image, cmap=colours, vmin=low, vmax=high)
@@ -190,17 +190,17 @@ class _Sheet:
             bar.ax.tick_params(labelsize=8)
 
     def label(self, row: int, text: str) -> None:
-        """Write on the left of a row."""
+        """Write text to the left of a row."""
         middle = self.total[1] - (row + 1) * (self.height + self._TITLE) + self.height / 2
         self.figure.text(0.12 / self.total[0], middle / self.total[1], text, rotation=90, va="center", ha="center")
 
 
 def _largest(images: Sequence[np.ndarray]) -> float:
-    """The largest magnitude, above 0 so that it can be the end of a scale."""
+    """The largest magnitude, kept above 0 so that it can be the end of a scale."""
     return max(1e-30, *(float(np.abs(image).max()) for image in images))
 
 
 def _projected(field: np.ndarray) -> np.ndarray:
-    """(H, W), row 0 at the top: of each stack along z the value largest in magnitude, with its sign."""
+    """(H, W), row 0 at the top: the value largest in magnitude along z, with its sign."""
     largest = np.abs(field).argmax(0)[None]
     return np.take_along_axis(field, largest, 0)[0, ::-1]

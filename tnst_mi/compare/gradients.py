@@ -1,7 +1,7 @@
-"""Derivatives compared: ours, the path tracer's and central differences, of one objective.
+"""Comparison of derivatives of one objective: ours, the path tracer's, and central differences.
 
-The objective is Σ w I over the pixels of all views, I being the "exact" image and w a fixed smooth random image per
-view. It is linear in the image so that noise in the path tracer's image does not bias its gradient.
+The objective is Σ w I over the pixels of all views, with the "exact" image I and a fixed smooth random image w per
+view. It is linear in the image, so that noise in the path tracer's image does not bias its gradient.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Directional:
         ours: (N,) our gradient along the directions.
         replicates: (16, N) independent estimates by `prbvolpath`.
         central: (N,) central differences of our images.
-        paper: (N,) as `ours`, for quadrature "paper" with the step of one cell.
+        paper: (N,) like `ours`, for quadrature "paper" with the step of one cell.
         paper_central: (N,) its central differences.
     """
 
@@ -67,12 +67,12 @@ class Directional:
 
     @property
     def covered(self) -> float:
-        """Share of the directions whose confidence interval holds our derivative."""
+        """Share of the directions whose confidence interval contains our derivative."""
         return float((np.abs(self.traced - self.ours) <= self.interval).mean())
 
     @property
     def slope(self) -> float:
-        """Of the line through the origin fitted to traced against ours, which has no noise."""
+        """Slope of the line through the origin fitted to traced against ours, which has no noise."""
         return float(self.traced @ self.ours / (self.ours @ self.ours))
 
     @property
@@ -82,7 +82,7 @@ class Directional:
 
     @property
     def correlation(self) -> float:
-        """Between traced and ours over the directions."""
+        """Correlation of traced and ours over the directions."""
         return float(np.corrcoef(self.traced, self.ours)[0, 1])
 
     @property
@@ -105,7 +105,7 @@ class Directional:
 class GradientFields:
     """Gradients (D, H, W) of the objective of the view (0, 0) alone, at one γ.
 
-    There a voxel is seen by one pixel only: central differences of a whole layer of voxels can be taken at once.
+    There each voxel affects one pixel only, so central differences of a whole layer of voxels can be taken at once.
 
     Attributes:
         gamma: extinction per unit of density and cell.
@@ -130,7 +130,7 @@ class GradientFields:
 
     @property
     def slope(self) -> float:
-        """Of the line through the origin fitted to traced against ours, over the voxels of the region."""
+        """Slope of the line through the origin fitted to traced against ours, over the voxels of the region."""
         ours, traced = (field[self.region].ravel().astype(np.float64) for field in (self.ours, self.traced))
         return float(traced @ ours / (ours @ ours))
 
@@ -228,7 +228,7 @@ class _Objective:
 def _traced_gradients(
     tracer: PathTracer, weights: np.ndarray, spp: int, seed: Sequence[int], advance: Advance
 ) -> list[np.ndarray]:
-    """Independent estimates of the gradient, which share the paths."""
+    """Independent estimates of the gradient, among which the paths are divided."""
     share = max(1, spp // REPLICATES)
     gradients = []
     for replicate in range(REPLICATES):

@@ -1,8 +1,9 @@
 """Mitsuba's path tracer `prbvolpath` as an independent estimator of the emission–absorption image.
 
 Mitsuba's media do not emit. But emission d over extinction γ d is the constant 1/γ, so that the continuous image is
-I = (1 − T)/γ with the transmittance T = exp(−γ ∫ d); and T is what a path tracer sees of a constant environment of
-radiance 1 through the same smoke, purely absorbing (albedo 0). Each path contributes 0 or 1: it is absorbed or escapes.
+I = (1 − T)/γ with the transmittance T = exp(−γ ∫ d). And T is the radiance that a path tracer measures of a constant
+environment of radiance 1 through the same smoke, purely absorbing (albedo 0). Each path contributes 0 or 1: it is
+absorbed or escapes.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from tnst_mi.rendering.scene import scene_description
 
 _EXTINCTION = "smoke.interior_medium.sigma_t.data"
 
-#: Paths traced in one launch at most; what a launch needs of memory grows with it.
+#: Maximum number of paths traced in one launch; the memory of a launch grows with it.
 _LARGEST_LAUNCH = 1 << 20
 
-#: Empty cells that are kept around the smoke: light is traced, and derivatives are taken, there too.
+#: Empty cells kept around the smoke: paths are traced, and derivatives taken, there too.
 _MARGIN = 2
 
 
@@ -40,8 +41,8 @@ class PathTracer:
         density: (D, H, W) float32, finite, ≥ 0, somewhere > 0.
         views: V pairs (azimuth, elevation) in degrees.
         gamma: extinction γ per unit of density and cell.
-        slack: majorant of the extinction over its maximum, > 1. At 1 the derivatives are wrong (they are carried by
-            null collisions, of which there are none where the smoke is densest); more slack means less noise and more
+        slack: ratio of the extinction's majorant to its maximum, > 1. At 1 the derivatives are wrong (they rely on
+            null collisions, which do not occur where the smoke is densest); more slack means less noise and more
             collisions.
 
     Attributes:
@@ -78,7 +79,7 @@ class PathTracer:
 
     @property
     def largest_launch(self) -> int:
-        """The most samples per pixel that one call may ask for."""
+        """Maximum number of samples per pixel of one call."""
         return max(1, _LARGEST_LAUNCH // dr.width(self.rays.d))
 
     def transmittance(self, spp: int, seed: int) -> np.ndarray:
@@ -103,7 +104,7 @@ class PathTracer:
         dr.enable_grad(extinction)
         dr.set_grad(extinction, 0)
         self.parameters.update()
-        # dI/dd = −(1/γ) dT/dσ · dσ/dd = −dT/dσ: γ cancels. A third for each colour channel, which are all alike.
+        # dI/dd = −(1/γ) dT/dσ · dσ/dd = −dT/dσ: γ cancels. A third for each of the three equal colour channels.
         adjoint = mi.Float(np.repeat(np.asarray(-weights / (3 * spp), np.float32).ravel(), spp))
         with dr.suspend_grad():
             rays, sampler = self._rays(spp), self._sampler(spp, seed)
@@ -126,7 +127,7 @@ class PathTracer:
     def _rays(self, spp: int) -> mi.Ray3f:
         pixel = dr.repeat(dr.arange(mi.UInt32, dr.width(self.rays.d)), spp)
         rays = dr.gather(mi.Ray3f, self.rays, pixel)
-        # Kept out of the path tracer's kernel, which would be compiled anew for every `spp`.
+        # Kept out of the path tracer's kernel, which would otherwise be recompiled for every `spp`.
         dr.eval(rays)
         return rays
 
@@ -137,7 +138,7 @@ class PathTracer:
 
 
 def smoke_region(density: np.ndarray) -> Region:
-    """The smallest box of cells that holds all smoke and two empty cells around it.
+    """The smallest box of cells that contains all smoke and two empty cells around it.
 
     Raises:
         InputError: there is no smoke.
@@ -149,7 +150,7 @@ def smoke_region(density: np.ndarray) -> Region:
 
 
 def _pixel_centre_rays(sensor: mi.Sensor, views: Sequence[View]) -> mi.Ray3f:
-    """Those of `OrthographicRays.through_pixels`, by another division: their origins may differ in the last bit."""
+    """The rays of `OrthographicRays.through_pixels`, whose division differs: origins may differ in the last bit."""
     sensor.set_views(views)
     width, height = sensor.film().size()
     index = dr.arange(mi.UInt32, int(width) * int(height))

@@ -1,7 +1,8 @@
-"""Step size against error for the quadratures "exact" and "paper", and where "paper" leaves the continuous formula.
+"""Step size against error for the quadratures "exact" and "paper"; where "paper" departs from the continuous formula.
 
-A uniform, opaque column of density d has the continuous image 1/γ. The inclusive sum gives h d/(exp(γ h d) − 1): less
-by the factor x/(eˣ − 1) with x = γ h d. Recipes for thick smoke (γ of 5 or 10) rely on this darkening of dense smoke.
+A uniform, opaque column of density d has the continuous image 1/γ. The inclusive sum gives h d/(exp(γ h d) − 1),
+which is less by the factor x/(eˣ − 1) with x = γ h d. Recipes for thick smoke (γ of 5 or 10) rely on this darkening of
+dense smoke.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from tnst_mi.rendering.cameras.views import View
 #: Steps in cells.
 STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
 
-#: The study's γ: thin smoke, the threshold for density 1, and a thick look of the paper's.
+#: The study's γ: thin smoke, the threshold for density 1, and one of the paper's thick looks.
 GAMMAS = (0.1, 1.0, 5.0)
 
-#: Used where every view of the comparison looks along an axis: there "exact" has no error at a step of one cell.
+#: View used if all views of the comparison look along an axis, where "exact" has no error at a step of one cell.
 _OBLIQUE = (35.0, 12.0)
 
-#: Orders are fitted to steps up to this, over a wide range: halving the step alone may gain a factor 8 or nothing, as
-#: the samples of a regular march fall on the kinks that the interpolated density has at each cell.
+#: Orders are fitted over a wide range of steps, up to this one: a single halving may reduce the error by a factor of 8
+#: or not at all, depending on where the samples of a regular march lie relative to the density's kinks at each cell.
 _LONGEST_FITTED = 2.0
 
 
@@ -39,9 +40,9 @@ class QuadratureStudy:
         exact: error at each of `STEPS`: RMS of image − closed form over the RMS of the closed form.
         paper: the same for "paper".
         cut: the box cuts through smoke. A march then gains or loses part of a step where a ray enters and leaves, so
-            that "exact", too, is of first order.
+            that "exact" is of first order, too.
         densest: largest γ h d of the grid, at a step of one cell.
-        thickness: (H, W) γ h d of the smoke that each pixel of the view (0, 0) shows, weighted by what it contributes.
+        thickness: (H, W) γ h d of the smoke visible in each pixel of the view (0, 0), weighted by its contribution.
         front_exact: (H, W) the view (0, 0), "exact", step of one cell.
         front_paper: (H, W) the same, "paper".
     """
@@ -87,7 +88,7 @@ class QuadratureStudy:
         light = self.front_paper[self.thick].sum() / self.front_exact[self.thick].sum()
         return (
             f"{text}; the {self.thick.sum()} pixels that show smoke of γhd ≥ 1 have {light:.0%} of its light. "
-            "There “paper” approximates it no more: it is a look of its own, bright at the rim and dark in the middle."
+            "There “paper” no longer approximates it, but is a look of its own, bright at the rim, dark in the middle."
         )
 
 
@@ -131,7 +132,7 @@ def _is_cut(density: np.ndarray) -> bool:
 
 def _visible_thickness(density: np.ndarray, gamma: float) -> np.ndarray:
     """(H, W) mean of γ d along the rays of the view (0, 0), weighted by what each cell adds to the image."""
-    seen = density[::-1, ::-1].astype(np.float64)  # from the camera away, rows from the top down
+    seen = density[::-1, ::-1].astype(np.float64)  # away from the camera, rows from the top down
     depth = gamma * np.cumsum(seen, axis=0)
     added = np.exp(-depth) * np.expm1(gamma * seen)
     total = added.sum(0)

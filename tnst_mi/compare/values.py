@@ -1,4 +1,4 @@
-"""Images compared: ours, the path tracer's and the closed form, pixel by pixel in units of the standard error."""
+"""Comparison of images: ours, the path tracer's and the closed form, per pixel in units of the standard error."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 #: Called with the number of paths that were traced.
 Advance = Callable[[int], None]
 
-#: Pixels are testable where the expected numbers of absorbed and of escaped paths let a normal law stand for the
-#: binomial one: n T (1 − T) of this or more.
+#: Pixels are testable where the expected numbers of absorbed and escaped paths justify the normal approximation of the
+#: binomial distribution: n T (1 − T) of this or more.
 TESTABLE = 5.0
 
 #: Our step is halved until the image changes by less than this many standard errors, but not below the second number.
 NEGLIGIBLE, _SMALLEST_STEP = 0.1, 1 / 64
 
-#: For values the majorant may be tight: only derivatives need null collisions everywhere.
+#: For values the majorant may be tight, since only derivatives need null collisions everywhere.
 _VALUE_SLACK = 1.1
 
-#: Paths per pixel of the first launch; each further one doubles their number.
+#: Paths per pixel of the first launch; each further one doubles their total.
 _FIRST_LAUNCH = 4
 
 
@@ -44,7 +44,7 @@ class Comparison:
         paper: ours, quadrature "paper", with the step of one cell.
         traced: (1 − T)/γ with T by `prbvolpath`.
         closed: the continuous image, exact for the trilinear grid, float64.
-        inclusive: the sum that "paper" stands for, float64.
+        inclusive: the sum that "paper" evaluates, in float64.
     """
 
     view: View
@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard deviation of `traced` where `exact` is right: √(T (1 − T)/n)/γ, each path being 0 or 1."""
+        """Standard deviation of `traced` if `exact` is right: √(T (1 − T)/n)/γ, since each path gives 0 or 1."""
         return _standard_error(self.exact, self.gamma, self.spp)
 
     @property
@@ -115,7 +115,7 @@ class Comparison:
 
     @property
     def paper_departure(self) -> float:
-        """RMS of paper − exact over that of exact: what the discretisation of the paper's program changes."""
+        """RMS of paper − exact over that of exact: the effect of the discretisation in the paper's code."""
         return relative_rms(self.paper, self.exact)
 
 
@@ -143,7 +143,7 @@ class Convergence:
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """What images at any of some γ are held against, for a set of views.
+    """The references for images at several γ, for a set of views.
 
     Attributes:
         columns: V images (H, W) of ∫ d, float64.
@@ -207,7 +207,7 @@ def compare_values(
 
 
 def refined_exact(density: np.ndarray, views: Sequence[View], gamma: float, spp: int) -> tuple[float, np.ndarray]:
-    """Halve the step from one cell until no testable pixel changes by 0.1 standard errors; step and images."""
+    """Step, halved from one cell until no testable pixel changes by 0.1 standard errors, and the images."""
     step, images = 1.0, our_images(density, views, gamma, "exact")
     while step > _SMALLEST_STEP:
         finer = our_images(density, views, gamma, "exact", step / 2)
@@ -228,7 +228,7 @@ def our_images(
 
 
 def launches(spp: int, largest: int) -> list[int]:
-    """Split a number of paths per pixel into launches whose running totals double, as long as they are allowed to."""
+    """Split a number of paths per pixel into launches whose running totals double, up to the largest launch."""
     counts = []
     while (traced := sum(counts)) < spp:
         counts.append(min(max(traced, _FIRST_LAUNCH), _power_of_two(largest), spp - traced))
@@ -236,7 +236,7 @@ def launches(spp: int, largest: int) -> list[int]:
 
 
 def seed_of(*numbers: int) -> int:
-    """One 32-bit seed from the numbers that tell launches apart."""
+    """One 32-bit seed from the numbers that identify a launch."""
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 

@@ -1,4 +1,4 @@
-"""The checks behind the verdict: what was measured, what was expected, and whether it holds."""
+"""The checks behind the verdict: what was measured, what was expected, and whether they agree."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tnst_mi.compare.gradients import Directional, GradientFields
 from tnst_mi.compare.quadrature_study import QuadratureStudy
 from tnst_mi.compare.values import NEGLIGIBLE, Comparison, Convergence
 
-#: Share of the testable pixels that must lie within three standard errors (of a normal law 99.7% do).
+#: Share of the testable pixels that must lie within three standard errors (99.7% of a normal distribution do).
 _WITHIN = 0.99
 
 #: With few testable pixels that share is coarse: this many may always lie outside.
 _ALWAYS_ALLOWED = 3
 
-#: Bound of |mean z|; with few testable pixels the mean's own scatter, 1/√N, times the second number.
+#: Bound of |mean z|; with few testable pixels the mean's standard error, 1/√N, times the second number.
 _MEAN_Z, _MEAN_SCATTERS = 0.1, 3.5
 
 #: Where n T (1 − T) < 5, chance alone makes no pixel differ by more than this many paths (probability below 1e-6).
@@ -34,8 +34,8 @@ _SLOPE, _CORRELATION = 0.02, 0.98
 #: Relative RMS error allowed against central differences.
 _CENTRAL = 1e-3
 
-#: Least orders of convergence where a law of first and of second order is expected. They are checked where γ h d of the
-#: densest cell is at most the last number: beyond, the steps are too long for "paper" to have reached its order.
+#: Minimum orders of convergence where first and second order are expected. They are checked where γ h d of the densest
+#: cell is at most the last number: beyond it, the steps are too long for "paper" to have reached its asymptotic order.
 _FIRST_ORDER, _SECOND_ORDER, _RESOLVED = 0.75, 1.4, 1.0
 
 

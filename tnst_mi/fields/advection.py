@@ -1,6 +1,6 @@
-"""Carrying fields along a velocity: semi-Lagrangian and MacCormack advection, in one step or several.
+"""Transport of fields along a velocity: semi-Lagrangian and MacCormack advection, in one step or several.
 
-The step itself, and its derivatives, are in `maccormack`.
+The step itself and its derivatives are in `maccormack`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.maccormack import AdvectionStep, GivenVelocity
 from tnst_mi.fields.potentials import PotentialVelocity
 
-#: A displacement of more cells than this is a mistake, not a motion to be followed in steps of one cell.
+#: Displacements of more cells than this are taken for a mistake, and not followed in sub-steps of one cell.
 _MOST_SUBSTEPS = 10_000
 
 METHODS = ("maccormack", "semi_lagrangian", "maccormack_unlimited")
@@ -29,9 +29,10 @@ def step(
     outside: str = "zero",
     reverted: mi.TensorXf | None = None,
 ) -> mi.TensorXf:
-    """One advection step of Dr.Jit tensors, by a velocity (D, H, W, 3) or by that of potentials.
+    """One advection step of Dr.Jit tensors, by a velocity (D, H, W, 3) or by potentials.
 
-    What `AdvectionStep` does in few kernels, and for no more cells than need it, is with x the positions of all cells:
+    With x the positions of all cells, `AdvectionStep` computes the following, in few kernels and only for the cells
+    that need it:
 
         departure, arrival = x - v / h, x + v / h
         f = interpolated(field, departure)                      # the semi-Lagrangian step
@@ -43,7 +44,7 @@ def step(
         return where(kept, result, f)
 
     `reverted`, of the field's shape and non-zero where the result is f, fixes the limiter's choice. Finite differences
-    need the choice fixed: the limiter is a switch, so a difference across it is no derivative.
+    need the choice fixed: the limiter is a switch, and a difference across it does not approximate a derivative.
     """
     if isinstance(velocity, PotentialVelocity):
         arrays, source = velocity.potentials, velocity.source
@@ -85,10 +86,10 @@ def advect(
         steps: number n of sub-steps of v/n, each a full step of the method; "auto" is ⌈max |v| / h⌉, at least 1.
 
     Returns:
-        The transported field, in the shape and array kind given. Differentiable in the field and in v.
+        The transported field, in the shape and array kind of the input. Differentiable with respect to the field and v.
 
     Raises:
-        InputError: an unknown method or boundary, or shapes that do not belong together.
+        InputError: the method or boundary is unknown, or the shapes do not match.
 
     Example:
         >>> import numpy as np
@@ -119,7 +120,7 @@ def advect(
 
 
 def substeps(v: mi.TensorXf, h: float) -> int:
-    """Number of sub-steps that "auto" stands for: ⌈max |v| / h⌉, so that none crosses more than one cell."""
+    """Number of sub-steps for "auto": ⌈max |v| / h⌉, so that none crosses more than one cell."""
     values = dr.detach(v.array)
     fastest = dr.max(dr.norm(dr.unravel(mi.Vector3f, values)))[0] if dr.width(values) else 0.0
     if not fastest / h <= _MOST_SUBSTEPS:

@@ -1,4 +1,4 @@
-"""Public functions take numpy, Dr.Jit or torch arrays and answer in the kind they were given."""
+"""Lets public functions take numpy, Dr.Jit or torch arrays and return an array of the same kind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ else:
 
 
 def _is_torch(value: Any) -> TypeGuard[torch.Tensor]:
-    """Whether a value is torch's, which need not be loaded to tell."""
+    """Whether a value is a torch tensor, without importing torch."""
     return type(value).__module__.partition(".")[0] == "torch"
 
 
@@ -64,9 +64,9 @@ def _call_from_torch(function: Callable, arguments: dict[str, Any], given: dict[
     home = next(value.device for value in given.values() if _is_torch(value))
 
     @dr.wrap(source="torch", target="drjit")
-    def call(tensors: dict[str, Any]) -> Any:  # of torch outside, of Dr.Jit inside
+    def call(tensors: dict[str, Any]) -> Any:  # torch's outside, Dr.Jit's inside
         return function(**tensors, **others)
 
-    # Dr.Jit takes each tensor for its own backend's: those of another device than the variant's would not mix.
+    # Dr.Jit wraps each tensor for the backend of its device, and cannot mix another device with the variant's.
     device = torch_device()
     return call({name: tensor.to(device).float().contiguous() for name, tensor in tensors.items()}).to(home)

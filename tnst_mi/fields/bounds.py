@@ -1,4 +1,4 @@
-"""The box of cells that holds the smoke."""
+"""Bounding boxes of the smoke, in cells."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ Region = tuple[slice, slice, slice]
 
 
 def smoke_box(density: np.ndarray, margin: int) -> Region | None:
-    """The smallest box with all smoke of a density (D, H, W) and, inside the grid, `margin` cells around it.
+    """The bounding box of all smoke of a density (D, H, W), extended by `margin` cells within the grid.
 
-    None where there is no smoke.
+    None if there is no smoke.
     """
     if not density.any():
         return None
@@ -27,6 +27,6 @@ def _along(density: np.ndarray, axis: int, margin: int) -> slice:
 
 
 def hull(boxes: Sequence[Region]) -> Region:
-    """The smallest box that holds all of some boxes, which are one or more."""
+    """The smallest box that contains all the given boxes, of which there is at least one."""
     z, y, x = (slice(min(s.start for s in parts), max(s.stop for s in parts)) for parts in zip(*boxes, strict=True))
     return z, y, x

@@ -21,7 +21,7 @@ Shape = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Octave:
-    """One level of the coarse-to-fine optimisation: its (D, H, W) and its cell size in full-resolution cells."""
+    """One level of the coarse-to-fine optimisation: its shape (D, H, W) and its cell size in full-resolution cells."""
 
     shape: Shape
     cell_size: float
@@ -70,7 +70,7 @@ class Cells:
         return dr.arange(mi.UInt32, math.prod(self.shape)) if self.chosen is None else self.chosen
 
     def own(self, values: mi.Float, channels: int = 1) -> list[mi.Float]:
-        """All channels of the cells themselves."""
+        """All channels of `values` at these cells."""
         return [values] if channels == 1 and self.chosen is None else gather(values, self.number, channels)
 
     def index(self, x: mi.Int32, y: mi.Int32, z: mi.Int32) -> mi.UInt32:

@@ -1,4 +1,4 @@
-"""What keeps kernels few and fast: numbers that are no part of the generated code, division, and access to memory."""
+"""Building blocks that keep kernels few and fast: opaque numbers, integer division, and memory access."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ def opaque(value: float) -> mi.Float:
 
 
 def opaque_int(value: int) -> mi.Int32:
-    """As `opaque`, for whole numbers."""
+    """Like `opaque`, for integers."""
     return _opaque(mi.Int32, value)
 
 
 @functools.lru_cache(maxsize=512)
 def _opaque(kind: type, value: float) -> mi.Float | mi.Int32:
-    # Creating one costs a memory allocation and a fill; a run uses few different numbers.
+    # Creating one costs a memory allocation and a fill; a run uses few distinct numbers.
     return dr.opaque(kind, value)
 
 
 class Divisor:
     """Division of indices below 2^30 by a size that is not part of the generated code.
 
-    Vector units have no integer division. A multiplication by a scaled reciprocal is exact here (Granlund and
+    Vector units lack integer division. Multiplication by a scaled reciprocal is exact here (Granlund and
     Montgomery 1994): with d' = 2d and l = ⌈log2 d'⌉, ⌊n/d⌋ = ⌊2n · (⌊2^(31+l)/d'⌋ + 1) / 2^(31+l)⌋ for 2n < 2^31.
     """
 
@@ -51,10 +51,11 @@ def gather(values: mi.Float, index: mi.UInt32, channels: int, active: mi.Bool | 
 
 
 def stored(value: mi.Float | mi.Bool) -> mi.Float | mi.Bool:
-    """The value as an array in memory, written with the next evaluation, and through the cache.
+    """The value as an array in memory, written through the cache at the next evaluation.
 
-    On CPUs `dr.eval` itself writes past the cache, and a gather that follows waits until such a write is done. That
-    makes a kernel that gathers several times slower (measured: 36 ms instead of 4 for one gather of 3 million floats).
+    On CPUs `dr.eval` itself bypasses the cache when it writes, and a subsequent gather waits for the write to complete.
+    This makes a gathering kernel several times slower (measured: 36 ms instead of 4 ms for one gather of 3 million
+    floats).
     """
     target = dr.empty(type(value), dr.width(value))
     dr.scatter(target, value, dr.arange(mi.UInt32, dr.width(value)), mode=dr.ReduceMode.NoConflicts)

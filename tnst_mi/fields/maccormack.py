@@ -1,4 +1,4 @@
-"""One step of semi-Lagrangian or MacCormack advection as a Dr.Jit operation, with its derivatives derived by hand.
+"""One step of semi-Lagrangian or MacCormack advection as a Dr.Jit operation with hand-derived derivatives.
 
 Semi-Lagrangian:  f(x) = d(x − v(x)), one Euler back-trace, trilinear.
 MacCormack:       b(x) = f(x + v(x)),  result = f + (d − b)/2, reverted to f where that leaves the range of the eight
@@ -9,12 +9,12 @@ With w = 0 where the result is reverted and 1 elsewhere, and g = ∂L/∂result,
     ∂L/∂b = −w g/2,    ∂L/∂f = g + Bᵀ ∂L/∂b,    ∂L/∂v = ∇f(x + v) ∂L/∂b − ∇d(x − v) ∂L/∂f,
     ∂L/∂d = w g/2 + Fᵀ ∂L/∂f,
 
-where F and B interpolate at x − v and x + v. It needs one scatter, Bᵀ, and where the field is differentiated a second
-one; everything else is local to a cell. The revert is a switch: its choice is held fixed when differentiating.
+where F and B interpolate at x − v and x + v. It needs one scatter, Bᵀ, and a second one if the field is differentiated;
+everything else is local to a cell. The limiter is a switch: its choice is held fixed when differentiating.
 
-Where the eight cells around x − v are equal, as in all the air around the smoke, the range has no width: the result is
-f whatever v is, and neither the correction nor a derivative with respect to v has anything to do. So once f is known,
-the limited step works on the other cells alone, unless the field is differentiated too.
+Where the eight cells around x − v are equal, as in all the air around the smoke, the range has zero width: the result
+is f for any v, so the correction and the derivative with respect to v can be skipped. Once f is known, the limited step
+therefore processes only the other cells, unless the field is differentiated too.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from tnst_mi.fields.sums import RepeatableSum, largest_magnitude
 
 
 def _interleave(components: list[mi.Float]) -> mi.Float:
-    """Flat array with the channels of a cell next to each other, written with the next evaluation."""
+    """Flat array with the channels of a cell next to each other, written at the next evaluation."""
     return stored(components[0]) if len(components) == 1 else dr.ravel(mi.Vector3f(*components))
 
 
 @dataclass(frozen=True)
 class GivenVelocity:
-    """A velocity that is in memory, with the interface of `PotentialVelocity`."""
+    """A velocity stored in memory, with the interface of `PotentialVelocity`."""
 
     v: mi.TensorXf
 
@@ -49,7 +49,7 @@ class GivenVelocity:
         return mi.Vector3f(*cells.own(self.v.array, 3))
 
     def transpose(self, g: mi.Vector3f) -> dict[str, mi.TensorXf]:
-        """∂L/∂v by the name that it has in memory."""
+        """∂L/∂v under the name of the stored array."""
         return {"v": mi.TensorXf(dr.ravel(g), tuple(self.v.shape))}
 
 
@@ -71,13 +71,13 @@ class AdvectionStep(dr.CustomOp):
 
         Args:
             field: (D, H, W) or (D, H, W, 3).
-            velocity: the arrays that the velocity is made of, by name.
-            source: makes it of them.
+            velocity: the arrays that define the velocity, by name.
+            source: builds the velocity from them.
             method: one of `METHODS`.
             h: size of a cell in full-resolution cells.
             outside: "zero" or "edge".
-            reverted: 1 where the result is to be reverted, 0 elsewhere; None to let the limiter decide.
-            field_varies: the field is differentiated too.
+            reverted: 1 where the result is reverted, 0 elsewhere; None to let the limiter decide.
+            field_varies: whether the field is differentiated too.
         """
         self.outside, self.h, self.field_varies = outside, h, field_varies
         self.tensor_shape = tuple(field.shape)
@@ -86,7 +86,7 @@ class AdvectionStep(dr.CustomOp):
         self.field, self.source, self.velocity = field.array, source, source(velocity)
         #: Storage indices of the cells that the correction and ∂/∂v are computed for; None for all of them.
         self.chosen: mi.UInt32 | None = None
-        #: By channel, which of them keep the corrected value; None where all do.
+        #: By channel, which of them keep the corrected value; None if all do.
         self.kept: list[mi.Bool] | None = None
 
         departure, _ = self._stencils(Cells.of(self.shape))
@@ -101,7 +101,7 @@ class AdvectionStep(dr.CustomOp):
         if not self.corrected:
             return mi.TensorXf(mi.Float(self.forward_step), self.tensor_shape)
 
-        # The backward leg interpolates f, which is in memory now.
+        # The backward step interpolates f, which is in memory now.
         cells = Cells.of(self.shape, self.chosen)
         departure, arrival = self._stencils(cells)
         corners = departure.read(self.field, self.channels)
@@ -125,7 +125,7 @@ class AdvectionStep(dr.CustomOp):
         return mi.TensorXf(result, self.tensor_shape)
 
     def _stencils(self, cells: Cells) -> tuple[Trilinear, Trilinear]:
-        """Around x − v and x + v."""
+        """The stencils around x − v and x + v."""
         displacement = self.velocity.at(cells) * dr.rcp(opaque(self.h))
         return Trilinear(cells, -displacement, self.outside), Trilinear(cells, displacement, self.outside)
 
@@ -136,7 +136,7 @@ class AdvectionStep(dr.CustomOp):
         return [dr.select(keep, value, 0) for keep, value in zip(self.kept, values, strict=True)]
 
     def forward(self) -> None:
-        """The tangent of the result from those of the field and the velocity's arrays."""
+        """The tangent of the result from the tangents of the field and of the velocity's arrays."""
         field_tangent, velocity_tangent = self.grad_in("field").array, self.source(self.grad_in("velocity"))
 
         def carried(stencil: Trilinear, cells: Cells, values: mi.Float, tangent: mi.Float, sign: int) -> list[mi.Float]:
@@ -164,7 +164,7 @@ class AdvectionStep(dr.CustomOp):
         self.set_grad_out(mi.TensorXf(result, self.tensor_shape))
 
     def backward(self) -> None:
-        """The derivatives of the field and the velocity's arrays from that of the result."""
+        """The adjoints of the field and of the velocity's arrays from the adjoint of the result."""
         g = self.grad_out().array
         dr.eval(g)
         on_backward_step: list[mi.Float] = []
@@ -214,12 +214,12 @@ class AdvectionStep(dr.CustomOp):
         self.set_grad_in("field", mi.TensorXf(total.result(), self.tensor_shape))
 
     def name(self) -> str:
-        """What Dr.Jit's messages call it."""
+        """The name in Dr.Jit's messages."""
         return "advection step"
 
 
 def _largest(arrays: list[mi.Float]) -> mi.Float:
-    """The largest magnitude in some arrays."""
+    """The largest magnitude in all arrays."""
     result = mi.Float(0)
     for array in arrays:
         result = dr.maximum(result, largest_magnitude(array))

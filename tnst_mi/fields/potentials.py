@@ -1,9 +1,9 @@
 """Velocity from potentials: v = λ ∇Φ + (1 − λ) ∇×Ψ (paper Eq. 3), and its adjoint in gather form.
 
-Derivatives are central differences, one-sided in the two end cells of every axis. Being one linear map per axis, they
-commute: the divergence of ∇×Ψ, taken with the same differences, vanishes to rounding at every cell.
+Derivatives are central differences, one-sided in the two end cells of every axis. As linear maps along one axis each,
+they commute: the divergence of ∇×Ψ, taken with the same differences, vanishes up to rounding in every cell.
 
-A grid of one cell along an axis is a plane: nothing varies along that axis, and v has no component along it, which
+A grid of one cell along an axis is a plane: nothing varies along that axis, and v has no component along it, since that
 would carry the smoke out of the grid.
 """
 
@@ -29,7 +29,7 @@ class _AxisDifference:
         self.coordinate, self.last = (cells.x, cells.y, cells.z)[axis], cells.size[axis] - 1
         stride = (mi.Int32(1), cells.size.x, cells.size.x * cells.size.y)[axis]
         here = mi.Int32(cells.number)
-        #: Storage indices of the neighbours; beyond an end, of the cell itself.
+        #: Storage indices of the neighbours; beyond an end, the index of the cell itself.
         self.below = mi.UInt32(here - dr.select(self.coordinate > 0, stride, 0))
         self.above = mi.UInt32(here + dr.select(self.coordinate < self.last, stride, 0))
 
@@ -38,13 +38,13 @@ class _AxisDifference:
         return dr.select((coordinate <= 0) | (coordinate >= self.last), 1.0, 0.5)
 
     def apply(self, values: mi.Float, channels: int = 1, channel: int = 0) -> mi.Float:
-        """Difference of the neighbours of one channel; a cell in place of its neighbour makes it one-sided."""
+        """Difference of the neighbours in one channel; where a neighbour is missing, the cell itself replaces it."""
         above = dr.gather(mi.Float, values, self.above * channels + channel)
         below = dr.gather(mi.Float, values, self.below * channels + channel)
         return (above - below) * self._row_weight(self.coordinate) * self.scale
 
     def transpose(self, values: mi.Float) -> mi.Float:
-        """Gather form of the transpose: what the rows of both neighbours, and an end's own row, contribute here."""
+        """The transpose in gather form: contributions of both neighbours' rows and, in an end cell, of its own row."""
         i = self.coordinate
         below = dr.gather(mi.Float, values, self.below, i > 0) * self._row_weight(i - 1)
         above = dr.gather(mi.Float, values, self.above, i < self.last) * self._row_weight(i + 1)
@@ -54,11 +54,11 @@ class _AxisDifference:
 
 @dataclass(frozen=True)
 class PotentialVelocity:
-    """v at the cells that ask for it, so that it need not be stored, and the transpose of that linear map.
+    """v evaluated on demand at given cells, so that it need not be stored, and the transpose of this linear map.
 
     Args:
-        phi: Φ (D, H, W), None for an absent one.
-        psi: Ψ (D, H, W, 3), None for an absent one.
+        phi: Φ (D, H, W), None if absent.
+        psi: Ψ (D, H, W, 3), None if absent.
         lam: λ.
         h: size of a cell in full-resolution cells.
     """
@@ -70,7 +70,7 @@ class PotentialVelocity:
 
     @property
     def potentials(self) -> dict[str, mi.TensorXf]:
-        """Those that are present, by name."""
+        """The potentials that are present, by name."""
         return {name: value for name, value in (("phi", self.phi), ("psi", self.psi)) if value is not None}
 
     @property
@@ -85,7 +85,7 @@ class PotentialVelocity:
         return tuple(next(iter(self.potentials.values())).shape)[:3]
 
     def _in_plane(self, v: mi.Vector3f) -> mi.Vector3f:
-        """A vector without its components along axes of one cell; being a projection, its own transpose."""
+        """The vector without its components along axes of one cell; as an orthogonal projection, its own transpose."""
         still = dr.zeros(mi.Float, dr.width(v))
         return mi.Vector3f(*(x if n > 1 else still for x, n in zip(v, reversed(self.shape), strict=True)))
 
@@ -110,7 +110,7 @@ class PotentialVelocity:
         return self._in_plane(v)
 
     def transpose(self, g: mi.Vector3f) -> dict[str, mi.TensorXf]:
-        """From ∂L/∂v at all cells, one array in memory for each component, to ∂L/∂Φ and ∂L/∂Ψ, as far as present."""
+        """From ∂L/∂v at all cells, one array in memory per component, to ∂L/∂Φ and ∂L/∂Ψ where present."""
         d, g = self._differences(Cells.of(self.shape)), self._in_plane(g)
         result = {}
         if self.phi is not None:
@@ -128,7 +128,7 @@ class PotentialVelocity:
 
 
 class _Velocity(dr.CustomOp):
-    """The velocity as a tensor; linear, so that its derivative in forward mode is the map itself."""
+    """The velocity as a tensor; since it is linear, its forward-mode derivative is the map itself."""
 
     def eval(
         self,
@@ -159,14 +159,14 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
     """Velocity of the potentials, v = λ ∇Φ + (1 − λ) ∇×Ψ (paper Eq. 3).
 
     Args:
-        phi: scalar potential Φ, shape (D, H, W), in full-resolution cells²; None for an absent one.
-        psi: vector potential Ψ, shape (D, H, W, 3), components (x, y, z), same unit; None for an absent one.
+        phi: scalar potential Φ, shape (D, H, W), in full-resolution cells²; None if absent.
+        psi: vector potential Ψ, shape (D, H, W, 3), components (x, y, z), same unit; None if absent.
         lam: share λ of the irrotational part, in [0, 1].
         h: size of a cell in full-resolution cells, > 0.
 
     Returns:
         Velocity (D, H, W, 3), components (x, y, z), in full-resolution cells per frame, 0 along an axis of one cell, in
-        the array kind given.
+        the array kind of the input.
 
     Raises:
         InputError: both potentials are absent, their shapes disagree, or λ or h is out of range.

@@ -1,10 +1,10 @@
-"""Smoothing and band normalisation of the gradient, the step that makes every iteration the same small change.
+"""Smoothing and band normalisation of the gradient, which gives every iteration the same small step size.
 
 The Laplacian pyramid (Burt and Adelson 1983) splits a field into bands; each is divided by its root mean square,
 so that low frequencies move as much as high ones (paper section 4; reference kernel [1, 4, 6, 4, 1]/16 per axis).
 
-What these filters cost is reading neighbours. Those of adjacent cells overlap, so a thread computes a run or a block
-of cells and reads each neighbour once. No derivatives are taken of this.
+The cost of these filters is in reading neighbours. Adjacent cells share neighbours, so a thread computes a run or a
+block of cells and reads each neighbour once. None of this is differentiated.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ import mitsuba as mi
 
 from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
 
-#: Bands are divided by no less than this: an empty one stays empty.
+#: Lower bound of the divisor of a band, so that an empty band stays empty.
 FLOOR = 1e-10
 
 #: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.
 _AXES = (0, 1, 2)
 
-#: Results along the axis that one thread computes of the blur and of the reduction. More share more reads; too many
-#: leave too little of what is read in the cache.
+#: Consecutive results along the axis per thread, for the blur and for the reduction. Longer runs share more reads; runs
+#: that are too long evict what they read from the cache.
 _BLUR_RUN, _REDUCE_RUN = 8, 4
 
-#: Coarse cells in a row that one thread interpolates between; each becomes two fine cells on every axis.
+#: Consecutive coarse cells per thread of the interpolation; each becomes two fine cells on every axis.
 _BLOCK = 4
 
-#: No cell is written twice, so the writes of a thread need not wait for each other (in a kernel each).
+#: No cell is written twice, so the writes of a thread need no ordering (which would take a kernel for each).
 _ONCE = dr.ReduceMode.NoConflicts
 
 
 class _Runs:
-    """A pass along one axis: each thread reads a part of a line of cells, and writes `run` cells of the result.
+    """A pass along one axis: each thread reads a segment of a line of cells and writes `run` cells of the result.
 
     Args:
         field: (D, H, W) or (D, H, W, C).
         axis: the axis of the pass.
-        length: cells of the result along the axis.
-        run: how many of them a thread computes.
-        boundary: "nearest", "reflect" or "zero": what is read outside the field, up to `margin` cells from it.
+        length: number of cells of the result along the axis.
+        run: number of them that a thread computes.
+        boundary: "nearest", "reflect" or "zero": rule for reads outside the field, up to `margin` cells from it.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class _Runs:
         if self.boundary == "zero":
             inside = (position >= 0) & (position <= self.last)
         elif self.boundary == "reflect":
-            # The reflections at both ends, taken together, repeat after two lengths.
+            # Reflection at both ends is periodic with twice the length.
             period = 2 * self.source_length
             ahead = opaque_int(period * -(-self.margin // period))
             position = mi.Int32(Divisor(period).split(mi.UInt32(position + ahead))[1])
@@ -77,7 +77,7 @@ class _Runs:
         return dr.gather(mi.Float, self.source, mi.UInt32(index), inside)
 
     def write(self, values: list[mi.Float]) -> mi.TensorXf:
-        """The results, from those of one thread."""
+        """Store the results of each thread; returns the whole field."""
         for step, value in enumerate(values):
             position = self.first + step
             index = mi.UInt32(self.start + position * self.inner)
@@ -137,7 +137,7 @@ def _reduced(field: mi.TensorXf, axis: int) -> mi.TensorXf:
 
 
 def _interpolated(values: list) -> list:
-    """Twice as many fine values, from coarse ones with a neighbour at either end (a constant stays that constant)."""
+    """Twice as many fine values, from coarse ones with a neighbour at either end (constants are preserved)."""
     result = []
     for before, here, after in zip(values, values[1:], values[2:], strict=False):
         result += [(before + 6 * here + after) * (1 / 8), (here + after) * 0.5]
@@ -155,7 +155,7 @@ class _Expansion:
         rest, self.channel = Divisor(self.channels).split(dr.arange(mi.UInt32, self.threads))
         rest, x = Divisor(blocks[2]).split(rest)
         z, y = Divisor(blocks[1]).split(rest)
-        #: Coarse cell that the block starts from: z, y, x.
+        #: First coarse cell of the block: z, y, x.
         self.first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * _BLOCK]
 
     def _index(self, shape: tuple[int, ...], z: mi.Int32, y: mi.Int32, x: mi.Int32) -> mi.UInt32:
@@ -168,7 +168,7 @@ class _Expansion:
         return dr.gather(mi.Float, self.coarse.array, self._index(sizes, *cell))
 
     def cells(self) -> Iterator[tuple[mi.Float, mi.UInt32, mi.Bool]]:
-        """The fine cells of a thread: the interpolated value, the index, and whether it lies in the grid."""
+        """The fine cells of a thread: interpolated value, storage index, and whether the cell lies in the grid."""
         lines = [
             [_interpolated([self._read(z, y, x) for x in range(-1, _BLOCK + 1)]) for y in range(-1, 2)]
             for z in range(-1, 2)
@@ -184,7 +184,7 @@ class _Expansion:
 
 
 def expand(field: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
-    """Interpolate a reduced field back to `shape` with the same kernel (a constant stays that constant)."""
+    """Interpolate a reduced field back to `shape` with the same kernel (constants are preserved)."""
     result = dr.empty(mi.Float, math.prod(shape))
     for value, index, inside in _Expansion(field, shape).cells():
         dr.scatter(result, value, index, inside, _ONCE)
@@ -193,7 +193,7 @@ def expand(field: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
 
 
 def _band(field: mi.TensorXf, coarse: mi.TensorXf) -> tuple[mi.TensorXf, mi.Float]:
-    """What the coarse field leaves out, field − expand(coarse), and its root mean square."""
+    """The detail that the coarse field lacks, field − expand(coarse), and its root mean square."""
     shape = tuple(field.shape)
     result, squares = dr.empty(mi.Float, math.prod(shape)), mi.Float(0)
     for value, index, inside in _Expansion(coarse, shape).cells():
@@ -234,14 +234,14 @@ def merge(bands: list[mi.TensorXf]) -> mi.TensorXf:
 
 
 def root_mean_square(field: mi.TensorXf) -> mi.Float:
-    """Root of the mean square over all cells and channels, as a number that stays on the device."""
+    """Root mean square over all cells and channels, kept on the device."""
     return dr.sqrt(dr.mean(dr.square(field.array)))
 
 
 def normalise(field: mi.TensorXf, levels: int = 3) -> mi.TensorXf:
     """Divide every band by its root mean square (one number for all channels, floor 1e-10) and merge them.
 
-    The same as this, in fewer kernels:
+    Equivalent to the following, in fewer kernels:
 
         bands = split(field, levels)
         bands = [band / max(root_mean_square(band), FLOOR) for band in bands]

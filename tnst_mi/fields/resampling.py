@@ -1,8 +1,8 @@
-"""Moving fields between octaves, in physical position.
+"""Resampling fields between octaves at the same physical positions.
 
 Every octave is a grid of cubic cells that shares the centre of the full grid, so cell i of n cells of size h lies at
 (i − (n − 1)/2) h on its axis. Resampling is separable: one small interpolation matrix per axis, applied in numpy. It
-happens once per octave and nothing is differentiated through it.
+runs once per octave and is not differentiated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from tnst_mi.fields.grid import Shape
 
 
 def _source_coordinates(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
-    """Where the target cells lie, in cell coordinates of the source axis."""
+    """Positions of the target cells in cell coordinates of the source axis."""
     position = (np.arange(n_to) - (n_to - 1) / 2) * h_to
     return position / h_from + (n_from - 1) / 2
 
@@ -45,16 +45,17 @@ def linear_matrix(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndar
 
 
 def prefilter_matrix(n: int, h_from: float, h_to: float) -> np.ndarray:
-    """Gaussian that removes what a coarser grid cannot hold, shape (n, n); the field is 0 outside.
+    """Gaussian that removes what a coarser grid cannot represent, shape (n, n); the field is 0 outside.
 
-    Its variance is that of a target cell minus that of a source cell, (h_to² − h_from²)/12, so that together with the
-    source cells it matches an average over the target cell. A finer target needs none: the identity.
+    Its variance is the variance of a target cell minus the variance of a source cell, (h_to² − h_from²)/12, so that
+    together with the source cells it matches an average over the target cell. A finer target needs no filter: the
+    result is the identity.
     """
     variance = (h_to**2 - h_from**2) / 12 / h_from**2
     if variance <= 0:
         return np.eye(n)
     offset = np.arange(n)[:, None] - np.arange(n)[None, :]
-    # Normalised over the infinite line, so that what lies beyond the border counts as zeros.
+    # Normalised over the infinite line, so that values beyond the border count as zeros.
     reach = np.arange(-n, n + 1)
     return np.exp(-(offset**2) / (2 * variance)) / np.exp(-(reach**2) / (2 * variance)).sum()
 
@@ -67,9 +68,9 @@ def _apply(field: np.ndarray, matrices: list[np.ndarray]) -> np.ndarray:
 
 
 def resample_mask(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
-    """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear, clamped to ≥ 0.
+    """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear interpolation, clamped to ≥ 0.
 
-    The field reads 0 outside its grid, except along an axis of one cell, along which nothing varies. Cell sizes are in
+    The field is 0 outside its grid, except along an axis of one cell, along which nothing varies. Cell sizes are in
     full-resolution cells.
     """
     if tuple(field.shape) == tuple(shape) and h_from == h_to:
@@ -82,9 +83,9 @@ def resample_mask(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -
 
 
 def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
-    """Resample a density (D, H, W) to another octave, as a mask.
+    """Resample a density (D, H, W) to another octave, like a mask.
 
-    Smoke of one cell along an axis is as thick as a cell, so that it has to thin out where cells grow: images then keep
+    Smoke of one cell along an axis is one cell thick, so its density must decrease as cells grow: images then keep
     their brightness.
     """
     flat = sum(n == m == 1 for n, m in zip(field.shape, shape, strict=True))
@@ -94,8 +95,8 @@ def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float
 def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
     """Resample a potential (D, H, W) or (D, H, W, 3) to another octave with cubic interpolation.
 
-    Values outside the grid repeat the border. Potentials are stored in full-resolution cells² at every octave, so that
-    no factor is needed. Cell sizes are in full-resolution cells.
+    Values outside the grid repeat the border. Potentials are stored in full-resolution cells² at every octave, so no
+    scaling is needed. Cell sizes are in full-resolution cells.
     """
     if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
         return np.ascontiguousarray(field, np.float32)
@@ -104,16 +105,16 @@ def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: flo
 
 
 def resample_velocity(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
-    """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, by components.
+    """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, per component.
 
-    Values outside the grid repeat the border. Velocities are in full-resolution cells per frame at every octave, so
-    that no factor is needed. Cell sizes are in full-resolution cells.
+    Values outside the grid repeat the border. Velocities are in full-resolution cells per frame at every octave, so no
+    scaling is needed. Cell sizes are in full-resolution cells.
     """
     if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
         return np.ascontiguousarray(field, np.float32)
     matrices = []
     for n, m in zip(field.shape[:3], shape, strict=True):
         matrix = linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
-        # What the zeros outside would take off is given back: near the border, the average of what is inside.
+        # Normalised to compensate for the zeros outside: near the border, an average over the cells inside.
         matrices.append(matrix / matrix.sum(axis=1, keepdims=True))
     return _apply(field, matrices)

@@ -1,7 +1,7 @@
 """Trilinear interpolation and its transpose: the eight cells around a position, and their weights.
 
-`Trilinear` is for displacements from cell centres, measured in cells: their fractional part is exact in float32 however
-large the grid is. `ClampedStencil` is for positions anywhere.
+`Trilinear` takes displacements from cell centres, measured in cells: their fractional part is exact in float32 for a
+grid of any size. `ClampedStencil` takes arbitrary positions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Trilinear:
     """Trilinear interpolation at `cell + offset`: the eight surrounding cells and their weights.
 
     Args:
-        cells: cells that the offsets start from.
+        cells: the cells from whose centres the offsets start.
         offset: displacement in cells, components (x, y, z).
         outside: "zero" (cells outside the grid hold 0) or "edge" (they repeat the nearest cell).
     """
@@ -40,7 +40,7 @@ class Trilinear:
                 coordinates.append([dr.clip(i, 0, cells.size[axis] - 1) for i in pair])
                 inside.append([mi.Bool(True)] * 2)
             else:
-                # Negative coordinates are large without their sign.
+                # Reinterpreted as unsigned, negative coordinates are large.
                 coordinates.append(pair)
                 inside.append([mi.UInt32(i) < mi.UInt32(cells.size[axis]) for i in pair])
         self.corners = [
@@ -89,7 +89,7 @@ class Trilinear:
         return [dr.fma(fraction, upper - lower, lower) for lower, upper in pairs]
 
     def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
-        """Transpose of `value`: add each channel's weighted value to the eight cells; a value of 0 costs nothing."""
+        """Transpose of `value`: add each channel's weighted value to the eight cells; zeros cost nothing."""
         for corner, index, active in self.corners:
             weight = mi.Float(1)
             for axis, upper in enumerate(corner):
@@ -105,7 +105,7 @@ def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:
 
 
 def smaller(a: mi.Float, b: mi.Float | float) -> mi.Float:
-    """As `larger`."""
+    """The smaller of two numbers, as in `larger`."""
     return dr.select(a < b, a, b)
 
 
@@ -118,13 +118,13 @@ class ClampedStencil:
 
     Attributes:
         position: as given.
-        lower: of the eight cells around the position, the one of the lowest indices.
+        lower: the cell with the lowest indices among the eight around the position.
     """
 
     def __init__(self, shape: Shape, position: mi.Vector3f) -> None:
         d, h, w = shape
         self.position = position
-        # No axis may lead out of the grid; along one of a single cell, the two cells are the same.
+        # Stay inside the grid along every axis; along an axis of a single cell, both cells are the same.
         lower, fraction = [], []
         for x, n in zip(position, (w, h, d), strict=True):
             clamped = smaller(larger(x, 0), opaque(n - 1))

@@ -1,4 +1,4 @@
-"""Sums by scattering whose bits are the same in every run."""
+"""Scatter-add whose result is bit-identical in every run."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from tnst_mi.fields.kernels import opaque
 class RepeatableSum:
     """A scatter-add whose result does not depend on the order of the additions.
 
-    Floating-point atomics add in whatever order the threads arrive and give other bits in every run. Here each
+    Floating-point atomics add in the order in which threads arrive, so that the bits differ from run to run. Here each
     value is rounded to a multiple of a power of two and added as a 64-bit integer, which is exact. The unit is the
-    smallest one for which `count` additions of `bound` cannot overflow: no coarser than 2^-30 of the bound for up to
-    2^31 additions to a slot, so finer than float32 for all but the smallest addends.
+    smallest for which `count` additions of `bound` cannot overflow: no coarser than 2^-30 of the bound for up to 2^31
+    additions to a slot, hence finer than float32 for all but the smallest addends.
 
     Args:
         size: number of slots.
-        bound: no value added is larger than this in magnitude (a number on the device, width 1).
-        count: no slot receives more values than this.
+        bound: upper limit on the magnitude of any value added (a number on the device, width 1).
+        count: upper limit on the number of values added to a slot.
     """
 
     def __init__(self, size: int, bound: mi.Float, count: int) -> None:
@@ -39,10 +39,10 @@ class RepeatableSum:
         return mi.Float(self.total) * self.unit
 
     def at(self, index: mi.UInt32) -> mi.Float:
-        """The sums of some slots in float32."""
+        """The sums of the slots at `index` in float32."""
         return mi.Float(dr.gather(mi.Int64, self.total, index)) * self.unit
 
 
 def largest_magnitude(values: mi.Float) -> mi.Float:
-    """max |values| as a number that stays on the device."""
+    """max |values|, kept on the device."""
     return dr.max(dr.abs(values)) if dr.width(values) else mi.Float(0)

@@ -1,8 +1,8 @@
-"""Files in and out.
+"""Reading and writing files.
 
-`grids` and `pictures` have the formats. A frame is read and written by `formats`, whatever its format, with what the
-format leaves open (`conventions`, `orientation`, `staggered`) and the files beside it (`companions`); `sequence` is for
-files and folders of frames, and for everyone. `atomic` and `untrusted` are for all that writes and reads.
+`grids` and `pictures` implement the file formats. `formats` reads and writes one frame in any of them, with what the
+format leaves open (`conventions`, `orientation`, `staggered`) and the files beside it (`companions`). `sequence`, the
+usual entry point, handles files and folders of frames. Writers share `atomic`, readers `untrusted`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Frames of formats that hold one grid in a file (.vol and .uni): the others are in files beside it.
+"""Frames in formats with one grid per file (.vol and .uni): the other grids are in companion files beside it.
 
 The density of a frame is in `NAME_0012.uni`, its velocity in `NAME_velocity_0012.uni` (or `NAME_vel_0012.uni`), its
-obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`). Where the first name has the word `density` in it, as
-Blender's do, the other word takes its place: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. Words and endings
-may also be in capitals, or begin with one.
+obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`). If the density's name contains the word `density`,
+as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. Words may also be
+capitalised or in upper case, extensions in upper case.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ _COMPANION = re.compile(rf"(?<![A-Za-z])({'|'.join(VELOCITY + OBSTACLE)})(?![A-Z
 
 
 def companion(file: Path, word: str) -> Path:
-    """The file beside that of a density which holds the grid called `word`."""
+    """The companion of a density file that holds the grid called `word`."""
     before, after = _around_the_word(file.stem)
     return file.with_stem(f"{before}{word}{after}")
 
 
 def possible_companions(file: Path, words: tuple[str, ...] = VELOCITY + OBSTACLE) -> list[Path]:
-    """All names of files that are read as the companions of a density's called one of the words, best ones first."""
+    """All paths at which companions of a density file are looked for, for each of the words, in order of preference."""
     spellings = [spelling for word in words for spelling in (word, word.capitalize(), word.upper())]
     endings = dict.fromkeys((file.suffix, file.suffix.lower(), file.suffix.upper()))
     before, after = _around_the_word(file.stem)
@@ -32,15 +32,15 @@ def possible_companions(file: Path, words: tuple[str, ...] = VELOCITY + OBSTACLE
 
 
 def found_companion(file: Path, words: tuple[str, ...]) -> Path | None:
-    """The first of the companions called one of the words that exists, or None."""
+    """The first existing companion for any of the words, or None."""
     return next((path for path in possible_companions(file, words) if path.is_file()), None)
 
 
 def densities(files: list[Path]) -> list[Path]:
-    """Those of the files of a folder that hold densities.
+    """The files of a folder that hold densities.
 
-    They are those called so, or those with no word of a companion in their names; where all have one, as in a sequence
-    called "obstacle", those that are beside no other.
+    Of the files that are not companions of another, these are the ones with `density` in their names; failing that,
+    those without a companion word; failing that, as in a sequence called "obstacle", all of them.
     """
     beside = {path for file in files for path in possible_companions(file)}
     alone = [file for file in files if file not in beside]
@@ -49,7 +49,7 @@ def densities(files: list[Path]) -> list[Path]:
 
 
 def _around_the_word(stem: str) -> tuple[str, str]:
-    """What the names of a density's companions have before and after the word."""
+    """The parts of a companion's name before and after the word."""
     match = _DENSITY.search(stem)
     if match:
         return stem[: match.start()], stem[match.end() :]

@@ -1,4 +1,4 @@
-"""What files leave open: which axis is up, in what unit velocities are, how long a frame lasts, how large a cell is."""
+"""What files leave open: the up axis, the unit of the velocities, the duration of a frame, the size of a cell."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from tnst_mi.frame import Frame, Placement
 from tnst_mi.io.orientation import from_z_up, mirrored
 from tnst_mi.io.staggered import centred_velocity
 
-#: Velocities in files: cells per frame; cells, or units of length of the scene, per unit of time.
+#: Units of velocities in files: cells per frame; cells, or scene units of length, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"
 VELOCITY_UNITS = (CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME)
 
-#: Time units per frame where neither file nor user tell: of Mantaflow in Blender at 25 frames per second; seconds.
+#: Default time units per frame: Mantaflow's in Blender at 25 frames per second; seconds.
 MANTAFLOW_TIME_STEP, SECONDS_PER_FRAME = 0.1, 1.0 / 24.0
 
 
 @dataclass(frozen=True)
 class Conventions:
-    """What the user says of files, in place of what they say or what their format implies; None leaves it to them.
+    """The user's overrides for what files declare or their format implies; None overrides nothing.
 
     Attributes:
         up: the axis that points up, "y" or "z".
-        flip: our axes to be mirrored, any of "x", "y" and "z".
+        flip: our axes to mirror, any of "x", "y" and "z".
         velocity_units: one of VELOCITY_UNITS.
         dt: duration of a frame, in the unit of time of the velocities.
         voxel_size: edge of a cell, in the unit of length of the scene.
@@ -40,7 +40,7 @@ class Conventions:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredFrame:
-    """The arrays of a frame as its file holds them, and what it says of them.
+    """The arrays of a frame as stored in its file, and the conventions that the file declares.
 
     Attributes:
         density: (D, H, W) in the axes of the file, or None.
@@ -48,13 +48,13 @@ class StoredFrame:
         obstacle: (D, H, W), or None.
         staggered: whether component c of the velocity lies on the lower face of each cell along axis c.
         known: (D, H, W) bool, the cells whose velocities are stored; None for all.
-        up: the axis that points up in the file.
-        scene_up: the one of the scene that the grid is put into, of formats that know no scene; else None.
+        up: the up axis of the file.
+        scene_up: the up axis of the scene that the grid is placed in, for formats without a scene; else None.
         velocity_units: one of VELOCITY_UNITS.
-        dt: duration of a frame in the velocity's unit of time; None where the unit has none.
-        voxel_size: edge of a cell in the scene, or None if the file does not tell.
+        dt: duration of a frame in the velocity's unit of time; None for cells per frame.
+        voxel_size: edge of a cell in the scene, or None if the file does not give it.
         corner: lowest corner of the grid in the scene.
-        lacking: what to say where there is no density.
+        lacking: the error message if there is no density.
     """
 
     density: np.ndarray | None
@@ -74,7 +74,7 @@ class StoredFrame:
         """The frame in our axes and units.
 
         Raises:
-            InputError: there is no density, an array cannot be used, or the size of a cell is needed and not known.
+            InputError: there is no density, an array cannot be used, or the size of a cell is needed but unknown.
         """
         if self.density is None:
             raise InputError(self.lacking)
@@ -83,10 +83,10 @@ class StoredFrame:
         return Frame(density, self.centred_velocity(given), obstacle, name, number, self._placement(given))
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
-        """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None where there is none.
+        """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None if there is none.
 
         Raises:
-            InputError: it has another shape, or the size of a cell is needed and not known, or a duration is given
+            InputError: it has another shape, or the size of a cell is needed but unknown, or a frame duration is given
                 that its unit does not need.
         """
         if self.velocity is None:
@@ -95,7 +95,7 @@ class StoredFrame:
             expected = "(D, H, W, 3)" if self.density is None else (*self.density.shape, 3)
             raise InputError(f"velocity has shape {self.velocity.shape}, expected {expected}")
         factor = self._cells_per_frame(given)
-        # The frame refuses what is or gets infinite or NaN here.
+        # Frame rejects values that are or become infinite or NaN here.
         with np.errstate(over="ignore", invalid="ignore"):
             centres = centred_velocity(self.velocity, self.known) if self.staggered else self.velocity
             return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
@@ -111,14 +111,14 @@ class StoredFrame:
         return ", ".join([*words, *([] if size is None else [f"voxel size {size:g}"])])
 
     def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
-        if array.ndim < 3:  # of another shape: the frame tells
+        if array.ndim < 3:  # wrong shape: Frame reports it
             return array
         if (given.up or self.up) == "z":
             array = from_z_up(array)
         return mirrored(array, given.flip) if given.flip else array
 
     def _units(self, given: Conventions) -> tuple[str, float | None]:
-        """The unit of the velocity, and the duration of a frame in its unit of time, where it has one."""
+        """The unit of the velocity, and the duration of a frame in its unit of time if it has one, else None."""
         units = given.velocity_units or self.velocity_units
         if units == CELLS_PER_FRAME:
             if given.dt is not None:
@@ -131,7 +131,7 @@ class StoredFrame:
         return units, MANTAFLOW_TIME_STEP if units == CELLS_PER_TIME else SECONDS_PER_FRAME
 
     def _cells_per_frame(self, given: Conventions) -> float:
-        """What the stored velocity is to be multiplied with."""
+        """The factor from the stored velocity to cells per frame."""
         units, dt = self._units(given)
         if dt is None:
             return 1.0

@@ -1,6 +1,6 @@
-"""One frame in a file of each format: npz, Mitsuba's .vol, Mantaflow's .uni, OpenVDB's .vdb.
+"""Read and write one frame in each format: npz, Mitsuba's .vol, Mantaflow's .uni, OpenVDB's .vdb.
 
-Only npz and .vdb hold whole frames; .vol and .uni have further files beside that of the density
+Only npz and .vdb files hold whole frames; .vol and .uni have companion files beside the density
 (`tnst_mi.io.companions`). All are written with velocities at the cell centres in cells per frame.
 """
 
@@ -34,23 +34,23 @@ from tnst_mi.io.grids.vdb.frames import box_of_all, describe_vdb, read_vdb_frame
 from tnst_mi.io.grids.vol import read_vol, read_vol_shape, write_vol
 from tnst_mi.io.orientation import to_z_up
 
-#: File name endings of the formats that can be read and written.
+#: File extensions of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
 
-#: Formats with one grid in a file.
+#: Formats with one grid per file.
 GRID_FORMATS = (".vol", ".uni")
 
 #: Time units per frame in the authors' data.
 AUTHORS_TIME_STEP = 0.5
 
-# Our .uni files say so, in the place for what wrote them.
+# Our .uni files declare their conventions in the build information.
 _OURS, _Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
 
 _VECTORS = "holds vectors, expected a density"
 
 
 def require_format(path: Path) -> str:
-    """The ending of a path, lower-case.
+    """The extension of a path, in lower case.
 
     Raises:
         InputError: it is not one of FORMATS.
@@ -62,7 +62,7 @@ def require_format(path: Path) -> str:
 
 
 def sequence_context(files: Sequence[Path]) -> Any:
-    """What reading any frame of a sequence takes of all its files: the box of voxels of .vdb files, else None.
+    """What reading one frame of a sequence needs from all its files: the voxel box of .vdb files, else None.
 
     Raises:
         InputError: the files cannot be used.
@@ -75,9 +75,8 @@ def read_stored(file: Path, velocities: Path | None = None, context: Any = None)
 
     Args:
         file: the file of its density.
-        velocities: in the layout of the paper's authors the folder of the velocities, which are in npz files of the
-            same names.
-        context: of `sequence_context`; None for a file by itself.
+        velocities: in the layout of the paper's authors, the folder of the velocities, in npz files of the same names.
+        context: the result of `sequence_context`; None for a single file.
 
     Raises:
         InputError: a file cannot be used.
@@ -105,16 +104,16 @@ def write_frame(
     obstacle: np.ndarray | None = None,
     placement: Placement | None = None,
 ) -> None:
-    """Write the grids of a frame, or a velocity by itself; the format goes by the ending of the path.
+    """Write the grids of a frame, or a velocity alone; the extension of the path selects the format.
 
-    A frame in several files replaces all of an earlier one's, and that of its density is there only once it is whole.
+    A frame in several files replaces all files of an earlier one; its density file exists only once it is complete.
 
     Args:
         path: the file.
         density: (D, H, W), or None.
         velocity: (D, H, W, 3), cells per frame, or None.
         obstacle: (D, H, W), or None.
-        placement: where the grid came from; only .vdb files tell it, and .uni files which axis was up.
+        placement: where the grid came from; only .vdb files store it, and .uni files which axis was up.
 
     Raises:
         InputError: the format is unknown.
@@ -133,7 +132,7 @@ def write_frame(
 
 
 def describe(file: Path) -> list[str]:
-    """What arrays or grids are in a file, and beside it, a line each.
+    """The arrays or grids in a file and its companions, one line each.
 
     Raises:
         InputError: a file cannot be used.
@@ -217,12 +216,12 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
 
 
 def _write_grids(write: Callable[[Path, np.ndarray], None], path: Path, grids: dict[str, np.ndarray]) -> None:
-    """Write a file for each grid of a frame; a velocity by itself takes the place of the density."""
+    """Write one file per grid of a frame; a velocity alone takes the density's file name."""
     main = "density" if "density" in grids else "velocity"
     beside = {companions.companion(path, name): array for name, array in grids.items() if name != main}
     stale = [file for file in companions.possible_companions(path) if file not in beside and file.is_file()]
     if beside or stale:
-        # No reader may find a density with the companions of another one, wherever this is cut off.
+        # Removed first: an interruption at any point must not leave a density beside the companions of another frame.
         path.unlink(missing_ok=True)
     for file in stale:
         file.unlink(missing_ok=True)

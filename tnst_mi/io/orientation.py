@@ -1,7 +1,7 @@
-"""Between the axes of programs: which way is up, and mirror images.
+"""Conversion between the axes of programs: up axis and mirroring.
 
-Ours is y up with arrays (z, y, x). Blender is z up: x = X, y = Z, z = −Y, a rotation, so that what is right-handed
-stays so. Arrays of a z-up program are (Z, Y, X) with components (X, Y, Z).
+Ours is y up with arrays (z, y, x). Blender is z up: x = X, y = Z, z = −Y, a rotation, so handedness is preserved.
+Arrays of a z-up program are (Z, Y, X) with components (X, Y, Z).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def to_z_up(array: np.ndarray) -> np.ndarray:
 
 
 def mirrored(array: np.ndarray, axes: str) -> np.ndarray:
-    """Mirror a grid (D, H, W) or (D, H, W, 3) along some of the axes "x", "y" and "z", vectors with it."""
+    """Mirror a grid (D, H, W) or (D, H, W, 3) along any of the axes "x", "y" and "z", vector components included."""
     for component, letter in enumerate("xyz"):
         if letter in axes:
             array = np.flip(array, 2 - component)

@@ -1,8 +1,8 @@
 """Frames on disk: single files, numbered folders, and the layout of the paper's authors.
 
 An npz file holds `density` (D, H, W) and may hold `velocity` (D, H, W, 3) in cells per frame and `obstacle`
-(D, H, W); docs/formats.md tells of the other formats. The authors' files hold one array `x` each: densities in a
-folder `d`, velocities in a folder `v` beside it. Theirs are on the faces of the cells (MAC), in cells per time unit,
+(D, H, W); docs/formats.md describes the other formats. The authors' files hold one array `x` each: densities in a
+folder `d`, velocities in a folder `v` beside it. Their velocities are on the cell faces (MAC), in cells per time unit,
 with 0.5 time units per frame: reading averages the two faces of each cell (the last cell has only one) and multiplies
 by 0.5.
 """
@@ -40,13 +40,13 @@ class FrameFiles(Sequence[Frame]):
         given: Conventions | None = None,
         context: Callable[[], Any] = lambda: None,
     ) -> None:
-        """Take the files of the frames, and how to read them.
+        """Set the files of the frames, and how to read them.
 
         Args:
-            files: those of the densities.
+            files: the density files.
             velocities: in the authors' layout, the folder of the velocities.
-            given: what the user says of the files.
-            context: gives what reading one frame takes of all, see `tnst_mi.io.formats.sequence_context`.
+            given: the user's overrides, see `tnst_mi.io.conventions.Conventions`.
+            context: returns what reading one frame needs from all files, see `tnst_mi.io.formats.sequence_context`.
         """
         self.files = files
         self._velocities, self._given, self._context = velocities, given or Conventions(), context
@@ -67,7 +67,7 @@ class FrameFiles(Sequence[Frame]):
 
     @property
     def suffix(self) -> str:
-        """The ending of the files' names, which tells their format."""
+        """The extension of the files, which identifies their format."""
         return self.files[0].suffix.lower()
 
     def sources(self, index: int) -> list[Path]:
@@ -84,7 +84,7 @@ class FrameFiles(Sequence[Frame]):
         return read_stored(self.files[index], self._velocities, self._context())
 
     def frame_of(self, index: int, stored: StoredFrame) -> Frame:
-        """The frame of what has been read with `stored`.
+        """The frame made from what `stored` has read.
 
         Raises:
             InputError: it has no density, or its arrays cannot be used.
@@ -102,15 +102,15 @@ def open_frames(
     """List the frames of a file, a folder or the authors' layout (a folder with `d`) without reading them.
 
     The frames of a folder are the files whose names end in a number, in the order of the numbers; other files
-    are left alone. A folder with one file needs no number.
+    are ignored. A folder with one file needs no number.
 
     Args:
         path: the file or folder.
         numbers: the first and the last frame to take, both included; None takes all.
-        given: what the user says of the files, in place of what they say or their format implies.
+        given: the user's overrides for what the files declare or their format implies.
 
     Raises:
-        InputError: nothing is there, the format is unknown, or numbers are missing or double.
+        InputError: nothing is there, the format is unknown, or numbers are missing or duplicated.
     """
     path = Path(path)
     if path.is_dir():
@@ -119,7 +119,7 @@ def open_frames(
         files = _frame_files(folder)
         chosen = _selected(files, numbers)
         _require_complete(folder, chosen)
-        # Whichever frames are taken, they are read alike.
+        # From all files, so that a frame is read the same whichever frames are selected.
         context = functools.cache(lambda: sequence_context(files))
         return FrameFiles(chosen, path / "v" if authors else None, given, context)
     if not path.exists():
@@ -141,8 +141,8 @@ def load_frames(path: str | Path) -> list[Frame]:
         One `Frame` for each: densities (D, H, W), velocities (D, H, W, 3) in cells per frame, at the cell centres.
 
     Raises:
-        InputError: nothing is there, the format is unknown, numbers are missing or double, a file cannot be used, or
-            the frames differ in shape.
+        InputError: nothing is there, the format is unknown, numbers are missing or duplicated, a file cannot be used,
+            or the frames differ in shape.
 
     Example:
         >>> import tempfile
@@ -159,7 +159,7 @@ def load_frames(path: str | Path) -> list[Frame]:
 
 
 def checked_shapes(frames: Iterable[Frame]) -> Iterable[Frame]:
-    """Pass frames on as long as all have the same shape."""
+    """Yield the frames, checking that all have the same shape."""
     shape = None
     for frame in frames:
         shape = shape or frame.density.shape
@@ -171,18 +171,18 @@ def checked_shapes(frames: Iterable[Frame]) -> Iterable[Frame]:
 
 
 def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str = "npz") -> None:
-    """Write one frame to a file, or any number to a folder by their names.
+    """Write one frame to a file, or any number to a folder, in files named after them.
 
-    The path is that of a file if it ends like one (.npz, .vol, .uni, .vdb) and is no folder. One frame by itself also
-    takes any other extension for that of a file, and refuses it as unknown.
+    The path is taken as a file if it has a known extension (.npz, .vol, .uni, .vdb) and is not an existing folder. For
+    a single `Frame`, any other extension also denotes a file, and is rejected as unknown.
 
     Args:
         path: the file or folder.
         frames: what to write.
-        format: of the files in a folder: npz, vol, uni or vdb.
+        format: format of the files in a folder: npz, vol, uni or vdb.
 
     Raises:
-        InputError: the format is unknown, several frames are to go into one file, or they are no frames.
+        InputError: the format is unknown, several frames are given for one file, or they are not frames.
 
     Example:
         >>> import os
@@ -211,7 +211,7 @@ def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str =
 
 
 def save_frame(path: Path, frame: Frame) -> None:
-    """Write one frame; the format goes by the ending of the path.
+    """Write one frame; the extension of the path selects the format.
 
     Raises:
         InputError: the format is unknown.
@@ -225,12 +225,12 @@ def _number(file: Path) -> int | None:
 
 
 def _numbers(files: list[Path]) -> list[int]:
-    """The numbers of those of the files that have one."""
+    """The numbers of the files that have one."""
     return [number for file in files if (number := _number(file)) is not None]
 
 
 def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
-    """Those of the files, in the order of their numbers, that are numbered from the first to the last."""
+    """The files, sorted by number, whose numbers lie between the given first and last."""
     if numbers is None:
         return files
     wanted = "frames = '{}:{}'".format(*numbers)
@@ -246,7 +246,7 @@ def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
 
 def _frame_files(folder: Path) -> list[Path]:
     """The files of a folder that are frames, in the order of their numbers."""
-    # Hidden files are none of ours, or what a killed run was writing.
+    # Hidden files are not ours, or were left unfinished by a killed run.
     visible = (file for file in folder.iterdir() if not file.name.startswith("."))
     files = sorted(file for file in visible if file.suffix.lower() in FORMATS and file.is_file())
     for suffix in GRID_FORMATS:
@@ -264,7 +264,7 @@ def _frame_files(folder: Path) -> list[Path]:
 
 
 def _require_complete(folder: Path, files: list[Path]) -> None:
-    """Check that numbered files are one frame each, and that none is missing between them."""
+    """Check that no frame number is repeated and none is missing in between."""
     if len(files) == 1:
         return
     numbers = _numbers(files)

@@ -1,4 +1,4 @@
-"""Velocities on the faces of cells (marker-and-cell, MAC) brought to the cell centres."""
+"""Staggered (marker-and-cell, MAC) velocities, averaged from the cell faces to the cell centres."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 
 def centred_velocity(faces: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-    """Average a velocity on cell faces (component c at the lower face along its axis) to the cell centres.
+    """Average a staggered velocity (component c on the lower face along its axis) to the cell centres.
 
-    (D, H, W, 3) to the same shape. The last cell's upper face is not stored: it takes the lower one's value.
+    Both are (D, H, W, 3). The last cell's upper face is not stored: it takes the value of the lower one.
 
     Args:
         faces: velocities on the faces.
         known: (D, H, W) bool, the cells whose lower faces the file stores; None for all. A cell with one known face
-            takes its value, one with none is 0.
+            takes its value; a cell with none is 0.
     """
     centres = faces.astype(np.float32)
     for component, axis in enumerate((2, 1, 0)):

@@ -1,4 +1,4 @@
-"""Reading files that may be missing or damaged, or that claim more than they hold."""
+"""Reading files that may be missing or damaged, or that claim more data than they hold."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 
-#: Longest edge of a grid that is believed, in cells.
+#: Longest plausible edge of a grid, in cells.
 LARGEST_EXTENT = 1 << 14
 
-#: No array may be larger, in bytes.
+#: Largest array that is read, in bytes.
 LARGEST_ARRAY = 1 << 34
 
-#: Deflate shrinks data by at most this factor: what claims more lies about its size.
+#: Deflate compresses by at most this factor: a claim beyond it is false.
 LARGEST_RATIO = 1032
 
 _CHUNK = 1 << 24
@@ -25,15 +25,15 @@ _CHUNK = 1 << 24
 
 @contextmanager
 def opening(path: Path, kind: str, damage: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """Turn what goes wrong while a file is opened and read into one line that names it.
+    """Turn errors in opening and reading a file into one line that names the file.
 
     Args:
         path: the file.
-        kind: what was expected, with its article.
-        damage: exceptions by which readers tell that it is something else, truncated or damaged.
+        kind: what was expected, with its article, such as "an npz file".
+        damage: exceptions by which readers report a file of another kind, truncated or damaged.
 
     Raises:
-        InputError: the path is a folder, the file is missing, must not be read, or is damaged.
+        InputError: the path is a folder, or the file is missing, damaged, or lacks read permission.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected {kind}")
@@ -51,10 +51,10 @@ def opening(path: Path, kind: str, damage: tuple[type[Exception], ...] = ()) -> 
 
 
 def read_numbers(stream: BufferedIOBase, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
-    """Read numbers, which come into memory only as data really come out of the stream.
+    """Read numbers, touching memory only as data actually arrive from the stream.
 
     Returns:
-        The numbers (count), and how many bytes of them there were: less than all where the stream ends before.
+        The numbers (count), and how many bytes of them were read: fewer than all if the stream ends early.
     """
     numbers = np.empty(count, dtype)
     buffer = numbers.view(np.uint8).data

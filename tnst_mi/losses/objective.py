@@ -1,6 +1,6 @@
 """Weighted sums of loss terms on GoogLeNet features: adding, scaling, and evaluating them.
 
-The terms themselves are in `losses`. Every term is summed over the views of a batch; lower is better.
+The terms themselves are in `tnst_mi.losses.terms`. Every term is summed over the views of a batch; lower is better.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.network.googlenet import GoogLeNet
 
-#: A term whose gradient is smaller is not amplified beyond this: it is zero but for rounding.
+#: Lower bound of a scale, so that a gradient that is zero up to rounding is not amplified.
 SMALLEST_SCALE = 1e-12
 
-#: Bytes of feature maps that a GPU keeps at once, unless those of one view are more. On an H100, nine views of the
-#: paper's 200×300 pixels (2.1 GB) take 20 ms at once and 47 in threes: cuDNN's choices for small batches are worse,
-#: and take more memory for themselves (docs/gpu.md).
+#: Limit in bytes of the feature maps that a GPU holds at once; a single view may exceed it. On an H100, nine views of
+#: the paper's 200×300 pixels (2.1 GB) take 20 ms in one batch and 47 ms in batches of three: for small batches cuDNN
+#: chooses slower algorithms, which also need more memory of their own (docs/gpu.md).
 LARGEST_BATCH = 1 << 32
 
 Features = Mapping[str, Tensor]
 
 
 class BoundTerm(NamedTuple):
-    """A term with its targets: the layers it looks at, and its value, a scalar summed over the views."""
+    """A term with its targets: the layers it reads, and its loss, a scalar summed over the views."""
 
     layers: tuple[str, ...]
     loss: Callable[[Features], Tensor]
@@ -41,7 +41,7 @@ class Objective:
     """A weighted sum of terms. `a + b`, `2 * a` and `-a` make new objectives."""
 
     def __init__(self, weighted_terms: Iterable[tuple[float, Term]]) -> None:
-        """Sum these (weight, term) pairs; raises `InputError` where there are none."""
+        """Sum these (weight, term) pairs; raises `InputError` if there are none."""
         self._weighted_terms = tuple(weighted_terms)
         if not self._weighted_terms:
             raise InputError("objective: there is no term; give a style, semantic, tag or content target")
@@ -52,7 +52,7 @@ class Objective:
         return self._weighted_terms
 
     def __add__(self, other: Objective) -> Objective:
-        """Both sums in one."""
+        """The sum of both objectives."""
         if not isinstance(other, Objective):
             return NotImplemented
         return Objective(self.weighted_terms + other.weighted_terms)
@@ -66,12 +66,12 @@ class Objective:
     __rmul__ = __mul__
 
     def __neg__(self) -> Objective:
-        """The opposite aim."""
+        """The objective with its sign reversed."""
         return -1.0 * self
 
     @property
     def names(self) -> list[str]:
-        """A readable name of each term; the second and later of equal ones are numbered."""
+        """A readable name of each term; repeated names are numbered from the second on."""
         seen: Counter[str] = Counter()
         names = []
         for _, term in self.weighted_terms:
@@ -83,7 +83,7 @@ class Objective:
         """Compute the targets for images of height x width pixels, without gradients.
 
         Raises:
-            InputError: A layer, channel or class tag that the network lacks.
+            InputError: A term names a layer, channel or class tag that the network lacks.
         """
         with torch.no_grad():
             terms = [term.bind_term(net, height, width) for _, term in self.weighted_terms]
@@ -92,16 +92,16 @@ class Objective:
 
 
 class Term(Objective):
-    """One loss; by itself it is the objective of weight 1."""
+    """A single loss, which is also an objective: itself with weight 1."""
 
     @property
     def weighted_terms(self) -> tuple[tuple[float, Term], ...]:
-        """Itself, with weight 1."""
+        """The term itself, with weight 1."""
         return ((1.0, self),)
 
     @property
     def name(self) -> str:
-        """What logs call it."""
+        """The name that logs show."""
         raise NotImplementedError
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
@@ -112,11 +112,11 @@ class Term(Objective):
 class BoundObjective:
     """An objective with its targets for one image size: Σ_i weight_i L_i / scale_i.
 
-    It does not change: `scaled` and `weighed` make others, which share the network and the targets.
+    Immutable: `scaled` and `weighed` return new objectives, which share the network and the targets.
 
     Attributes:
         names: One per term, unique.
-        scales: By name: what each term is divided by, 1 as it comes. Plain floats, fit for a checkpoint.
+        scales: The divisor of each term by name, initially 1. Plain floats, so that a checkpoint can hold them.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class BoundObjective:
         weights: Sequence[float],
         terms: Sequence[BoundTerm],
     ) -> None:
-        """Made by `Objective.bind`."""
+        """Called by `Objective.bind`."""
         self.names = list(names)
         self.scales = dict.fromkeys(names, 1.0)
         self._net = net
@@ -140,12 +140,12 @@ class BoundObjective:
         """Return Σ_i weight_i L_i / scale_i, a scalar that is differentiable with respect to the images.
 
         Args:
-            images: (N, H, W) grey views in about [0, 1], of the size that the objective was bound to.
+            images: (N, H, W) grey views in about [0, 1], of the size that the objective is bound to.
         """
         return self.evaluate(images)[0]
 
     def evaluate(self, images: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """As a call, with the raw values L_i by name, scalar tensors without gradient."""
+        """Like a call, but also return the raw values L_i by name, scalar tensors without gradient."""
         if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
             raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         if torch.is_grad_enabled() and images.requires_grad:
@@ -154,7 +154,7 @@ class BoundObjective:
         return self._forward(images)
 
     def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, dict[str, Tensor]]:
-        """The weighted sum and the raw values of the terms; where `gradient` is given, the derivative goes there."""
+        """The weighted sum and the raw values of the terms; if `gradient` is given, the derivative is written to it."""
         totals: dict[str, Tensor] = {}
         for part in self._parts(images):
             losses, views = self._losses(images[part], gradient is not None)
@@ -167,11 +167,11 @@ class BoundObjective:
         return self._sum(totals), totals
 
     def _parts(self, images: Tensor) -> Iterator[slice]:
-        """Which views the network sees at once.
+        """Slices of the views that go through the network together.
 
-        On a CPU one by one: the feature maps of one fit its caches better, and take up no more memory than they must.
-        On a GPU in equal parts whose feature maps stay below `LARGEST_BATCH`, which depends on nothing but the images
-        and the network: the same views give the same bits.
+        On a CPU, one view at a time: the feature maps of a single view fit the caches better and keep memory use
+        minimal. On a GPU, the fewest equal parts whose feature maps stay below `LARGEST_BATCH`. This split depends only
+        on the images and the network, so the same views give the same bits.
         """
         on_cpu = images.device.type == "cpu"
         at_once = 1 if on_cpu else views_at_once(len(images), self.saved_bytes)
@@ -179,7 +179,7 @@ class BoundObjective:
 
     @cached_property
     def saved_bytes(self) -> int:
-        """Bytes that autograd keeps of the evaluation of one view, until its derivative is found."""
+        """Bytes that autograd saves for the backward pass of one view."""
         blocks: dict[int, int] = {}
 
         def record(tensor: Tensor) -> Tensor:
@@ -200,13 +200,13 @@ class BoundObjective:
         return torch.stack([(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]).sum()
 
     def weighed(self, weights: Sequence[float]) -> BoundObjective:
-        """The same with other weights, in the order of `names`."""
+        """A copy with other weights, in the order of `names`."""
         other = copy.copy(self)
         other._weights = dict(zip(self.names, weights, strict=True))
         return other
 
     def scaled(self, scales: Mapping[str, float]) -> BoundObjective:
-        """The same with the scales of a checkpoint or of `rms_scales`; raises `InputError` if for other terms."""
+        """A copy with scales from a checkpoint or from `rms_scales`; raises `InputError` if their terms differ."""
         if set(scales) != set(self.names):
             raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.names)}")
         other = copy.copy(self)
@@ -214,7 +214,7 @@ class BoundObjective:
         return other
 
     def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
-        """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and their number."""
+        """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and the number of pixels."""
         sums = dict.fromkeys(self.names, 0.0)
         for part in self._parts(images):
             losses, views = self._losses(images[part], True)
@@ -224,11 +224,11 @@ class BoundObjective:
         return {name: (square_sum, images.numel()) for name, square_sum in sums.items()}
 
     def calibrated(self, images: Tensor) -> BoundObjective:
-        """The same with every scale the RMS of its term's image gradient over this one batch."""
+        """A copy in which each scale is the RMS of its term's image gradient over this batch."""
         return self.scaled(rms_scales([self.gradient_square_sum(images)]))
 
     def _losses(self, images: Tensor, differentiable: bool) -> tuple[dict[str, Tensor], Tensor]:
-        """The terms by name, and the images that they can be differentiated with respect to."""
+        """The values of the terms by name, and the leaf tensor of images to differentiate them with respect to."""
         images = images.detach().requires_grad_(differentiable)
         with torch.set_grad_enabled(differentiable):
             features = self._net(as_rgb(images), layers=self._layers)
@@ -236,7 +236,7 @@ class BoundObjective:
 
 
 class _ViewByView(torch.autograd.Function):
-    """A bound objective whose derivative is found together with its value, so that no view's features are kept."""
+    """A bound objective that computes its derivative along with its value, so that no view's features are kept."""
 
     @staticmethod
     def forward(ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor]) -> Tensor:
@@ -253,13 +253,13 @@ class _ViewByView(torch.autograd.Function):
 
 
 def views_at_once(count: int, saved_bytes: float) -> int:
-    """How many of `count` views a network on a GPU sees at once: the fewest equal parts below `LARGEST_BATCH`."""
+    """Batch size for `count` views on a GPU: the fewest equal parts that stay below `LARGEST_BATCH`."""
     fitting = max(1, int(LARGEST_BATCH // saved_bytes))
     return math.ceil(count / math.ceil(count / fitting))
 
 
 def rms_scales(sums: Iterable[Mapping[str, tuple[float, int]]]) -> dict[str, float]:
-    """Pool what `gradient_square_sum` gave, e.g. for all frames: RMS by name, at least `SMALLEST_SCALE`."""
+    """Pool results of `gradient_square_sum`, e.g. of all frames: RMS by name, at least `SMALLEST_SCALE`."""
     squares: defaultdict[str, float] = defaultdict(float)
     counts: Counter[str] = Counter()
     for batch in sums:

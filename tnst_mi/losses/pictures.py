@@ -11,7 +11,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tnst_mi.errors import InputError
 
-# Only formats that Pillow decodes by itself: others, such as EPS, would start external programs.
+# Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
 PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
 SIXTEEN_BIT_MODES = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 
@@ -21,7 +21,7 @@ class GreyImage:
     """A grey picture with an optional mask.
 
     Attributes:
-        name: What logs and errors call it, e.g. the file's name.
+        name: The name in logs and errors, e.g. the file name.
         grey: (H, W) float32 in [0, 1], row 0 at the top.
         alpha: (H, W) float32 in [0, 1], 1 where the picture counts; None means everywhere.
     """
@@ -31,17 +31,17 @@ class GreyImage:
     alpha: np.ndarray | None = None
 
     def fitted(self, height: int, width: int) -> GreyImage:
-        """Return the centred part with the aspect width:height, resized to (height, width)."""
+        """Return the largest centred crop of aspect width:height, resized to (height, width)."""
         box = centred_box(self.grey.shape, height, width)
         alpha = None if self.alpha is None else resized(self.alpha, height, width, box)
         return GreyImage(self.name, resized(self.grey, height, width, box), alpha)
 
 
 def read_image(path: str | Path) -> GreyImage:
-    """Read a picture as grey: the mean of its three 8-bit channels / 255; an alpha channel is kept apart.
+    """Read a picture as grey: the mean of its three 8-bit channels / 255; an alpha channel is kept separately.
 
-    Palettes, one-bit, grey, colour and CMYK pictures are taken by way of 8-bit RGB, 16-bit grey ones are
-    divided by 65535; EXIF orientation is applied; of an animation the first frame is read.
+    Palette, one-bit, grey, colour and CMYK pictures are converted to 8-bit RGB, 16-bit grey ones are divided by 65535.
+    EXIF orientation is applied; only the first frame of an animation is read.
 
     Raises:
         InputError: The file is missing, unreadable, has more pixels than Pillow's limit
@@ -65,7 +65,7 @@ def read_image(path: str | Path) -> GreyImage:
 
 
 def centred_box(shape: tuple[int, int], height: int, width: int) -> tuple[float, float, float, float]:
-    """Return (left, top, right, bottom) in pixels of the largest centred part of aspect width:height."""
+    """Return (left, top, right, bottom) in pixels of the largest centred crop of aspect width:height."""
     rows, columns = shape
     box_width = min(columns, rows * width / height)
     box_height = min(rows, columns * height / width)
@@ -86,7 +86,7 @@ def resized(
 
 
 def _decode(path: Path) -> tuple[np.ndarray, np.float32]:
-    """Return the pixels as stored, (H, W), (H, W, 3) or (H, W, 4), and the value that means 1."""
+    """Return the pixels as stored, (H, W), (H, W, 3) or (H, W, 4), and their full-scale value, which maps to 1."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)

@@ -1,4 +1,4 @@
-"""What a picture of the smoke should look like: loss terms on GoogLeNet features.
+"""Loss terms on the GoogLeNet features of images of the smoke.
 
     objective = Style("fire.png", {"conv2/3x3": 1.0}) + 0.5 * Semantic("inception_4b/pool_proj", (16,))
     bound = objective.bind(net, height, width)      # once per octave: computes the targets
@@ -26,9 +26,9 @@ from tnst_mi.network.googlenet import GoogLeNet
 
 @dataclass(frozen=True, eq=False)
 class Semantic(Term):
-    """Make channels of a layer fire: L = -mean F_c + damping · mean |F_k| over the other channels k.
+    """Activate channels of a layer: L = -mean F_c + damping · mean |F_k| over the other channels k.
 
-    The authors' program maximises the mean in this way; the paper's Eq. 5 is `Match`.
+    This is how the authors' program maximises the mean; the paper's Eq. 5 is `Match`.
     """
 
     layer: str
@@ -61,7 +61,7 @@ class Semantic(Term):
 
 @dataclass(frozen=True, eq=False)
 class ClassTag(Term):
-    """Make the picture be taken for a class, such as "volcano": L = -logit."""
+    """Make the network recognise a class, such as "volcano": L = -logit."""
 
     tag: str
 
@@ -71,7 +71,7 @@ class ClassTag(Term):
         return f"tag {self.tag}"
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Look the tag up."""
+        """Look up the tag."""
         return Semantic("logits", (net.class_index(self.tag),)).bind_term(net, height, width)
 
 
@@ -88,7 +88,7 @@ class Match(Term):
         return f"match {self.layer}"
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Move the map to the network; raises `InputError`, when evaluated, where it does not broadcast."""
+        """Move the map to the network's device; evaluating the loss raises `InputError` if it does not broadcast."""
         target = torch.as_tensor(np.asarray(self.target_map)).to(_parameter(net))
         return _match(net.resolve(self.layer), target)
 
@@ -97,8 +97,7 @@ class Match(Term):
 class Content(Term):
     """Match the features of a picture: L = mean (F - F_picture)² (paper Eq. 5).
 
-    The picture, a path or a `GreyImage`, is greyed, cropped and resized like that of `Style`; its alpha is
-    not used.
+    The picture, a path or a `GreyImage`, is converted to grey, cropped and resized as in `Style`; its alpha is ignored.
     """
 
     image: str | Path | GreyImage
@@ -106,7 +105,7 @@ class Content(Term):
     picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the picture now; raises `InputError` where it cannot be used."""
+        """Read the picture immediately; raises `InputError` if it cannot be used."""
         object.__setattr__(self, "picture", _grey_image(self.image))
 
     @property
@@ -124,10 +123,10 @@ class Content(Term):
 class Style(Term):
     """Match the Gram matrices G = FᵀF of a picture (paper Eq. 6 and 7).
 
-    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance. Eq. 7 divides by
-    4 area_l² channels_l² instead, which leaves each layer the magnitude of its own features: equal weights then
-    let one layer decide (conv2/3x3 of the BVLC network outweighs inception_3b/output by 38 to 1). Divided by the
-    target's norm, equal weights mean equal shares.
+    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance. Eq. 7 divides by 4 area_l²
+    channels_l² instead, so that each layer keeps the magnitude of its own features and, at equal weights, one layer
+    dominates (conv2/3x3 of the BVLC network outweighs inception_3b/output by 38 to 1). With division by the target's
+    norm, layers of equal weight contribute equally.
 
     The picture, a path or a `GreyImage`, is centre-cropped and resized to the image, so that the areas are equal;
     its alpha, resized to the feature map, multiplies its features.
@@ -138,7 +137,7 @@ class Style(Term):
     picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the picture now; raises `InputError` where it cannot be used."""
+        """Read the picture immediately; raises `InputError` if it cannot be used."""
         if not self.layers:
             raise InputError("style layers: there is none; name at least one")
         object.__setattr__(self, "picture", _grey_image(self.image))
@@ -152,7 +151,7 @@ class Style(Term):
         """Evaluate the network on the picture."""
         weights: dict[str, float] = {}
         for layer, weight in self.layers.items():
-            # A layer may be named twice, by its name and by an alias.
+            # A layer may occur twice, under its name and under an alias.
             weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
         picture = self.picture.fitted(height, width)
         grams = {}
@@ -180,7 +179,7 @@ class Style(Term):
 
 
 def mean_gram(values: Tensor) -> Tensor:
-    """FᵀF / area, (N, C, C), of features (N, C, H, W): the mean of the products of channels over the positions."""
+    """FᵀF / area, (N, C, C), of features (N, C, H, W): the products of channels, averaged over the positions."""
     flat = values.flatten(2)
     return flat @ flat.transpose(1, 2) / flat.shape[2]
 
@@ -209,5 +208,5 @@ def _picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str])
 
 
 def _parameter(net: GoogLeNet) -> Tensor:
-    """Some tensor with the network's device and precision."""
+    """A tensor with the network's device and precision."""
     return next(net.parameters())

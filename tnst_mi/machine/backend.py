@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 else:
     torch = LazyModule("torch")
 
-#: Variants that the package supports, in the order of preference.
+#: Variants that the package supports, in order of preference.
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb")
 
 
@@ -30,13 +30,13 @@ def activate(variant: str | None = None) -> str:
 
     Args:
         variant: `cuda_ad_rgb` or `llvm_ad_rgb`. None keeps a variant that is already active and supported,
-            else picks `cuda_ad_rgb` if a GPU answers to Dr.Jit and to torch, and `llvm_ad_rgb` if not.
+            else picks `cuda_ad_rgb` if both Dr.Jit and torch can use a GPU, and `llvm_ad_rgb` otherwise.
 
     Returns:
         The name of the active variant.
 
     Raises:
-        InputError: the variant is unknown, no GPU answers, or no usable LLVM library is found.
+        InputError: the variant is unknown, or no usable GPU or LLVM library is found.
     """
     active = mi.variant()
     if variant is None:
@@ -57,12 +57,12 @@ def activate(variant: str | None = None) -> str:
 
 
 def _preferred_variant() -> str:
-    """The GPU's where one answers to Dr.Jit and to torch."""
+    """The GPU variant if both Dr.Jit and torch can use a GPU, else the CPU variant."""
     return VARIANTS[0] if dr.has_backend(dr.JitBackend.CUDA) and torch.cuda.is_available() else VARIANTS[1]
 
 
 def _share_threads() -> None:
-    """Give Dr.Jit and torch the cores that this process may use; neither looks at the CPU affinity itself."""
+    """Give Dr.Jit and torch one thread per core this process may use; neither respects the CPU affinity on its own."""
     if not hasattr(os, "sched_getaffinity"):
         return
     threads = len(os.sched_getaffinity(0))
@@ -78,7 +78,7 @@ def torch_device() -> torch.device:
     """The torch device that shares memory with the active variant, set up for repeatable float32 results.
 
     Raises:
-        InputError: the variant is a GPU one and torch cannot use a GPU.
+        InputError: the variant runs on a GPU and torch cannot use one.
     """
     variant = mi.variant()
     if variant is None or not variant.startswith("cuda"):

@@ -1,4 +1,4 @@
-"""Whether results can go to a folder: found out before any work is done."""
+"""Checks, made before any work is done, that results can be written to a folder."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from tnst_mi.errors import InputError
 
 
 def require_writable(out: Path, source: Path | None = None, remedy: str | None = "give an empty or new one") -> None:
-    """Check, before any work is done, that results can go to a folder.
+    """Check, before any work is done, that results can be written to a folder.
 
     Args:
         out: the folder; it need not exist.
         source: where the input is; it must not lie inside `out`.
-        remedy: what to do about a folder with files in it; None where it may have some.
+        remedy: what to do if the folder is not empty; None if it may contain files.
 
     Raises:
         InputError: `out` is a file, cannot be written to, is not empty, or contains the input.
@@ -36,14 +36,14 @@ def require_writable(out: Path, source: Path | None = None, remedy: str | None =
 
 
 def require_space(out: Path, needed: int) -> None:
-    """Check, before any work is done, that a disk has room.
+    """Check, before any work is done, that a disk has enough free space.
 
     Args:
         out: the folder of the results.
-        needed: bytes that the run will write at most.
+        needed: upper bound on the bytes that the run writes.
 
     Raises:
-        InputError: there is less.
+        InputError: less is free.
     """
     free = shutil.disk_usage(_existing(out)).free
     if needed > free:
@@ -54,5 +54,5 @@ def require_space(out: Path, needed: int) -> None:
 
 
 def _existing(out: Path) -> Path:
-    """The nearest folder that exists: the given one, or one that it is to be made in."""
+    """The nearest existing folder: the given one, or its closest existing parent."""
     return next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())

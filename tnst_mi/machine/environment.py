@@ -19,19 +19,19 @@ _PACKAGES = ("tnst_mi", "mitsuba", "drjit", "torch", "numpy")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, this package, and the packages that decide the numbers."""
+    """Versions of Python, this package, and the packages that determine the results."""
     return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
 
 
 def _version(package: str) -> str:
     try:
         return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:  # such as a checkout that is merely on the path
+    except importlib.metadata.PackageNotFoundError:  # such as a checkout that is only on the path
         return "not installed"
 
 
 def gpus() -> list[dict[str, str]]:
-    """The NVIDIA GPUs that the driver reports, empty without a driver."""
+    """The NVIDIA GPUs that the driver reports; empty without a driver."""
     keys = {
         "name": "name",
         "driver": "driver_version",
@@ -62,7 +62,7 @@ def device(variant: str) -> dict[str, object]:
 
 
 def peak_memory() -> int | None:
-    """The most memory that this process has held so far, in bytes; None on Windows."""
+    """The peak resident memory of this process so far, in bytes; None on Windows."""
     if sys.platform == "win32":
         return None
     # Linux counts in KiB, macOS in bytes.
@@ -70,10 +70,10 @@ def peak_memory() -> int | None:
 
 
 def resident_memory() -> int:
-    """The memory that this process holds now, in bytes."""
+    """The resident memory of this process, in bytes."""
     return psutil.Process().memory_info().rss
 
 
 def free_memory() -> int:
-    """The memory that is still to be had without swapping, in bytes."""
+    """The memory still available without swapping, in bytes."""
     return psutil.virtual_memory().available

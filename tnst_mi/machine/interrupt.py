@@ -1,6 +1,6 @@
-"""Ctrl-C at a point where it does no harm.
+"""Ctrl-C deferred to a point where it does no harm.
 
-An exception raised in the middle of a Dr.Jit operation comes out as another one, or leaves its graph half traversed.
+An exception raised in the middle of a Dr.Jit operation surfaces as a different one, or leaves its graph half traversed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A module that is imported once something of it is used: torch takes a second, and rendering does without it."""
+"""A module imported on first use: importing torch takes a second, and rendering does not need it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 
 class LazyModule:
-    """Stands for a module of that name."""
+    """Proxy for the module of the given name."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        """Something of the module, which is imported now if it has not been."""
+        """An attribute of the module, which is imported first if necessary."""
         return getattr(importlib.import_module(self._name), attribute)

@@ -1,6 +1,6 @@
 """Choosing the LLVM library that Dr.Jit compiles with.
 
-Dr.Jit loads LLVM while it is imported, so that this module, which chooses before, imports neither Dr.Jit nor Mitsuba.
+Dr.Jit loads LLVM on import: this module has to choose before that, so it imports neither Dr.Jit nor Mitsuba.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 #: LLVM 14 and 15 abort the process on float minimum/maximum instructions that Dr.Jit emits.
 OLDEST_LLVM = 16
 
-#: Why a library was chosen, where the user did.
+#: The reason given for a library that the user chose.
 USER_CHOICE = "named by DRJIT_LIBLLVM_PATH"
 
 _SYSTEM_LIBRARY_FOLDERS = (
@@ -60,7 +60,7 @@ def _system_llvm() -> Path | None:
 
 
 def _wheel_llvm() -> Path | None:
-    """The LLVM library inside the karellen-llvm-core package, where that is installed."""
+    """The LLVM library inside the karellen-llvm-core package, if that is installed."""
     try:
         files = importlib.metadata.files("karellen-llvm-core") or []
     except importlib.metadata.PackageNotFoundError:
@@ -75,7 +75,7 @@ def _wheel_llvm() -> Path | None:
 def llvm_library() -> LlvmLibrary | None:
     """Find the LLVM library for Dr.Jit: the user's choice, the system's newest, then the one installed by pip.
 
-    Returns None where no usable library (version 16 or newer) is found.
+    Returns None if no usable library (version 16 or newer) is found.
     """
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and chosen != os.environ.get("_TNST_MI_LIBLLVM_PATH"):
@@ -92,9 +92,9 @@ def llvm_library() -> LlvmLibrary | None:
 
 
 def choose_llvm() -> None:
-    """Have Dr.Jit, which is imported later, load the chosen LLVM library."""
+    """Make Dr.Jit, which is imported later, load the chosen LLVM library."""
     library = llvm_library()
     if library is not None and os.environ.get("DRJIT_LIBLLVM_PATH") != str(library.path):
-        # The second variable remembers that this choice was ours, not the user's.
+        # Our own variable marks this choice as ours, not the user's.
         os.environ["_TNST_MI_LIBLLVM_PATH"] = str(library.path)
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)

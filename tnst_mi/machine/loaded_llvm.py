@@ -1,4 +1,4 @@
-"""The LLVM library that Dr.Jit has loaded: whether it will do, and having it replaced."""
+"""The LLVM library that Dr.Jit has loaded: check it, and replace it if it is unusable."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def loaded_version() -> int:
 
 
 def replace_unusable_llvm() -> None:
-    """Have Dr.Jit load the chosen LLVM library where it was imported before the choice and took an unusable one.
+    """Make Dr.Jit load the chosen LLVM library if it was imported before the choice and loaded an unusable one.
 
-    Its backends are shut down and started again, which no active variant survives.
+    Its backends are shut down and restarted, which an active variant would not survive.
     """
     if llvm_library() is not None and loaded_version() < OLDEST_LLVM and mi.variant() is None:
         _restart_drjit()
 
 
 def _restart_drjit() -> None:
-    """Shut down Dr.Jit's backends and start them again (`jit_shutdown`, `jit_init_async` of its C interface)."""
+    """Shut down Dr.Jit's backends and restart them (`jit_shutdown`, `jit_init_async` of its C interface)."""
     core = Path(dr.__file__).with_name("libdrjit-core.so")
     try:
         library = ctypes.CDLL(str(core))

@@ -1,6 +1,6 @@
-"""OptiX, the ray tracer of NVIDIA's driver: on a GPU every Mitsuba scene needs it, and many containers lack it.
+"""OptiX, the ray tracer in NVIDIA's driver: on a GPU, every Mitsuba scene needs it, and many containers lack it.
 
-Stylizing and rendering by emission–absorption make no scene, and do without.
+Stylization and rendering with emission–absorption create no scene and do not need it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ REMEDY = "install it with the driver (in a container, start it with NVIDIA_DRIVE
 
 
 def optix_answers() -> bool:
-    """Whether Dr.Jit can load OptiX; on Windows every driver has it."""
+    """Whether Dr.Jit can load OptiX; on Windows every driver includes it."""
     if sys.platform == "win32":
         return True
     try:
@@ -29,13 +29,13 @@ def optix_answers() -> bool:
 
 
 def require_optix(what: str) -> None:
-    """Check, before a scene is loaded, that it can be traced where the active variant computes.
+    """Check, before a scene is loaded, that the active variant can trace it.
 
     Args:
         what: the flag or command that needs the scene.
 
     Raises:
-        InputError: that is a GPU, and OptiX does not answer.
+        InputError: the variant runs on a GPU, and OptiX cannot be loaded.
     """
     variant = mi.variant()
     if variant is not None and variant.startswith("cuda") and not optix_answers():

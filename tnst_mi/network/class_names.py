@@ -1,4 +1,4 @@
-"""The names of the classes that the network's `logits` stand for."""
+"""The class names of the network's `logits`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tnst_mi.resources import DATA
 
 
 def class_names(weights: NetworkWeights) -> list[str]:
-    """The file's own list, or the standard one of the 1000 ILSVRC classes; empty where neither applies."""
+    """The file's own list, or the standard one of the 1000 ILSVRC classes; empty if neither applies."""
     if weights.class_names is not None:
         return list(weights.class_names)
     if weights.flavour == "inception5h":
-        return []  # its order of classes is its own
+        return []  # it has its own order of classes
     names = imagenet_names()
     return names if len(names) == weights.tensors[f"{CLASSIFIER}.bias"].numel() else []
 
@@ -26,9 +26,9 @@ def imagenet_names() -> list[str]:
 
 
 def matching_classes(names: Sequence[str], tag: str) -> set[int]:
-    """The indices of the classes that go by this name or comma-separated synonym; case is ignored where it can be."""
+    """The indices of the classes with this name or synonym; case is ignored unless there is an exact match."""
     wanted = tag.strip()
-    # Two classes may differ in case alone: Cardigan is a dog, cardigan a jacket.
+    # Two classes may differ only in case: Cardigan is a dog, cardigan a jacket.
     exact = {index for synonym, index in _synonyms(names) if synonym == wanted}
     return exact or {index for synonym, index in _synonyms(names) if synonym.lower() == wanted.lower()}
 
@@ -50,5 +50,5 @@ def class_index(names: Sequence[str], tag: str) -> int:
 
 
 def _synonyms(names: Sequence[str]) -> Iterator[tuple[str, int]]:
-    """Every name a class goes by, the whole entry included, with the index of the class."""
+    """Every name of every class, the whole entry included, with the index of the class."""
     return ((synonym.strip(), index) for index, name in enumerate(names) for synonym in {name, *name.split(",")})

@@ -1,4 +1,4 @@
-"""Downloading a file with a known hash: resumable, with a progress bar, in place only when it is complete."""
+"""Downloading a file with a known hash: resumable, with a progress bar, moved into place only when complete."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ TIMEOUT = 10.0
 
 _CHUNK = 1 << 18
 _LARGEST_DOWNLOAD = 1 << 28
-"""Bytes; no file of ours comes near. A server cannot fill the disk."""
+"""In bytes, far above every published file. A server cannot fill the disk."""
 
 
 class Unreachable(Exception):
-    """The server did not answer, or refused; nothing can be said about the file."""
+    """The server did not answer or refused the request; nothing is known about the file."""
 
 
 def file_hash(path: Path, algorithm: str) -> str:
@@ -34,9 +34,9 @@ def file_hash(path: Path, algorithm: str) -> str:
 def download(url: str, target: Path, algorithm: str, digest: str) -> None:
     """Fetch `url` to `target`; `digest` is the start of the file's hexadecimal hash by `algorithm`.
 
-    What has arrived is kept in `<target>.part`, so that a later call goes on from there; `target` itself
-    appears complete and verified or not at all. Raises `Unreachable` without a connection, `InputError`
-    when the connection breaks off, the hash differs or the folder cannot be written.
+    Partial data are kept in `<target>.part`, from which a later call resumes; an atomic rename creates `target` once
+    they are complete and verified. Raises `Unreachable` without a connection, `InputError` if the connection breaks
+    off, the hash differs or the folder cannot be written.
     """
     part = target.with_name(target.name + ".part")
     try:
@@ -51,7 +51,7 @@ def download(url: str, target: Path, algorithm: str, digest: str) -> None:
 
 
 def _fetch(url: str, part: Path) -> None:
-    """Append what `part` lacks of the file at `url`."""
+    """Append the missing rest of the file at `url` to `part`."""
     done = part.stat().st_size if part.exists() else 0
     request = urllib.request.Request(url, headers={"Range": f"bytes={done}-"} if done else {})
     try:

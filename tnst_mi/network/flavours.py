@@ -1,4 +1,4 @@
-"""What differs between the networks that are called GoogLeNet: the layers are the same."""
+"""What differs between the published GoogLeNets and the shipped one; their layers are the same."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from tnst_mi.network.shipped import PATTERNS
 
 @dataclass(frozen=True)
 class Flavour:
-    """How a network sees its image and what it does between the convolutions."""
+    """How a network preprocesses its image, and what it applies between the convolutions."""
 
     mean: tuple[float, float, float]
     """Subtracted from the image in 0 to 255, in the order R, G, B."""
     divisor: float
     """Divides the difference."""
     reversed_channels: bool
-    """The first convolution was trained on B, G, R."""
+    """Whether the first convolution was trained on B, G, R."""
     same_padding: bool
-    """TensorFlow's SAME rule where a stride of 2 does not divide the image, in place of Caffe's."""
+    """Whether strided layers pad by TensorFlow's SAME rule instead of Caffe's."""
     response_norm: ResponseNorm | None
     last_pool: int
-    """Window of the pooling before inception_5a."""
+    """Window size of the pooling before inception_5a."""
 
 
 FLAVOURS = {

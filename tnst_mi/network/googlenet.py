@@ -1,7 +1,7 @@
 """GoogLeNet (Szegedy et al. 2015, Going Deeper with Convolutions): one torch module for all its weights.
 
-A `Flavour` says what differs between them; the layers are the same. Names are BVLC's
-(`inception_4b/pool_proj`), the TensorFlow graph's (`mixed4b_pool_reduce_pre_relu`) are aliases.
+A `Flavour` describes what differs between them; the layers are the same. Layers have their BVLC names
+(`inception_4b/pool_proj`); those of the TensorFlow graph (`mixed4b_pool_reduce_pre_relu`) are aliases.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LAYERS = (
     *(f"{block}/{layer}" for block in BLOCKS for layer in (*BRANCH_LAYERS, "output")),
     "logits",
 )
-"""The layers that can be asked for, in the order of evaluation."""
+"""The layers that can be requested, in the order of evaluation."""
 
 ALIASES = {
     CLASSIFIER: "logits",
@@ -49,7 +49,7 @@ ALIASES = {
     **{f"{tensorflow_name(layer)}_pre_relu": layer for layer in CONVOLUTIONS if layer not in STEM},
     **{block.replace("inception_", "mixed"): f"{block}/output" for block in BLOCKS},
 }
-"""Other names of layers, those of the TensorFlow graph first of all. Each names the very same values."""
+"""Other names of layers, mostly from the TensorFlow graph. Each refers to exactly the same values."""
 
 _POOLED = ("inception_3a", "inception_4a", "inception_5a")
 """The blocks with a stride-2 pooling before them."""
@@ -58,8 +58,8 @@ _POOLED = ("inception_3a", "inception_4a", "inception_5a")
 class GoogLeNet(nn.Module):
     """GoogLeNet with fixed weights: images to features, differentiable with respect to the images.
 
-    Attributes: `flavour`; `layer_names`; `class_names` (empty where the weights come without a list);
-    `source` and `sha256`, the file the weights come from.
+    Attributes: `flavour`; `layer_names`; `class_names` (empty if the weights come without a list); `source` and
+    `sha256`, path and hash of the weights file.
     """
 
     mean: Tensor
@@ -67,9 +67,9 @@ class GoogLeNet(nn.Module):
     norm2: nn.Module
 
     def __init__(self, weights: NetworkWeights, stride1: bool = True) -> None:
-        """The network of these weights; `stride1` lowers the first convolution's stride from 2 to 1.
+        """Build the network from its weights; `stride1` lowers the first convolution's stride from 2 to 1.
 
-        Stride 1 is the paper's remedy for checkerboards; it doubles the resolution of every later layer.
+        Stride 1 is the paper's remedy for checkerboard artefacts; it doubles the resolution of every later layer.
         """
         super().__init__()
         description = FLAVOURS[weights.flavour]
@@ -79,7 +79,7 @@ class GoogLeNet(nn.Module):
         self.class_names = class_names(weights)
         self.layer_names = list(LAYERS)
         self._description = description
-        #: The first convolution's answer to black, for the size of image that was last asked for.
+        #: The first convolution's response to a black image, cached for the most recent image size.
         self._black: dict[tuple, Tensor] = {}
         self.convolutions = nn.ModuleDict({layer: _convolution(weights, layer) for layer in CONVOLUTIONS})
         stem = self._convolution(STEM[0])
@@ -95,26 +95,26 @@ class GoogLeNet(nn.Module):
             self.add_module(name, nn.Identity() if norm is None else LocalResponseNorm(channels, norm))
         self.register_buffer("mean", torch.tensor(description.mean).reshape(1, 3, 1, 1), persistent=False)
         # In channels-last layout the convolutions take a quarter less time on a CPU.
-        # torch's annotations of `to` leave the memory format out.
+        # torch's annotations of `to` omit the memory format.
         self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.requires_grad_(False).eval()
 
     @classmethod
     def load(cls, source: str | Path | None = None, flavour: str | None = None, stride1: bool = True) -> GoogLeNet:
-        """The network of a weights file, in evaluation mode, float32, without gradients of its weights.
+        """Load a weights file, in evaluation mode and float32, with frozen weights.
 
         Args:
-            source: a file, a folder, or "patterns", the network that ships with the package. Where None, the places
-                that `tnst-mi weights` lists are searched; if nothing but "patterns" is there, stderr says so once.
-            flavour: "bvlc", "inception5h", "torchvision" or "patterns", if it has to be that one.
-            stride1: the first convolution has stride 1 in place of 2, the paper's remedy for checkerboards; it doubles
-                the resolution of every later layer.
+            source: a file, a folder, or "patterns", the network that ships with the package. If None, the places
+                that `tnst-mi weights` lists are searched; if only "patterns" is found, a line on stderr says so once.
+            flavour: "bvlc", "inception5h", "torchvision" or "patterns", to require that one.
+            stride1: use stride 1 instead of 2 in the first convolution, the paper's remedy for checkerboard artefacts;
+                it doubles the resolution of every later layer.
 
         Returns:
-            A module from images (N, 3, H, W), RGB in 0 to 1, and names of layers to {name: features (N, C, h, w)}.
+            A module that maps images (N, 3, H, W), RGB in 0 to 1, and layer names to {name: features (N, C, h, w)}.
 
         Raises:
-            InputError: there are no such weights, or the file is damaged or another network's.
+            InputError: no such weights are found, or the file is damaged or holds another network.
 
         Example:
             >>> import torch
@@ -133,7 +133,7 @@ class GoogLeNet(nn.Module):
 
     @classmethod
     def from_file(cls, path: Path, stride1: bool = True) -> GoogLeNet:
-        """The network of this very file, as in `load`."""
+        """Load exactly this file, as in `load`."""
         network = cls(read_weights(path), stride1)
         network.source = str(path)
         network.sha256 = file_hash(path, "sha256")
@@ -142,10 +142,10 @@ class GoogLeNet(nn.Module):
     def forward(self, x: Tensor, layers: Sequence[str]) -> dict[str, Tensor]:
         """Values of `layers` for the images `x` (N, 3, H, W), RGB in 0 to 1, of any size.
 
-        The answer's keys are the names as asked, its values (N, C, h, w), or (N, classes) for `logits`. The
-        branch layers are before their ReLU, `…/output` and the three stem convolutions after it. Only what
-        these layers depend on is evaluated. The memory layout is channels-last: flatten, do not view.
-        Raises `InputError` for an unknown layer or another shape of `x`.
+        The result maps the names as given to values (N, C, h, w), or (N, classes) for `logits`. Branch layers are taken
+        before their ReLU, `…/output` and the three stem convolutions after it. Only what these layers depend on is
+        evaluated. The memory layout is channels-last: use `flatten`, not `view`. Raises `InputError` for an unknown
+        layer or a wrong shape of `x`.
         """
         if x.ndim != 4 or x.shape[1] != 3 or 0 in x.shape or not x.is_floating_point():
             raise InputError(f"images of shape {tuple(x.shape)}, {x.dtype}: expected floating point (N, 3, H, W)")
@@ -154,7 +154,7 @@ class GoogLeNet(nn.Module):
         return {layer: self._value(name, known) for layer, name in names.items()}
 
     def resolve(self, layer: str) -> str:
-        """BVLC's name of a layer; raises `InputError`, naming the nearest three, for an unknown one."""
+        """The BVLC name of a layer; an unknown one raises `InputError`, which names the nearest three."""
         name = ALIASES.get(layer, layer)
         if name not in LAYERS:
             nearest = difflib.get_close_matches(layer, (*LAYERS, *ALIASES), n=3, cutoff=0.0)
@@ -200,13 +200,13 @@ class GoogLeNet(nn.Module):
         return cast("nn.Conv2d", self.convolutions[layer])
 
     def _value(self, name: str, known: dict[str, Tensor]) -> Tensor:
-        """The value of a layer, computed at most once: `known` holds what is there already."""
+        """The value of a layer, computed at most once: `known` caches the values."""
         if name not in known:
             known[name] = self._evaluate(name, known)
         return known[name]
 
     def _evaluate(self, name: str, known: dict[str, Tensor]) -> Tensor:
-        """A layer's own computation on the layers it depends on."""
+        """Evaluate a single layer from the layers it depends on."""
         if name == STEM[0]:
             return F.relu(self._first_convolution(known["image"]))
         if name == STEM[1]:
@@ -214,7 +214,7 @@ class GoogLeNet(nn.Module):
         if name == STEM[2]:
             return F.relu(self.convolutions[name](self._value(STEM[1], known)))
         if name == "logits":
-            # The mean over all positions is Caffe's 7x7 average at 224x224, and takes images of any size.
+            # At 224x224 the mean over all positions is Caffe's 7x7 average; it works for images of any size.
             return self.classifier(self._value(f"{BLOCKS[-1]}/output", known).mean((2, 3)))
         block, layer = name.split("/")
         if layer == "input":
@@ -230,7 +230,7 @@ class GoogLeNet(nn.Module):
         return self.convolutions[name](values)
 
     def _block_input(self, block: str, known: dict[str, Tensor]) -> Tensor:
-        """What reaches the first layers of a block: the block or stem before it, pooled."""
+        """The input of a block: the output of the block or stem before it, pooled for some blocks."""
         if block == BLOCKS[0]:
             return self._pool(self.norm2(self._value(STEM[2], known)))
         values = self._value(f"{BLOCKS[BLOCKS.index(block) - 1]}/output", known)
@@ -239,7 +239,7 @@ class GoogLeNet(nn.Module):
         return self._pool(values, self._description.last_pool if block == _POOLED[-1] else 3)
 
     def _first_convolution(self, x: Tensor) -> Tensor:
-        """The first convolution of images in 0 to 1; grey ones, whose channels share their memory, have one filter."""
+        """The first convolution of images in 0 to 1; grey ones (channels that share memory) need only one filter."""
         if x.stride(1) == 0:
             return self._convolved_grey(x[:, :1])
         image = (x * 255 - self.mean) / self._description.divisor
@@ -253,10 +253,10 @@ class GoogLeNet(nn.Module):
         return F.conv2d(image, convolution.weight, convolution.bias, convolution.stride)
 
     def _convolved_grey(self, grey: Tensor) -> Tensor:
-        """The same, where all channels are the image `grey` (N, 1, H, W).
+        """The same for images whose channels all equal `grey` (N, 1, H, W).
 
-        The filters of the three channels add up to one. What the means contribute, which the padding leaves out at the
-        border, is the same for all images of a size: the convolution of a black one.
+        The filters of the three channels sum to a single filter. The contribution of the means, absent from the padding
+        at the border, is the same for all images of one size: the convolution of a black image.
         """
         convolution = self._convolution(STEM[0])
         key = (*grey.shape[2:], grey.dtype, grey.device)
@@ -268,7 +268,7 @@ class GoogLeNet(nn.Module):
         return grey_convolution(padded, filters, convolution.stride[0]) + self._black[key]
 
     def _stem_padding(self, image: Tensor) -> tuple[int, int, int, int]:
-        """Columns and rows that the first convolution adds around an image, before and after."""
+        """Padding of the first convolution: columns before and after, then rows before and after."""
         if not self._description.same_padding:
             return (3, 3, 3, 3)
         stride = self._convolution(STEM[0]).stride[0]
@@ -276,10 +276,10 @@ class GoogLeNet(nn.Module):
         return (*columns, *rows)
 
     def _pool(self, values: Tensor, window: int = 3) -> Tensor:
-        """Maximum over windows at stride 2; the last may reach beyond the end (`ceil_mode`), as in Caffe.
+        """Max pooling at stride 2; the last window may extend past the end (`ceil_mode`), as in Caffe.
 
-        That is TensorFlow's SAME rule too, once its padding before the first cell is added. A single
-        cell, too small for Caffe and torch, is its own maximum.
+        With padding before the first cell, this is TensorFlow's SAME rule too. A single cell, too small for Caffe and
+        torch, is its own maximum.
         """
         padding = [
             _same_padding(size, window, 2)[0] if self._description.same_padding else int(size == 1)
@@ -297,7 +297,7 @@ def _same_padding(size: int, window: int, stride: int) -> tuple[int, int]:
 
 def _convolution(weights: NetworkWeights, layer: str) -> nn.Conv2d:
     outputs, inputs, kernel, _ = weights.tensors[f"{layer}.weight"].shape
-    # On the meta device torch neither allocates nor draws the random weights that would be replaced at once.
+    # On the meta device torch neither allocates nor initialises weights, which would be replaced at once.
     convolution = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2, device="meta")
     _set_parameters(convolution, weights, layer)
     return convolution

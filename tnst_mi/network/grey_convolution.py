@@ -1,6 +1,6 @@
-"""A convolution of grey images, as a product of patches and filters, with its derivative.
+"""Convolution of grey images as a product of patches and filters, with its derivative.
 
-Libraries have no fast convolution for one input channel, least of all for its derivative with respect to the image.
+Libraries lack a fast convolution for one input channel, in particular for its derivative with respect to the image.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from torch.nn import functional
 
 
 class _GreyConvolution(torch.autograd.Function):
-    """Patches of the images times filters; backwards, the patches' derivatives added up where they overlap."""
+    """Image patches times filters; the backward pass sums the patches' derivatives where they overlap."""
 
     @staticmethod
     def forward(ctx: Any, images: Tensor, filters: Tensor, stride: int) -> Tensor:
@@ -35,11 +35,11 @@ def grey_convolution(images: Tensor, filters: Tensor, stride: int) -> Tensor:
     """Convolve grey images without padding.
 
     Args:
-        images: (N, 1, H, W), padded already.
+        images: (N, 1, H, W), already padded.
         filters: (C, k, k), not differentiated.
-        stride: distance between the positions of the window, in pixels.
+        stride: distance between window positions in pixels.
 
     Returns:
-        (N, C, h, w) in channels-last layout, differentiable in the images.
+        (N, C, h, w) in channels-last layout, differentiable with respect to the images.
     """
     return _GreyConvolution.apply(images, filters, stride)

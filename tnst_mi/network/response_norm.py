@@ -14,7 +14,7 @@ from tnst_mi.network.readers.network_weights import ResponseNorm
 class LocalResponseNorm(nn.Module):
     """x · s^(−β) with s = bias + α Σ x² over neighbouring channels; x is (N, C, H, W).
 
-    The sum over channels is a convolution with a banded matrix; torch's own function takes it by three-dimensional
+    The sum over channels is a convolution with a banded matrix; torch's own function computes it by three-dimensional
     pooling and is several times slower.
     """
 
@@ -33,7 +33,7 @@ class LocalResponseNorm(nn.Module):
 
 
 class _Normalise(torch.autograd.Function):
-    """y = x · p with p = s^(−β) and s = bias + B x²; ∂y/∂xᵀ g = g · p − 2 β x · B(g · x · p / s), B being symmetric."""
+    """y = x · p with p = s^(−β) and s = bias + B x²; ∂y/∂xᵀ g = g · p − 2 β x · B(g · x · p / s); B is symmetric."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, band: Tensor, bias: Tensor, beta: float) -> Tensor:
@@ -51,7 +51,7 @@ class _Normalise(torch.autograd.Function):
 
 
 def _negative_power(s: Tensor, beta: float) -> Tensor:
-    """s^(−β); roots, which the usual β can be had by, take a fraction of the time of a power."""
+    """s^(−β); for the usual β, square roots take a fraction of the time of a power."""
     if beta == 0.5:
         return s.rsqrt()
     if beta == 0.75:

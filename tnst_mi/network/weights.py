@@ -1,9 +1,9 @@
-"""Finding GoogLeNet weights: what is published, where it is looked for, and the download.
+"""Finding GoogLeNet weights: the published files, the search path, and the download.
 
-Places, in this order: the file or folder asked for; $TNST_MI_WEIGHTS; the user's cache; a folder
-`shared/weights` beside the checkout; the network that ships with the package. The first two are decisive:
-where they hold no usable weights, that is an error and not a reason to look further, so a result never comes
-from another network than the one meant. Only a flavour that is asked for by name is downloaded.
+Search order: the requested file or folder; $TNST_MI_WEIGHTS; the user's cache; a folder `shared/weights` beside the
+checkout; the network that ships with the package. The first two are binding: if they hold no usable weights, that is an
+error and the search stops, so that a result never comes from a network other than the intended one. Only a flavour
+requested by name is downloaded.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENVIRONMENT_VARIABLE = "TNST_MI_WEIGHTS"
 
 @dataclass(frozen=True)
 class PublishedFile:
-    """A weights file known by its name; `digest` is the start of its hexadecimal hash by `algorithm`."""
+    """A weights file identified by its name; `digest` is the start of its hexadecimal hash by `algorithm`."""
 
     flavour: str
     name: str
@@ -52,7 +52,7 @@ PUBLISHED = (
         "bvlc_googlenet.caffemodel",
         "sha1",
         "405fc5acd08a3bb12de8ee5e23a96bec22f08204",
-        # The published address is http; the hash vouches for the file.
+        # Published only over http; the hash authenticates the file.
         "http://dl.caffe.berkeleyvision.org/bvlc_googlenet.caffemodel",
     ),
     PublishedFile(
@@ -76,12 +76,12 @@ PUBLISHED = (
         "https://download.pytorch.org/models/googlenet-1378be20.pth",
     ),
 )
-"""The preferred file first."""
+"""Preferred files first."""
 
 
 @dataclass(frozen=True)
 class FoundWeights:
-    """A weights file on this machine; `hash_ok` is None for a file that is not one of the published ones."""
+    """A weights file on this machine; `hash_ok` is None for an unpublished file."""
 
     flavour: str
     path: Path
@@ -89,7 +89,7 @@ class FoundWeights:
 
 
 class ChosenWeights(NamedTuple):
-    """The weights file to use; `fallback` if nobody asked for this network and no other was found."""
+    """The weights file to use; `fallback` if this network was not requested but no other was found."""
 
     path: Path
     flavour: str
@@ -109,11 +109,11 @@ def shared_folder() -> Path:
 def find_weights(source: str | Path | None = None, flavour: str | None = None) -> ChosenWeights:
     """The weights file to use and its flavour.
 
-    `source`, and $TNST_MI_WEIGHTS likewise, is a file, a folder of files under their published names, or the
-    str "patterns": the network that ships with the package. `flavour` is one of `FLAVOURS`. Without it, the
-    first of them that is found is taken; with it, a published network that is nowhere is downloaded.
-    Raises `InputError` where `source` or $TNST_MI_WEIGHTS has no weights of that flavour, where a file under
-    a published name has the wrong hash, and where a flavour is nowhere and cannot be downloaded.
+    `source`, like $TNST_MI_WEIGHTS, is a file, a folder of files under their published names, or the str "patterns" for
+    the network that ships with the package. `flavour` is one of `FLAVOURS`. Without it, the first of them that is found
+    is used; with it, a published network that is not found is downloaded. Raises `InputError` if `source` or
+    $TNST_MI_WEIGHTS has no weights of that flavour, if a file under a published name has the wrong hash, or if a
+    flavour is neither found nor downloadable.
     """
     if flavour is not None and flavour not in FLAVOURS:
         raise InputError(f"flavour {flavour!r}: unknown; expected one of {', '.join(FLAVOURS)}")
@@ -134,7 +134,7 @@ def find_weights(source: str | Path | None = None, flavour: str | None = None) -
 
 @functools.cache
 def announce_fallback() -> None:
-    """Say on stderr, once in a process, that the shipped network stands in for one of those trained on ImageNet."""
+    """Report on stderr, once per process, that the shipped network replaces one trained on ImageNet."""
     print(
         f"no ImageNet weights found: using the shipped network {PATTERNS}; "
         f"`{DOWNLOAD_COMMAND}` gets the paper's network",
@@ -143,9 +143,9 @@ def announce_fallback() -> None:
 
 
 def list_weights() -> list[FoundWeights]:
-    """Every weights file in the places of `find_weights`, hashes checked; for reports.
+    """Every weights file on the search path of `find_weights`, with its hash checked; for reports.
 
-    Raises `InputError` where $TNST_MI_WEIGHTS names nothing, or a file that is no GoogLeNet's.
+    Raises `InputError` if $TNST_MI_WEIGHTS names a missing path, or a file that holds no GoogLeNet.
     """
     found, folders = [], [cache_folder(), shared_folder()]
     named = os.environ.get(ENVIRONMENT_VARIABLE)
@@ -165,9 +165,9 @@ def list_weights() -> list[FoundWeights]:
 
 
 def download_weights(flavour: str) -> Path:
-    """Fetch the published weights of a flavour into the cache, unless they are there; returns the file.
+    """Download the published weights of a flavour to the cache, unless already there; returns the file.
 
-    Raises `InputError` where the flavour is not published, or cannot be fetched or written.
+    Raises `InputError` if the flavour is not published, or cannot be downloaded or written.
     """
     known = next((known for known in PUBLISHED if known.flavour == flavour and known.url), None)
     if known is None or known.url is None:
@@ -184,7 +184,7 @@ def download_weights(flavour: str) -> Path:
 
 
 def _published(flavour: str, folder: Path) -> Iterator[PublishedFile]:
-    """The published files of a flavour that the folder has, the preferred one first."""
+    """The published files of a flavour that exist in the folder, preferred ones first."""
     return (known for known in PUBLISHED if known.flavour == flavour and (folder / known.name).is_file())
 
 
@@ -196,8 +196,8 @@ def _described(path: Path) -> FoundWeights:
 
 
 def _at(source: str | Path, flavour: str | None, origin: str) -> ChosenWeights:
-    """The weights at a place that was named: that file, or the preferred published file in that folder."""
-    # Only the bare word: a Path, or `./patterns`, is a file or folder of that name.
+    """The weights at a given path: that file, or the preferred published file in that folder."""
+    # Only the bare word: a Path or `./patterns` is a file or folder of that name.
     if source == PATTERNS:
         if flavour not in (None, PATTERNS):
             raise InputError(f"{origin} {PATTERNS}: the shipped network, expected {flavour}; {_instructions(flavour)}")
@@ -226,7 +226,7 @@ def _require_exists(path: Path, origin: str) -> None:
 
 
 def _verified(path: Path, known: PublishedFile) -> Path:
-    """The path, if the file is the published one."""
+    """The path, after checking that the file is the published one."""
     try:
         found = file_hash(path, known.algorithm)
     except OSError as error:
@@ -240,7 +240,7 @@ def _verified(path: Path, known: PublishedFile) -> Path:
 
 
 def _instructions(flavour: str | None) -> str:
-    """Which files would do, their URLs and hashes, and where to put them."""
+    """Which files are suitable, their URLs and hashes, and where to put them."""
     if flavour == PATTERNS:
         return f"name it with --weights {PATTERNS}"
     files = [

@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper: multi-view, time-coherent stylization, coarse to fine.
 
-Its two steps are functions of items (see `state`), so they can be computed wherever the items are; what takes its turn
-when, what is passed over because an earlier run did it, and how a run is interrupted, is up to the `Turns`.
+Its two steps are functions of items (see `state`), so they can be computed wherever the items are. The `Turns` decide
+which frame is processed when, skip what an earlier run has already done, and handle interruption.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from tnst_mi.optimisation.store import Store
 
 
 class Turns(Protocol):
-    """Who takes a turn when."""
+    """Schedules the frames."""
 
     def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
-        """All of some frames, one by one."""
+        """The given frames, one by one."""
         ...
 
     def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
-        """The frames whose own step of iteration k has not been found yet."""
+        """The frames whose own step of iteration k is still to be computed."""
         ...
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
-        """The frames whose fields have not followed the steps of iteration k yet."""
+        """The frames whose fields are still to be updated in iteration k."""
         ...
 
 
 def algorithm_1(
     plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, turns: Turns
 ) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
-    """Optimise the fields of all frames; each is given, with the finest items and problem, once its fields are done."""
+    """Optimise the fields of all frames; yield each, with the finest items and problem, once its fields are final."""
     for level in levels_left(plan, store):
         items = entered(plan, level, frames, store, turns.each)
         problem = calibrated(plan, items, network, store, turns.each)
@@ -56,7 +56,7 @@ def algorithm_1(
 
 
 def own_step(plan: Plan, frame: FramePlan, items: Items, problem: OctaveProblem, k: int) -> OwnStep:
-    """The step that a frame's own gradient asks for: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
+    """The step along a frame's own gradient: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
     since = time.perf_counter()
     inputs, octave = items.inputs(frame), items.octave
     try:
@@ -70,7 +70,7 @@ def own_step(plan: Plan, frame: FramePlan, items: Items, problem: OctaveProblem,
 
 
 def window_average(plan: Plan, frame: FramePlan, items: Items) -> Fields:
-    """What is taken off a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8 and 9)."""
+    """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9)."""
     if plan.window == 1:
         return items.own_step(frame).step
     average = items.averaged_step(frame)

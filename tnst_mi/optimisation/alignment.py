@@ -1,13 +1,13 @@
 """Temporal coherence: fields of neighbouring frames, transported to one frame and averaged (paper Eq. 8 and 9).
 
-T_i^t(f_i) carries a field from frame i to frame t by the simulation's velocities: with u_j from a frame j to the next
-one, with −u_j back again. The transport is MacCormack without a limiter, which is linear, so that the windowed sum
+T_i^t(f_i) transports a field from frame i to frame t along the simulation's velocities: by u_j from frame j to frame
+j + 1, and by −u_j back. The transport is MacCormack without a limiter, which is linear, so that the windowed sum
 
     Σ_i ω_|i−t| T_i^t(f_i),    i = t − w … t + w,
 
-can be nested: all that comes from the past is added up on its way to t, and so is all that comes from the future. That
-takes 2w transports for a frame, where summing term by term takes w (w + 1). Vector potentials are transported by
-components, as the paper does: they are moved with the smoke but not turned or stretched by it.
+can be nested: the contributions of the past are accumulated on the way to t, and so are those of the future. This takes
+2w transports per frame, where a sum term by term takes w (w + 1). Vector potentials are transported component by
+component, as in the paper: they move with the smoke but are neither rotated nor stretched by it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from tnst_mi.fields.advection import step
 from tnst_mi.fields.kernels import opaque
 
-#: Below this share of smoke an average over smoke has no meaning, and the mask of the frame itself is as good as 0.
+#: Below this share of smoke an average over smoke is meaningless, and the frame's own mask is practically 0.
 _LEAST_SHARE = 1e-6
 
 
@@ -33,15 +33,15 @@ def transported_sums(
     neighbours: Iterator[tuple[dict[str, mi.TensorXf], mi.TensorXf]],
     h: float,
 ) -> dict[str, mi.TensorXf]:
-    """Σ_i ω_|i−t| T_i^t(f_i) over a window, nested, for some fields that are moved alike.
+    """Σ_i ω_|i−t| T_i^t(f_i) over a window, nested, for fields that share their transport.
 
     Args:
         own: fields of frame t itself by name, (D, H, W) or (D, H, W, 3).
         weights: ω by distance, see `window_weights`.
-        window: the frames i, t among them.
+        window: the frames i, including t.
         frame: t.
         neighbours: for each frame in `reading_order`, its fields, and the velocity (D, H, W, 3) in full-resolution
-            cells per frame between it and the frame one nearer to t: u_i for the past, u_{i−1} for the future.
+            cells per frame between it and the next frame towards t: u_i for the past, u_{i−1} for the future.
         h: size of a cell in full-resolution cells.
 
     Returns:
@@ -66,8 +66,8 @@ def transported_sums(
 def averaging_gain(mask: mi.TensorXf, transported_mask: mi.TensorXf, own_weight: float) -> mi.TensorXf:
     """Factor that turns a windowed sum of masked fields into the frame's mask times their average over smoke.
 
-    m_t / Σ_i ω_i T_i^t(m_i): where smoke is newly born or leaves, the frames without it do not count. The sum is at
-    least the frame's own share ω_0 m_t, from which the transport's overshoots might take it.
+    m_t / Σ_i ω_i T_i^t(m_i): where smoke appears or leaves, the frames without it do not count. The sum is clamped to
+    at least the frame's own share ω_0 m_t, since overshoots of the transport could push it below.
 
     Args:
         mask: m_t, (D, H, W) in [0, 1].

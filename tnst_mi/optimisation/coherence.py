@@ -1,8 +1,9 @@
-"""Coherence in time of what is seen: the change of the density is made to move with the smoke.
+"""Temporal coherence of the visible result: the change of the density is made to move with the smoke.
 
-Aligned gradients (paper Alg. 1) make potentials alike, but potentials that are carried along do not quite move the
-smoke alike, and where the smoke is sharp that shows. So a frame's change c_t = d*_t − d_t is compared with the average
-of the changes around it, transported to it, and the difference is lessened by a step of its own:
+Aligned gradients (paper Alg. 1) make the potentials of neighbouring frames similar, but transported potentials do not
+displace the smoke in quite the same way, and where the smoke has sharp detail this shows. So a frame's change
+c_t = d*_t − d_t is compared with the average of the neighbouring changes, transported to it, and a separate step
+reduces the difference:
 
     min ½ ‖c_t − c̄_t‖²,    c̄_t = Σ_i T_i^t(c_i) over the frame and its two neighbours, divided by their number.
 
@@ -21,20 +22,20 @@ from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.state import Items
 from tnst_mi.optimisation.window import window_of, window_weights
 
-#: Frames whose changes are averaged: the nearest ones; those of farther frames arrive blurred.
+#: Number of frames whose changes are averaged: the nearest only, since changes from farther frames arrive blurred.
 WINDOW = 3
 
-#: Width of the blur of the gradient in cells of the octave: differences are fine, and the blur must leave them.
+#: Width of the gradient's blur in cells of the octave: small, since the differences are fine detail to be preserved.
 SIGMA = 0.7
 
 _FLOOR = 1e-12
 
 
 def coherence_step(plan: Plan, frame: FramePlan, items: Items) -> Fields:
-    """A step of each field that brings the change of a frame nearer to the average of the changes around it."""
+    """A step of each field that moves the change of a frame towards the average of the changes around it."""
     weights = window_weights(WINDOW)
     total = items.windowed_sums(frame, "step", ["change"], weights)["change"]
-    # Frames that are left unchanged have no change to follow.
+    # Unchanged frames have no change and do not count in the average.
     window = [i for i in window_of(frame.index, len(plan.frames), WINDOW) if not plan.frames[i].still]
     present = sum(weights[abs(i - frame.index)] for i in window)
     inputs = items.inputs(frame)
@@ -60,9 +61,9 @@ def step_towards(
     rows: int,
     h: float,
 ) -> Fields:
-    """A step of each field that brings the density's change nearer to a target.
+    """A step of each field that moves the density's change towards a target.
 
-    It is as long as a step of the stylization, times the size of the difference relative to that of the changes.
+    Its length is that of a stylization step times the RMS of the difference relative to that of the changes.
 
     Args:
         target: c̄_t, (D, H, W).

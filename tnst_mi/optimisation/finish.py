@@ -1,4 +1,4 @@
-"""The result of a frame: the fields that were reached, applied to the unstylized smoke at full resolution."""
+"""The result of a frame: its optimised fields, applied to the unstylized smoke at full resolution."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tnst_mi.optimisation.state import Items
 
 
 def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Stylized:
-    """What a frame has become, without its losses and its history.
+    """The stylized frame, without its losses and its history.
 
-    A frame that is left unchanged, or has not entered an octave yet, comes as it is. In a solid the smoke stays what it
-    was, and v* is 0.
+    A frame that stays unchanged, or has not entered an octave yet, is returned as it is. Inside a solid the smoke stays
+    unchanged, and v* is 0.
 
     Args:
-        items: of the octave that was reached, None for none.
+        items: of the octave that was reached; None if there is none.
         frame: the plan of the frame.
         source: the frame.
     """
@@ -35,7 +35,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         else:
             velocity = np.zeros((*source.density.shape, 3), np.float32)
         if isinstance(parameterisation, Transport) and source.obstacle is not None:
-            # Potentials do not change in a solid, but those around it have velocities a cell inside.
+            # Potentials do not change inside a solid, but those around it produce velocities one cell into it.
             velocity[source.obstacle] = 0
             density = advect(source.density, velocity, steps=frame.recipe.steps)
         else:

@@ -1,4 +1,4 @@
-"""What a recipe stylizes towards, as an objective (paper Eq. 2): semantic, tag and content terms, and style terms."""
+"""The objective of a recipe (paper Eq. 2): its semantic, tag, content and style terms."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.network.weights import ENVIRONMENT_VARIABLE
 from tnst_mi.recipe.recipe import Recipe
 
-#: Layer whose features a content picture is matched in: deep enough for shapes rather than strokes.
+#: Layer at which the features of a content picture are matched: deep enough for shapes rather than strokes.
 CONTENT_LAYER = "inception_4d/output"
 
 
 def objective_of(recipe: Recipe) -> Objective:
-    """The sum of the recipe's terms; of a style that changes over the frames, the pictures of all keys."""
+    """The sum of the recipe's terms; a style that changes over the frames contributes the pictures of all its keys."""
     recipe = recipe.located(Path.cwd())
     terms = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
@@ -30,17 +30,18 @@ def objective_of(recipe: Recipe) -> Objective:
 
 
 def term_weights(recipe: Recipe) -> list[float]:
-    """Weights of the terms of `objective_of`, in their order, for the recipe of one frame."""
+    """Weights of the terms of `objective_of`, in the same order, for the recipe of one frame."""
     semantic = len(recipe.semantic) + len(recipe.tag) + len(recipe.content)
     style = [recipe.style_weight * share for share in recipe.style_shares]
     return [recipe.semantic_weight] * semantic + style
 
 
 def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
-    """Refuse channel numbers of another network on `patterns`, which a recipe means only if it says so.
+    """Refuse channel numbers on the network `patterns` unless the recipe names that network explicitly.
 
-    Nothing in a number shows which network it was chosen for; recipes name channels of those trained on ImageNet.
-    Names of classes, and pictures, mean the same to any network. `fallback`: it is `patterns` as no other was found.
+    A channel number does not show which network it was chosen for, and recipes use those of networks trained on
+    ImageNet. Class names and pictures mean the same to any network. `fallback`: `patterns` is used because no other
+    network was found.
     """
     if network.flavour != PATTERNS or recipe.weights is not None or not recipe.semantic:
         return

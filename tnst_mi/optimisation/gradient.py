@@ -23,13 +23,13 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
 
-#: How far from the main view the views are that results are judged from, as a share of the range of azimuths.
+#: Offset of the outer views for judging results, as a share of the way from the main view to the end of the azimuths.
 _JUDGED_REACH = 0.8
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The loss, each of its terms, the stylized density (D, H, W) that has it, and the derivative of the fields."""
+    """The loss, its terms, the stylized density (D, H, W) that has it, and its gradient with respect to the fields."""
 
     loss: float
     terms: dict[str, float]
@@ -43,7 +43,7 @@ class OctaveProblem:
 
     Attributes:
         octave: the grid.
-        loss: of images of the octave's size, with its targets and scales.
+        loss: for images of the octave's size, with its targets and scales.
         exposure: factor from rendered images to the network's [0, 1].
     """
 
@@ -52,7 +52,7 @@ class OctaveProblem:
     exposure: float
 
     def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
-        """The same with other scales of the terms."""
+        """The same problem with other scales of the terms."""
         return replace(self, loss=self.loss.scaled(scales))
 
     def gradient(self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]) -> Evaluation:
@@ -67,8 +67,8 @@ class OctaveProblem:
         Raises:
             InputError: the loss is not finite.
         """
-        # Two phases: the views accumulate their gradient on a copy of the density, which then goes back through the
-        # transport once instead of once per view.
+        # Two phases: the views accumulate their gradient on a copy of the density; it is then propagated back through
+        # the transport once instead of once per view.
         parameterisation = frame.parameterisation
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
@@ -94,8 +94,8 @@ class OctaveProblem:
                 f"try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
             )
         values = {name: float(term) for name, term in terms.items()}
-        # `dr.wrap` ties the torch graph into reference cycles. Arrays outside Python's heap do not make the collector
-        # run, so it is asked to look at the young objects, which costs little.
+        # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
+        # collector, so the young generations are collected explicitly, which is cheap.
         del loss, images, seen, pull_back, loss_of
         terms.clear()
         gc.collect(1)
@@ -104,16 +104,16 @@ class OctaveProblem:
     def gradient_square_sum(
         self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]
     ) -> dict[str, tuple[float, int]]:
-        """By term, the sum of its squared image gradient over the views, and the number of pixels; see `rms_scales`."""
+        """Per term, the sum of its squared image gradient over the views, and the pixel count; see `rms_scales`."""
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             images = self._images(stylized, frame.recipe, seed)
         return self.loss.gradient_square_sum(images.torch().clone())
 
     def judge(self, frame: FramePlan, density: np.ndarray) -> tuple[float, dict[str, float]]:
-        """Loss of a density (D, H, W), and its terms unscaled, as means over three fixed views.
+        """Loss of a density (D, H, W), and its unscaled terms, as means over three fixed views.
 
-        They are the main view, and 0.8 of the way from there to both ends of the range of azimuths.
+        They are the main view, and the views 0.8 of the way from it to either end of the range of azimuths.
         """
         recipe = frame.recipe
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
@@ -139,7 +139,7 @@ class OctaveProblem:
 
 
 def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
-    """The problem of an octave, its scales still 1.
+    """The problem of an octave, with all scales 1.
 
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.

@@ -12,13 +12,13 @@ EDGE_SIGMA = 1.2
 
 
 def soft_mask(density: np.ndarray, obstacle: np.ndarray | None = None, strength: float = 1.0) -> np.ndarray:
-    """The blurred density, clipped to [0, 1] (paper section 4.2), to a power: (D, H, W) float32 at full resolution.
+    """The blurred density, clipped to [0, 1] (paper section 4.2) and raised to a power: (D, H, W) float32.
 
     Args:
-        density: (D, H, W) density of the unstylized frame, ≥ 0; it counts as 0 outside the grid, except along an axis
-            of one cell, along which nothing varies.
+        density: (D, H, W) density of the unstylized frame at full resolution, ≥ 0; taken as 0 outside the grid, except
+            along an axis of one cell, along which nothing varies.
         obstacle: (D, H, W) bool; the mask is 0 inside.
-        strength: the power, ≥ 0; 0 makes the mask 1 everywhere but in the obstacle.
+        strength: the power, ≥ 0; 0 makes the mask 1 everywhere except in the obstacle.
     """
     axes = [axis for axis in range(3) if density.shape[axis] > 1]
     density = mi.TensorXf(np.ascontiguousarray(density, np.float32))

@@ -1,4 +1,4 @@
-"""Entering an octave: its items from those of the octave before, and the scales of the loss there."""
+"""Entering an octave: its items, computed from those of the previous octave, and the scales of its loss."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.state import Items
 from tnst_mi.optimisation.store import Store
 
-#: Gives some frames one by one; a run may end in between.
+#: Yields the given frames one by one; a run may end in between.
 Each = Callable[[Iterable[FramePlan]], Iterator[FramePlan]]
 
 
 def reached(plan: Plan, store: Store) -> int:
-    """The octave that a run has reached: the last that all frames have entered."""
+    """The octave that a run has reached: the last one that all frames have entered."""
     for level in reversed(range(len(plan.octaves))):
         items = Items(plan, level, store)
         if all(items.iterations_done(frame) >= 0 for frame in plan.alive):
@@ -28,13 +28,13 @@ def reached(plan: Plan, store: Store) -> int:
 
 
 def levels_left(plan: Plan, store: Store) -> range:
-    """The octaves that a run has still to go through; none where no frame is changed."""
+    """The octaves that a run still has to process; none if no frame is changed."""
     return range(reached(plan, store) if plan.alive else len(plan.octaves), len(plan.octaves))
 
 
 def entered(plan: Plan, level: int, frames: Sequence[Frame], store: Store, each: Each) -> Items:
-    """The items of an octave, after every frame has been brought to it; those of the octaves before are removed."""
-    # Dr.Jit keeps the blocks of the octave before, which are too small for this one.
+    """The items of an octave, once every frame has entered it; those of earlier octaves are removed."""
+    # Dr.Jit caches the memory blocks of the previous octave, which are too small for this one.
     dr.flush_malloc_cache()
     items, windowed = Items(plan, level, store), plan.window > 1
     earlier = [Items(plan, before, store) for before in range(level)]

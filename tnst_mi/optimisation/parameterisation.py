@@ -20,7 +20,7 @@ GRADIENT_SIGMA = 1.2
 
 
 class Fields(dict[str, "mi.TensorXf"]):
-    """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. Gradients and steps are such too."""
+    """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. So are gradients and steps."""
 
     def __sub__(self, step: Fields) -> Fields:
         """The fields after a step."""
@@ -29,7 +29,7 @@ class Fields(dict[str, "mi.TensorXf"]):
         return after
 
     def __add__(self, other: Fields) -> Fields:
-        """Two steps as one."""
+        """The sum of two steps."""
         return Fields({name: field + other[name] for name, field in self.items()})
 
     def attached(self) -> Fields:
@@ -40,10 +40,10 @@ class Fields(dict[str, "mi.TensorXf"]):
 
 
 class Parameterisation(ABC):
-    """How a density follows from fields.
+    """How a density depends on fields.
 
     Attributes:
-        channels: of every field, by name.
+        channels: number of channels of every field, by name.
     """
 
     channels: dict[str, int]
@@ -54,7 +54,7 @@ class Parameterisation(ABC):
         return Fields({name: mi.TensorXf(np.zeros(shape, np.float32)) for name, shape in shapes.items()})
 
     def carried(self, fields: Fields, source: Octave, target: Octave) -> Fields:
-        """Fields of one octave on the grid of another."""
+        """Fields of one octave, resampled to the grid of another."""
         return Fields(
             {
                 name: mi.TensorXf(resample_potential(field.numpy(), source.cell_size, target.shape, target.cell_size))
@@ -71,14 +71,14 @@ class Parameterisation(ABC):
         """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
 
     def density_with_pullback(self, fields: Fields, density: mi.TensorXf, h: float) -> tuple[mi.TensorXf, Pullback]:
-        """The stylized density, detached, and the map from a derivative with respect to it to that of the fields."""
+        """The stylized density, detached, and the pull-back of derivatives with respect to it onto the fields."""
         leaves = fields.attached()
         stylized = self.density(leaves, density, h)
         return dr.detach(stylized), Pullback(leaves, stylized)
 
 
 class Pullback:
-    """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be used once."""
+    """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be called once."""
 
     def __init__(self, leaves: Fields, stylized: mi.TensorXf) -> None:
         self._leaves, self._stylized = leaves, stylized
@@ -89,7 +89,7 @@ class Pullback:
         dr.enqueue(dr.ADMode.Backward, self._stylized)
         dr.traverse(dr.ADMode.Backward)
         found = Fields({name: dr.grad(leaf) for name, leaf in self._leaves.items()})
-        # The memory of the graph is needed.
+        # Release the graph: its memory is needed.
         del self._leaves, self._stylized
         return found
 
@@ -97,10 +97,10 @@ class Pullback:
 def normalised_step(
     gradient: Fields, mask: mi.TensorXf, size: float, levels: int, sigma: float = GRADIENT_SIGMA
 ) -> Fields:
-    """size · mask · N(g): the step that is taken off each field.
+    """size · mask · N(g): the step to subtract from each field.
 
-    N(g) is the gradient, blurred by `sigma` cells of the octave and with the bands of its Laplacian pyramid normalised,
-    each field by itself. The gradient is used up, name by name, so that its memory is free again.
+    N(g) is the gradient, blurred by `sigma` cells of the octave and normalised per band of its Laplacian pyramid, each
+    field separately. The gradient is consumed, field by field, to free its memory.
 
     Args:
         gradient: of each field; empty afterwards.
@@ -117,7 +117,7 @@ def normalised_step(
 
 
 def times(weight: mi.TensorXf, field: mi.TensorXf) -> mi.TensorXf:
-    """A field (D, H, W) or (D, H, W, 3) with every component multiplied by a scalar one (D, H, W)."""
+    """A field (D, H, W) or (D, H, W, 3) with every component multiplied by a scalar field (D, H, W)."""
     if len(field.shape) == 3:
         return weight * field
     cell, _ = Divisor(field.shape[3]).split(dr.arange(mi.UInt32, dr.width(field.array)))
@@ -132,8 +132,8 @@ class Transport(Parameterisation):
     Args:
         lam: share λ of the irrotational part; 1 leaves out Ψ and 0 leaves out Φ.
         substeps: sub-steps of the advection, or "auto".
-        scalar: whether there is a Φ; where None, whether λ > 0.
-        vector: whether there is a Ψ; where None, whether λ < 1.
+        scalar: whether there is a Φ; if None, whether λ > 0.
+        vector: whether there is a Ψ; if None, whether λ < 1.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Transport(Parameterisation):
         return advect(density, self.velocity(fields, h), "maccormack", h, "zero", self.substeps)
 
     def unit_step(self, rows: int, h: float) -> float:
-        """(H/2) h: η counts in the octave's own cells, so that a recipe's η means the same at every size."""
+        """(H/2) h: η is in units of the octave's own cells, so that a recipe's η means the same at every size."""
         return rows / 2 * h
 
 
@@ -165,7 +165,7 @@ class DensityOffset(Parameterisation):
     channels = {"offset": 1}  # noqa: RUF012
 
     def carried(self, fields: Fields, source: Octave, target: Octave) -> Fields:
-        """The offset on another octave; in a plane, it thins out as the density does."""
+        """The offset on another octave's grid; along axes of a single cell, it is scaled as the density is."""
         flat = sum(n == m == 1 for n, m in zip(source.shape, target.shape, strict=True))
         thinner = opaque((source.cell_size / target.cell_size) ** flat)
         return Fields({name: field * thinner for name, field in super().carried(fields, source, target).items()})

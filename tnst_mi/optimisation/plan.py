@@ -1,4 +1,4 @@
-"""What is planned before anything is computed: the octaves, and for each frame its recipe and its step size."""
+"""The plan, made before anything is computed: the octaves, and the recipe and step size of each frame."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from tnst_mi.recipe.recipe import Recipe
 
 @dataclass(frozen=True)
 class FramePlan:
-    """What is planned for a frame.
+    """The plan of one frame.
 
     Attributes:
-        index: its place in the sequence, from 0.
-        name: what files and the log call it.
-        number: what seeds its views.
+        index: its position in the sequence, from 0.
+        name: its name in files and in the log.
+        number: the number that seeds its views.
         recipe: the recipe at this frame.
         step_scale: the factor S_t / max_t S_t of η (the σ of paper Eq. 2).
         parameterisation: what is optimised, and how a density follows from it.
-        weights: of the terms of the loss; None where the objective has its own.
+        weights: of the terms of the loss; None if the objective has its own.
     """
 
     index: int
@@ -45,17 +45,17 @@ class FramePlan:
 
     @property
     def still(self) -> bool:
-        """Nothing is seen of the frame, so nothing of it is changed."""
+        """Whether the frame is invisible and therefore stays unchanged."""
         return self.step_scale == 0.0
 
     def seed(self, octave: int, iteration: int) -> tuple[int, ...]:
-        """What the views of an iteration, and the renderer where it is random, are drawn from."""
+        """The seed of the views of an iteration, and of the renderer where it is random."""
         return self.recipe.seed, self.number, octave, iteration
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is planned for a sequence.
+    """The plan of a sequence.
 
     Attributes:
         recipe: of the sequence.
@@ -73,7 +73,7 @@ class Plan:
 
     @cached_property
     def octaves(self) -> list[Octave]:
-        """From coarse to fine."""
+        """The octaves, from coarse to fine."""
         return octaves(self.shape, self.recipe.octaves, self.recipe.scale_factor)
 
     @property
@@ -83,7 +83,7 @@ class Plan:
 
     @property
     def window(self) -> int:
-        """Frames in a window; a single frame has no other to follow."""
+        """Number of frames in a window; 1 for a single frame."""
         return self.recipe.window if len(self.frames) > 1 else 1
 
     @cached_property
@@ -98,7 +98,7 @@ class Plan:
 
     @property
     def groups(self) -> list[list[FramePlan]]:
-        """The frames that follow each other's steps: with a window all of them, without each by itself."""
+        """Groups of changed frames that share their steps: all of them with a window, single frames without."""
         return [self.alive] if self.window > 1 else [[frame] for frame in self.alive]
 
 
@@ -121,10 +121,10 @@ def plan_of(
             is left unchanged.
         shape: (D, H, W) of the frames.
         exposure: factor from rendered images to the network's [0, 1].
-        objective: what to minimise, in place of the recipe's terms.
+        objective: what to minimise instead of the recipe's terms.
     """
     recipes = [recipe.at(number) for number in numbers]
-    # All frames have the same fields, also where λ goes from 0 to 1 over the sequence.
+    # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
     frames = tuple(
         FramePlan(

@@ -1,4 +1,4 @@
-"""What an optimisation tells while it goes on, and what it gives in the end."""
+"""What an optimisation reports while it runs, and what it returns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands, reported after every iteration of every frame; `done` of `total` of them."""
+    """The progress of a run, reported after every iteration of every frame: `done` of `total` iterations."""
 
     frame: str
     octave: int
@@ -31,11 +31,11 @@ class Stylized:
         velocity: v*, (D, H, W, 3) float32, full-resolution cells per frame; 0 for the density parameterisation.
         potential: (Φ, Ψ) at full resolution, None for an absent one.
         history: one dictionary per iteration: octave, iteration, loss, terms, seconds.
-        interrupted: Ctrl-C ended the optimisation early; the result is what was reached.
-        note: a remark for the user, such as for an empty frame.
+        interrupted: Ctrl-C ended the optimisation early; the result is the state at that point.
+        note: a remark for the user, for example on an empty frame.
         timings: seconds of each octave ("octave 0", ...) and in total.
         loss_before, loss_after: loss of the unstylized and the stylized density, the mean over the same three views;
-            None where nothing was stylized.
+            None if nothing was stylized.
         terms_before, terms_after: likewise the terms of the loss, unscaled and so comparable between runs.
     """
 

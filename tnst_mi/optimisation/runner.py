@@ -1,4 +1,4 @@
-"""Running Algorithm 1: what an earlier run has done is passed over, Ctrl-C ends it, progress and history are told."""
+"""Runs Algorithm 1: skips what an earlier run has already done, stops on Ctrl-C, reports progress and history."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tnst_mi.optimisation.store import Store
 
 
 class SequenceOptimisation:
-    """The optimisation of a sequence; `run` does it.
+    """The optimisation of a sequence, carried out by `run`.
 
     Args:
-        plan: what is planned.
-        frames: the frames in their order; they are read from this sequence when they are needed.
+        plan: the plan of the sequence.
+        frames: the frames in order, read from this sequence when they are needed.
         network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
-        store: the state, which may be that of an earlier run with the same arguments.
+        store: the working state, possibly that of an earlier run with the same arguments.
 
     Attributes:
         interrupted: Ctrl-C ended the run.
@@ -38,21 +38,21 @@ class SequenceOptimisation:
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
         self._interrupt = Interrupt()
-        #: Of the octave that the run is in.
+        #: Items of the current octave.
         self._items: Items | None = None
         self.interrupted = False
 
     def run(
         self, on_iteration: Callable[[Progress], None] | None = None, finished: Collection[int] = ()
     ) -> Generator[tuple[int, Stylized], None, None]:
-        """Stylize the frames, and give each with its index once it is done.
+        """Stylize the frames, and yield each with its index once it is done.
 
-        Ctrl-C ends the run after the current step; a second one at once. A single frame is given as far as it got;
-        frames of a sequence stay in the store, from which another run goes on.
+        Ctrl-C ends the run after the current step, a second one immediately. A single frame is then yielded in its
+        current state; the frames of a sequence stay in the store, from which another run can resume.
 
         Args:
             on_iteration: called after every iteration of every frame.
-            finished: indices of frames that are not wanted any more.
+            finished: indices of frames that need not be yielded any more.
 
         Raises:
             InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame or the store is
@@ -83,36 +83,36 @@ class SequenceOptimisation:
     # ---------------------------------------------------------------- turns
 
     def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
-        """All of some frames, one by one; the run may end in between."""
+        """The given frames, one by one; the run may end in between."""
         for frame in frames:
             self._stop_here()
             yield frame
 
     def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
-        """The frames whose own step of iteration k has not been found yet."""
+        """The frames whose own step of iteration k is still to be computed."""
         self._items = items
         for frame in self.each(items.ready(f for f in group if items.steps_found(f) <= k)):
             yield frame
-            # Of a windowed iteration, a frame's own step is nearly all the work.
+            # A frame's own step is nearly all the work of a windowed iteration.
             if len(group) > 1:
                 self._report(frame, items, k)
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
-        """The frames whose fields have not followed the steps of iteration k yet."""
+        """The frames whose fields are still to be updated in iteration k."""
         for frame in self.each(items.ready(f for f in group if items.iterations_done(f) <= k)):
             yield frame
             if len(group) == 1:
                 self._report(frame, items, k)
 
     def _stop_here(self) -> None:
-        """Points at which a run may end."""
+        """End the run here if Ctrl-C was pressed."""
         if self._interrupt.requested:
             raise KeyboardInterrupt
 
     # ---------------------------------------------------------------- progress and results
 
     def _report(self, frame: FramePlan, items: Items, k: int) -> None:
-        """Report that an iteration of a frame has been done."""
+        """Report a completed iteration of a frame."""
         if self._on_iteration is None:
             return
         plan, found = self._plan, items.own_step(frame)
@@ -126,9 +126,9 @@ class SequenceOptimisation:
         )
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
-        """What a frame has become, its history, and the losses before and after."""
+        """The stylized frame, with its history and the losses before and after."""
         source = self._frames[frame.index]
-        # The blocks that Dr.Jit keeps for the iterations are not needed any more.
+        # The memory blocks that Dr.Jit caches for the iterations are no longer needed.
         dr.flush_malloc_cache()
         result = stylized_frame(items, frame, source)
         result.history = self._history(frame.name)
@@ -143,6 +143,6 @@ class SequenceOptimisation:
         return result
 
     def _history(self, name: str) -> list[dict]:
-        """The log of a frame; what a killed run had logged and then did again counts once."""
+        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
         entries = {(e["octave"], e["iteration"]): e for e in self._store.entries() if e["frame"] == name}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

@@ -1,4 +1,4 @@
-"""Stylizing one frame by itself (paper Eq. 4 and section 4): a sequence of one."""
+"""Stylizing a single frame (paper Eq. 4 and section 4): a sequence of one."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def optimise(
 ) -> Stylized:
     """Stylize one frame.
 
-    Ctrl-C ends the optimisation after the current iteration; a second one at once.
+    Ctrl-C ends the optimisation after the current iteration, a second one immediately.
 
     Args:
-        frame: the frame; one that is empty or renders black comes back unchanged, with a note.
+        frame: the frame; one that is empty or renders black is returned unchanged, with a note.
         recipe: what to stylize towards, and how.
         network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
         exposure: factor from rendered images to the network's [0, 1]; None takes 1 / max of this frame's main view.
         on_iteration: called after every iteration.
         step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
-        objective: what to minimise, in place of the recipe's terms; for terms that no recipe can name, such as
+        objective: what to minimise instead of the recipe's terms; for terms that no recipe can name, such as
             `losses.terms.Match`.
 
     Raises:

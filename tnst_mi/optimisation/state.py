@@ -1,9 +1,9 @@
-"""The items of an optimisation: what a `Store` holds of each frame on the grid of an octave o, as tensors.
+"""The items of an optimisation: what a `Store` holds for each frame on the grid of an octave o, as tensors.
 
 inputs.o    density, mask and simulation velocity of a frame
-fields.o    what is optimised; generation = iterations done
+fields.o    the optimised fields; generation = iterations done
 gain.o      normalises the average over the window, see `averaging_gain`
-step.o      what one iteration would change by the frame's own gradient, and the change of the density that it
+step.o      the step of one iteration along the frame's own gradient, and the change of the density that it
             starts from; generation = iterations done
 """
 
@@ -29,7 +29,7 @@ from tnst_mi.optimisation.window import reading_order, window_of
 
 _GROUPS = ("inputs", "fields", "gain", "step")
 
-#: Frames without a window, which keep their fields in memory between iterations, write them after this many seconds.
+#: Without a window, fields are kept in memory between iterations, and written to the store after this many seconds.
 CHECKPOINT_SECONDS = 30.0
 
 
@@ -43,13 +43,13 @@ class Inputs:
 
 @dataclass(frozen=True)
 class OwnStep:
-    """A frame's own step, found from its own gradient.
+    """A frame's own step, computed from its own gradient.
 
     Attributes:
-        step: what it would take off the fields.
-        change: d* − d, (D, H, W), where it starts from; None where nothing follows it.
-        loss, terms: there.
-        seconds: what it took.
+        step: what to subtract from the fields.
+        change: d* − d, (D, H, W), of the fields that it starts from; None if nothing uses it.
+        loss, terms: of the same fields.
+        seconds: time that it took.
     """
 
     step: Fields
@@ -60,22 +60,23 @@ class OwnStep:
 
 
 class Items:
-    """The items of one octave. What is read are tensors; what is written takes the place of its earlier generation.
+    """The items of one octave. Reading gives tensors; writing replaces the earlier generation.
 
-    With a window, everything is written at once, steps and changes in half precision. Without, a frame goes through all
-    its iterations alone: its fields are kept in memory, and written now and then and by `flush`; its steps stay there.
+    With a window, everything is written immediately, steps and changes in half precision. Without one, a frame goes
+    through all its iterations alone: its fields are kept in memory, and written at intervals and by `flush`; its steps
+    stay in memory.
 
     Args:
         plan: of the sequence.
         level: which octave, from 0.
-        store: where the items are.
+        store: where the items are kept.
     """
 
     def __init__(self, plan: Plan, level: int, store: Store) -> None:
         self.plan, self.level, self.octave, self._store = plan, level, plan.octaves[level], store
         self._alone = plan.window == 1
         self._inputs: dict[int, Inputs] = {}
-        #: By frame: iterations done, and the fields then.
+        #: By frame: iterations done, and the fields after them.
         self._fields: dict[int, tuple[int, Fields]] = {}
         self._steps: dict[int, tuple[int, OwnStep]] = {}
         self._written = time.perf_counter()
@@ -83,15 +84,15 @@ class Items:
     def _group(self, kind: str) -> str:
         return f"{kind}.{self.level}"
 
-    # ---------------------------------------------------------------- how far it is
+    # ---------------------------------------------------------------- progress
 
     def iterations_done(self, frame: FramePlan) -> int:
-        """Iterations that a frame has had; −1 where it has not entered the octave."""
+        """Number of iterations done on a frame; −1 if it has not entered the octave."""
         kept = self._fields.get(frame.index)
         return self._store.generation(self._group("fields"), frame.index) if kept is None else kept[0]
 
     def steps_found(self, frame: FramePlan) -> int:
-        """Iterations in which a frame's own step has been found; what the fields have followed counts too."""
+        """Number of iterations whose own step has been computed for a frame, including those already applied."""
         kept = self._steps.get(frame.index)
         found = self._store.generation(self._group("step"), frame.index) if kept is None else kept[0]
         return max(found, self.iterations_done(frame))
@@ -99,7 +100,7 @@ class Items:
     # ---------------------------------------------------------------- entering the octave
 
     def enter_inputs(self, frame: FramePlan, source: Frame) -> None:
-        """Write what the octave needs of a frame. Half precision is ample for a mask in [0, 1] and for velocities."""
+        """Write a frame's inputs for the octave. Half precision suffices for a mask in [0, 1] and for velocities."""
         group, grid = self._group("inputs"), self.octave
         if self._store.generation(group, frame.index) >= 0:
             return
@@ -116,7 +117,7 @@ class Items:
         self._store.write(group, frame.index, 0, arrays)
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
-        """Carry the fields of a frame over from the octave before; in the first one they are 0."""
+        """Carry the fields of a frame over from the previous octave; in the first one they are 0."""
         if self.iterations_done(frame) >= 0:
             return
         parameterisation = frame.parameterisation
@@ -127,7 +128,7 @@ class Items:
         self._write_fields(frame, 0, fields)
 
     def enter_gain(self, frame: FramePlan) -> None:
-        """Write what makes the windowed sum of a frame an average over smoke."""
+        """Write the factor that turns the windowed sum of a frame into an average over smoke."""
         if self._store.generation(self._group("gain"), frame.index) >= 0:
             return
         weights = self.plan.window_weights
@@ -137,14 +138,14 @@ class Items:
         self._store.write(self._group("gain"), frame.index, 0, {"gain": gain})
 
     def forget(self) -> None:
-        """Remove the items, of an octave that is done."""
+        """Remove the items of this octave once it is done."""
         for kind in _GROUPS:
             self._store.remove(self._group(kind))
 
     # ---------------------------------------------------------------- reading
 
     def ready(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
-        """The frames one by one, each with its inputs and fields in memory; the next one is read meanwhile."""
+        """The frames one by one, each with its inputs and fields in memory; the next one is read ahead."""
 
         def read(frame: FramePlan) -> tuple[FramePlan, Arrays, Arrays]:
             inputs = self._store.read(self._group("inputs"), frame.index, ["density", "mask"])
@@ -166,12 +167,12 @@ class Items:
         return self._inputs[frame.index]
 
     def fields(self, frame: FramePlan) -> Fields:
-        """The fields of a frame as they are."""
+        """The current fields of a frame."""
         kept = self._fields.get(frame.index)
         return _tensors(self._store.read(self._group("fields"), frame.index)) if kept is None else kept[1]
 
     def own_step(self, frame: FramePlan) -> OwnStep:
-        """What a frame found last: with a window without the step, which is in the store."""
+        """A frame's latest own step; with a window, its arrays are only in the store."""
         return self._steps[frame.index][1]
 
     def averaged_step(self, frame: FramePlan) -> Fields:
@@ -184,10 +185,10 @@ class Items:
     def windowed_sums(
         self, frame: FramePlan, kind: str, names: Sequence[str], weights: np.ndarray
     ) -> dict[str, mi.TensorXf]:
-        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a kind of items, with weights by distance."""
+        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of one kind of item, with weights by distance."""
         index = frame.index
         window = window_of(index, len(self.plan.frames), 2 * len(weights) - 1)
-        # Towards a frame from its past goes u_i, back from its future what led there.
+        # Past frames are transported forwards by their own u_i, future ones backwards by u_{i−1}.
         links = [(i, i if i < index else i - 1) for i in reading_order(index, window)]
 
         def read(i: int, link: int) -> tuple[Arrays, np.ndarray]:
@@ -202,7 +203,7 @@ class Items:
         return transported_sums(own, weights, window, index, neighbours, self.octave.cell_size)
 
     def _arrays(self, index: int, kind: str, names: Sequence[str]) -> Arrays:
-        """Some arrays of an item; 0 for a frame that is left unchanged, which counts as one without smoke."""
+        """The named arrays of an item; zeros for a frame that stays unchanged, which counts as one without smoke."""
         frame = self.plan.frames[index]
         if not frame.still:
             return self._store.read(self._group(kind), index, names)
@@ -215,10 +216,10 @@ class Items:
     # ---------------------------------------------------------------- writing
 
     def put_step(self, frame: FramePlan, iteration: int, found: OwnStep) -> None:
-        """Put a frame's own step of an iteration, and log it.
+        """Store a frame's own step of an iteration, and log it.
 
         Raises:
-            InputError: it cannot be written in half precision.
+            InputError: it exceeds the range of half precision.
         """
         entry = {"frame": frame.name, "octave": self.level, "iteration": iteration, "loss": found.loss}
         self._store.log(entry | {"terms": found.terms, "seconds": found.seconds})
@@ -237,19 +238,19 @@ class Items:
         self._store.write(self._group("step"), frame.index, iteration + 1, half)
 
     def put_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
-        """Put the fields of a frame after so many iterations."""
+        """Store the fields of a frame after `done` iterations."""
         self._fields[frame.index] = done, fields
         last = done == self.plan.recipe.iterations
         if not self._alone or last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
             self._write_fields(frame, done, fields)
         if self._alone:
-            # What has been followed is not needed any more.
+            # A step that has been applied is no longer needed.
             self._steps[frame.index] = done, replace(self._steps[frame.index][1], step=Fields(), change=None)
         if last:
             self._inputs, self._fields = {}, {}
 
     def flush(self) -> None:
-        """Write the fields that are in memory alone."""
+        """Write the fields that are only in memory."""
         for index, (done, fields) in self._fields.items():
             frame = self.plan.frames[index]
             if done > self._stored_iterations(frame):

@@ -1,8 +1,8 @@
 """The working state of a run: arrays by group, frame and generation, on disk or in memory.
 
-A generation counts how often an item has been replaced. Items appear whole or not at all, and what an item holds
-follows from other items alone; so the state of a run that was killed is simply what is there, and the run goes on by
-making what is missing. On disk an item is one safetensors file, read without pickle and with checked sizes:
+A generation counts how often an item has been replaced. Items are written atomically, and the content of an item
+depends only on other items; so the items that a killed run leaves are a valid state, from which the run resumes by
+computing what is missing. On disk an item is one safetensors file, read without pickle and with its sizes checked:
 
     GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl
 """
@@ -38,11 +38,11 @@ class Store(ABC):
 
     @abstractmethod
     def generation(self, group: str, frame: int) -> int:
-        """Generation of an item; −1 where it is not there."""
+        """Generation of an item; −1 if it does not exist."""
 
     @abstractmethod
     def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
-        """The arrays of an item, or those that are named, floats in single precision.
+        """The arrays of an item, or only the named ones, with floats in single precision.
 
         Raises:
             InputError: the item's file is damaged.
@@ -50,19 +50,19 @@ class Store(ABC):
 
     @abstractmethod
     def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
-        """Put an item in the place of its earlier generation."""
+        """Write an item, replacing its earlier generation."""
 
     @abstractmethod
     def remove(self, group: str) -> None:
-        """Remove all items of a group; nothing happens where there is none."""
+        """Remove all items of a group, if there are any."""
 
     @abstractmethod
     def numbers(self, name: str) -> dict[str, float] | None:
-        """Some named numbers, or None where they have not been written."""
+        """A set of named numbers, or None if it has not been written."""
 
     @abstractmethod
     def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
-        """Write some named numbers."""
+        """Write a set of named numbers."""
 
     @abstractmethod
     def log(self, entry: dict[str, Any]) -> None:
@@ -119,13 +119,13 @@ class FolderStore(Store):
     """A store on disk, which outlives the process.
 
     Args:
-        folder: where; it is made if it does not exist, and what it holds is the state.
+        folder: the folder that holds the state; it is created if it does not exist.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._generations: dict[tuple[str, int], int] = {}
-        # A killed run may leave two generations of an item, both whole, and unfinished files.
+        # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
             if match:
@@ -151,7 +151,7 @@ class FolderStore(Store):
     def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
         """See `Store`."""
         with written_whole(self._path(group, frame, generation)) as temporary:
-            # Written from here rather than by the library, whose error does not tell that a disk is full.
+            # Written here rather than by the library, whose error does not show that the disk is full.
             temporary.write_bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
         self._take(group, frame, generation)
 
@@ -174,7 +174,7 @@ class FolderStore(Store):
         """See `Store`."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
-            # The line break comes first: whatever a killed run left of its last line stays apart.
+            # The line break comes first, so that a line that a killed run left incomplete stays separate.
             file.write("\n" + json.dumps(entry))
 
     def entries(self) -> list[dict[str, Any]]:
@@ -185,7 +185,7 @@ class FolderStore(Store):
             try:
                 entries.append(json.loads(line))
             except ValueError:
-                continue  # torn when the run was killed; its iteration is done again
+                continue  # incomplete since the run was killed; its iteration is repeated
         return entries
 
     def _all_numbers(self) -> dict[str, dict[str, float]]:
@@ -199,7 +199,7 @@ class FolderStore(Store):
         return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"
 
     def _take(self, group: str, frame: int, generation: int) -> None:
-        """Count an item as the newest of its kind, and remove the one before."""
+        """Record an item as the newest generation, and remove the previous one."""
         earlier = self._generations.get((group, frame))
         if earlier is not None and earlier != generation:
             self._path(group, frame, earlier).unlink(missing_ok=True)
@@ -207,7 +207,7 @@ class FolderStore(Store):
 
 
 def read_ahead(reads: Iterable[Callable[[], T]]) -> Iterator[T]:
-    """What the given functions return, each called while the result of the one before it is in use."""
+    """The results of the given functions, each called while the previous result is in use."""
     with ThreadPoolExecutor(1) as reader:
         waiting = None
         for read in reads:

@@ -10,7 +10,7 @@ def window_weights(window: int, kind: str = "uniform") -> np.ndarray:
 
     Args:
         window: odd number of frames, 2w + 1.
-        kind: "uniform", as in the paper's program; "triangle", falling to 0 at the first frame outside; or "gaussian"
+        kind: "uniform", as in the paper's code; "triangle", falling to 0 at the first frame outside; or "gaussian"
             with a standard deviation of w/4.
     """
     reach = window // 2
@@ -24,11 +24,11 @@ def window_weights(window: int, kind: str = "uniform") -> np.ndarray:
 
 
 def window_of(frame: int, count: int, window: int) -> range:
-    """The frames of the window around one of `count` frames; shorter at both ends of the sequence."""
+    """The frames of the window around one of `count` frames; truncated at both ends of the sequence."""
     reach = window // 2
     return range(max(0, frame - reach), min(count, frame + reach + 1))
 
 
 def reading_order(frame: int, window: range) -> list[int]:
-    """The neighbours of a frame in the order in which `transported_sums` takes their fields."""
+    """The neighbours of a frame in the order in which `transported_sums` consumes their fields."""
     return [*range(window.start, frame), *range(window.stop - 1, frame, -1)]

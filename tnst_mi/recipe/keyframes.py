@@ -1,7 +1,7 @@
 """Keyframes: values of a recipe that change over the frames of a sequence.
 
-In a recipe a table from frame numbers to values, such as `gamma = {49 = 0.1, 72 = 1.0}`, can stand in place of one
-value: linear between the keys, constant before the first and after the last.
+In a recipe, a table from frame numbers to values, such as `gamma = {49 = 0.1, 72 = 1.0}`, can replace a single value.
+Values are linear between the keys, constant before the first and after the last.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 
-#: The values of one key, as (frame number, value), in the order of the frames; at least one.
+#: The values of one key as (frame number, value) pairs in frame order; at least one.
 Keyframes = tuple[tuple[int, Any], ...]
 
 #: The keys of a recipe whose values may change over the frames.
@@ -23,17 +23,17 @@ KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth"
 
 
 def is_keyframed(name: str, value: Any) -> bool:
-    """Whether the value of a key is a table from frames to values; a table from layers to weights is none."""
+    """Whether the value of a key is a table from frames to values; a table from layers to weights is not."""
     if not isinstance(value, Mapping):
         return False
     return name != "style_layers" or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
 
 
 def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, str], Any]) -> Any:
-    """Return convert(name, value, source), or of a table {frame number: convert of each value} by rising frames.
+    """Return convert(name, value, source), or for a table {frame number: converted value} in frame order.
 
     Raises:
-        InputError: the value is a table, but the key cannot be keyframed, or the table's keys are no frame numbers.
+        InputError: the value is a table, but the key cannot be keyframed, or the table's keys are not frame numbers.
     """
     if not is_keyframed(name, value):
         return convert(name, value, source)
@@ -42,7 +42,7 @@ def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, s
 
 
 def value_at(keys: Keyframes, frame: int) -> Any:
-    """The value at a frame, of keys that hold a number, or a tuple of as many numbers each."""
+    """The value at a frame, for keys that hold numbers, or tuples of numbers of equal length."""
     after = bisect.bisect_right(keys, frame, key=lambda key: key[0])
     if after == 0:
         return keys[0][1]
@@ -61,10 +61,10 @@ def pictures_of(keys: Keyframes) -> tuple[str, ...]:
 
 
 def shares_at(keys: Keyframes, frame: int) -> tuple[float, ...]:
-    """How much of each of `pictures_of(keys)` is meant at a frame.
+    """The share of each of `pictures_of(keys)` at a frame.
 
-    At a key that is how often its list names the picture, 1 or 0 as a rule; in between the shares are linear, so that
-    one list's pictures fade into the next one's.
+    At a key, the share is how often its list names the picture, usually 1 or 0; between keys, shares are linear, so
+    that the pictures of one list fade into those of the next.
     """
     return tuple(
         value_at(tuple((key, float(pictures.count(picture))) for key, pictures in keys), frame)
@@ -73,7 +73,7 @@ def shares_at(keys: Keyframes, frame: int) -> tuple[float, ...]:
 
 
 def _between(start: float, end: float, share: Fraction) -> float:
-    # Exact, and rounded once: no value leaves the range of its neighbours, and low ≤ high stays so.
+    # Exact, and rounded once: values stay in the range of their neighbours, and low ≤ high is preserved.
     return float((1 - share) * Fraction(start) + share * Fraction(end))
 
 
@@ -90,7 +90,7 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
             raise InputError(f"{source}{name}: {reprlib.repr(key)} is no frame number, expected 0 to 999999999")
         if frame in entries:
             raise InputError(f"{source}{name}: frame {frame} is there twice, expected each frame once")
-        # One picture needs no list in a table.
+        # In a table, a single picture needs no list.
         entries[frame] = [entry] if name == "style" and isinstance(entry, str) else entry
     return entries
 

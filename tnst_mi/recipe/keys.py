@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 
 class Kind(Protocol):
-    """What every kind of recipe value can do; `expected` completes the sentence "expected ..."."""
+    """The interface of every kind of recipe value; `expected` completes the sentence "expected ..."."""
 
     @property
     def expected(self) -> str:
@@ -18,23 +18,23 @@ class Kind(Protocol):
 
     @property
     def placeholder(self) -> str:
-        """What --help shows in place of the value."""
+        """The placeholder for the value in --help."""
         ...
 
     def check(self, value: Any) -> Any:
-        """Return the value in its normal form, or raise ValueError; a value that passed passes again."""
+        """Return the value in its normal form, or raise ValueError; a value in normal form is accepted again."""
 
     def read(self, text: Any) -> Any:
-        """Turn the text of a flag, of a repeatable one all its texts, into a value for `check`, or raise ValueError."""
+        """Turn the text of a flag (all texts of a repeatable one) into a value for `check`, or raise ValueError."""
 
     def show(self, value: Any) -> str:
-        """Write a checked value as it is typed on the command line."""
+        """Write a checked value as typed on the command line."""
         ...
 
 
 @dataclass(frozen=True)
 class Number:
-    """A finite float with bounds; `above` is a bound that is itself excluded."""
+    """A finite float with bounds; `above` is an exclusive lower bound."""
 
     low: float | None = None
     high: float | None = None
@@ -64,7 +64,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Integer:
-    """A whole number with bounds; with `word`, that word is allowed too; with `odd`, only odd numbers are."""
+    """An integer with bounds; `word` is also accepted if given; `odd` restricts it to odd numbers."""
 
     low: int | None = None
     high: int | None = None
@@ -79,7 +79,7 @@ class Integer:
 
     @property
     def placeholder(self) -> str:
-        """What --help shows in place of the value."""
+        """The placeholder for the value in --help."""
         return f"INTEGER|{self.word}" if self.word else "INTEGER"
 
     def check(self, value: Any) -> int | str:
@@ -92,7 +92,7 @@ class Integer:
         return value
 
     def read(self, text: str) -> int | str:
-        """Read a whole number or the word."""
+        """Read an integer or the word."""
         return text if text == self.word else int(text)
 
     def show(self, value: int | str) -> str:
@@ -113,7 +113,7 @@ class Choice:
 
     @property
     def placeholder(self) -> str:
-        """What --help shows in place of the value."""
+        """The placeholder for the value in --help."""
         return "|".join(self.options)
 
     def check(self, value: Any) -> str:
@@ -214,7 +214,7 @@ class Range:
 
 @dataclass(frozen=True)
 class LayerWeights:
-    """A weight for each named layer: in TOML a table or a list of "LAYER=WEIGHT", and 1 if left out."""
+    """A weight for each named layer: in TOML a table or a list of "LAYER=WEIGHT"; a weight left out is 1."""
 
     placeholder: str = "LAYER[=WEIGHT],…"
     expected: str = 'layers with weights of 0 or more, such as ["conv2/3x3", "inception_3b/output=0.5"]'
@@ -232,7 +232,7 @@ class LayerWeights:
         return text.split(",")
 
     def show(self, value: dict[str, float]) -> str:
-        """Write `LAYER=WEIGHT,…`, a weight of 1 left out."""
+        """Write `LAYER=WEIGHT,…`, omitting weights of 1."""
         return ",".join(layer if weight == 1.0 else f"{layer}={weight:g}" for layer, weight in value.items())
 
     @staticmethod

@@ -1,9 +1,8 @@
 """The recipe of a stylization: one flat, documented set of keys for TOML files and the command line.
 
-Every key (`tnst_mi.recipe.sections` has them all) is one of TOML and, with dashes for underscores, a flag of
-`tnst-mi stylize`. Values are taken from the defaults, then from the recipe file, then from the flags; the last one
-given wins. In a file some may change over the frames (`tnst_mi.recipe.keyframes`); `Recipe.at` gives the recipe of one
-frame.
+Every key is defined in `tnst_mi.recipe.sections`, for TOML and, with dashes for underscores, as a flag of `tnst-mi
+stylize`. Values are taken from the defaults, then from the recipe file, then from the flags; the last one given wins.
+In a file, some may change over the frames (`tnst_mi.recipe.keyframes`); `Recipe.at` returns the recipe of one frame.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from tnst_mi.resources import DATA
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
 STYLES = DATA / "styles"
 
-#: Mitsuba scenes whose emitters light the smoke, likewise.
+#: Mitsuba scenes whose emitters light the smoke, named likewise.
 LIGHTS = DATA / "lights"
 
 _LARGEST_FILE = 1 << 20
@@ -39,10 +38,10 @@ _LARGEST_FILE = 1 << 20
 
 @dataclass(frozen=True)
 class Recipe(Resources, Method, Goals):
-    """Everything that decides a stylization, apart from the frames themselves.
+    """Everything that determines a stylization, apart from the frames themselves.
 
-    Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) may be given a table {frame number: value} in place of one value.
-    Their attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
+    Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their
+    attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
 
     Raises:
         InputError: a value has the wrong type or is out of range.
@@ -62,11 +61,11 @@ class Recipe(Resources, Method, Goals):
     """
 
     keyframes: Mapping[str, Keyframes] = field(default_factory=dict)
-    """The keys given such tables, each as (frame number, value) in the order of the frames; they win over the
-    attributes. Made from the tables, never a key of a file."""
+    """The keys given such tables, each as (frame number, value) pairs in frame order; they override the attributes.
+    Derived from the tables, never a key of a file."""
     style_shares: tuple[float, ...] = ()
-    """How much of each picture of `style` is meant, 0 or more: all 1 but in a recipe from `at`. Never a key of a file,
-    nor written to one."""
+    """The share of each picture of `style`, 0 or more: all 1 except in a recipe from `at`. Never read from a file or
+    written to one."""
 
     def __post_init__(self) -> None:
         """Check every value and bring it into its normal form."""
@@ -91,10 +90,10 @@ class Recipe(Resources, Method, Goals):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Recipe:
-        """Read a recipe file; relative paths in it count from its folder.
+        """Read a recipe file; relative paths in it start from its folder.
 
         Raises:
-            InputError: the file is missing or no TOML, a key is unknown, a value has the wrong type or is out
+            InputError: the file is missing or not TOML, a key is unknown, a value has the wrong type or is out
                 of range, or a picture does not exist.
         """
         path = Path(path)
@@ -112,7 +111,7 @@ class Recipe(Resources, Method, Goals):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None) -> Recipe:
-        """Make a recipe from TOML values; errors start with `source`, relative paths are in `folder`."""
+        """Make a recipe from TOML values; errors start with `source`, relative paths from `folder`."""
         return cls().updated(values, source, folder or Path.cwd())
 
     def updated(self, values: Mapping[str, Any], source: str, folder: Path) -> Recipe:
@@ -129,7 +128,7 @@ class Recipe(Resources, Method, Goals):
         return dataclasses.replace(self, **replaced, keyframes=kept, style_shares=shares)
 
     def located(self, folder: Path) -> Recipe:
-        """Return a copy with absolute paths, keyframes and shares kept; relative ones are in `folder`.
+        """Return a copy with absolute paths, resolved from `folder`; keyframes and shares are kept.
 
         Raises:
             InputError: a picture or a light does not exist.
@@ -139,7 +138,7 @@ class Recipe(Resources, Method, Goals):
         return dataclasses.replace(self, **values, keyframes={})
 
     def at(self, number: int | None) -> Recipe:
-        """Return the recipe of one frame, without keyframes; itself where it has none.
+        """Return the recipe of one frame, without keyframes, or the recipe itself if it has none.
 
         Values are linear between keys, and constant before the first and after the last. `style` keeps the pictures
         of all keys, and `style_shares` fades from those of one key to those of the next.
@@ -160,7 +159,7 @@ class Recipe(Resources, Method, Goals):
         return dataclasses.replace(self, **values, keyframes={})
 
     def updated_by_flags(self, texts: Mapping[str, str | tuple[str, ...]]) -> Recipe:
-        """Return a copy with keys replaced by texts of flags; relative paths are in the current folder."""
+        """Return a copy with keys replaced by texts of flags; relative paths start from the current folder."""
         recipe = self
         for name, text in texts.items():
             flag = "--" + name.replace("_", "-")
@@ -173,7 +172,7 @@ class Recipe(Resources, Method, Goals):
         return recipe
 
     def to_toml(self) -> str:
-        """Write the recipe as TOML, every key under its documentation; keys that are not set are comments."""
+        """Write the recipe as TOML, every key under its documentation; keys that are not set become comments."""
         document = tomlkit.document()
         for name, text in documentation().items():
             for line in textwrap.wrap(text, 100):
@@ -197,7 +196,7 @@ class Recipe(Resources, Method, Goals):
 
     @property
     def components(self) -> int:
-        """Numbers that are optimised at a cell: 1 of Φ where λ > 0 and 3 of Ψ where λ < 1, in any frame."""
+        """Number of optimised values per cell: 1 for Φ if λ > 0 and 3 for Ψ if λ < 1, in any frame."""
         if self.parameterisation == "density":
             return 1
         lams = [value for _, value in self.keyframes.get("lam", ((0, self.lam),))]

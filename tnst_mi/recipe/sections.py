@@ -34,13 +34,13 @@ class Goals:
             r"[^:]+:\d{1,6}(,\d{1,6})*",
         ),
     ] = ()
-    """Channels of a layer to make fire: the smoke takes on the motif that they recognise. Their numbers
-    hold for one network alone. Repeatable."""
+    """Channels of a layer to activate: the smoke takes on the motif that they recognise. Channel numbers are specific
+    to one network. Repeatable."""
     tag: Annotated[tuple[str, ...], Texts("NAME", 'a list of class names, such as ["spiral"]')] = ()
-    """Class that the network shall see in the smoke, by its name (tnst-mi weights --tags lists those of the
-    network patterns, which ships with the package). Repeatable."""
+    """Name of a class that the network should recognise in the smoke (tnst-mi weights --tags lists the classes of
+    patterns, the network that ships with the package). Repeatable."""
     content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
-    """Picture whose features (of inception_4d/output) the smoke shall match. Repeatable."""
+    """Picture whose features (of inception_4d/output) the smoke should match. Repeatable."""
     style_weight: Annotated[float, Number(low=0.0)] = 1.0
     """Weight of the style terms, 0 or more."""
     semantic_weight: Annotated[float, Number(low=0.0)] = 1.0
@@ -54,13 +54,12 @@ class Method:
     """How to get there."""
 
     lam: Annotated[float, Number(0.0, 1.0)] = 1.0
-    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 moves smoke apart and together, 0 is free of
-    divergence."""
+    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 lets smoke expand and contract, 0 is divergence-free."""
     gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
     """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
     looks."""
     quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
-    """Sum along the viewing rays: the paper's program, the exact integral, or opacity alone."""
+    """Quadrature along the viewing rays: as in the paper's program, the exact integral, or opacity alone."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
@@ -79,37 +78,37 @@ class Method:
     pyramid_levels: Annotated[int, Integer(0, 16)] = 3
     """Bands of the Laplacian pyramid that normalises the gradient, 0 or more."""
     mask_strength: Annotated[float, Number(low=0.0, high=100.0)] = 1.0
-    """Power of the mask that keeps changes to the smoke, from 0 (changes everywhere but in obstacles) to 100; 1 is the
-    paper's, more keeps changes to the dense inside."""
+    """Exponent of the mask that confines changes to the smoke, from 0 (changes everywhere except in obstacles) to 100;
+    1 is the paper's, higher values confine changes to the dense interior."""
     window: Annotated[int, Integer(1, 99, odd=True)] = 1
-    """Frames over which the stylization is kept coherent in time, odd; 1 is none. Needs their velocities."""
+    """Number of frames over which the stylization is kept coherent in time, odd; 1 turns this off. Needs the frames'
+    velocities."""
     window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
-    """Weights of the frames in a window: all alike, or less for those far off."""
+    """Weights of the frames in a window: equal, or decreasing with distance in time."""
     coherence: Annotated[float, Number(low=0.0)] = 0.0
-    """With a window, how much of each step goes to making the change of the smoke move with the smoke, relative to
-    the stylization's own, 0 or more; 0 is the paper's algorithm."""
+    """With a window, size of the step that makes the change of the smoke move with the smoke, relative to the
+    stylization's own step, 0 or more; 0 is the paper's algorithm."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
-    """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest
-    displacement."""
+    """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest displacement."""
     parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
     """Optimise velocities that transport the smoke, or change density values in place."""
     integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"
-    """Renderer inside the optimisation: light emitted by the smoke, or Mitsuba's scattering path tracer, for
-    which the next four are."""
+    """Renderer inside the optimisation: light emitted and absorbed by the smoke, or Mitsuba's scattering path tracer,
+    to which albedo, anisotropy, light and spp apply."""
     albedo: Annotated[float, Number(0.0, 1.0)] = 0.9
-    """prbvolpath: scattered share of the extinguished light, from 0 to 1."""
+    """prbvolpath: fraction of the extinguished light that is scattered, from 0 to 1."""
     anisotropy: Annotated[float, Number(-0.99, 0.99)] = 0.0
-    """prbvolpath: mean cosine g of the phase function (Henyey and Greenstein's), from -0.99 (back) to 0.99
-    (on); 0 scatters evenly."""
+    """prbvolpath: mean cosine g of the Henyey-Greenstein phase function, from -0.99 (backward) to 0.99 (forward); 0 is
+    isotropic."""
     light: Annotated[str, Text("FILE|key|environment", "a Mitsuba scene file, key or environment")] = "key"
-    """prbvolpath: where light comes from: the emitters of a Mitsuba scene file, or key (upper left, and some
-    from everywhere) or environment (from everywhere alike)."""
+    """prbvolpath: the light on the smoke: the emitters of a Mitsuba scene file, key (from the upper left, and some from
+    all around) or environment (equally from all around)."""
     spp: Annotated[int, Integer(1, 4096)] = 16
     """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
     blend: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
     seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
-    """Seed of the random views; equal seeds give equal bits."""
+    """Seed of the random views; equal seeds give bit-identical results."""
 
 
 @dataclass(frozen=True)
@@ -119,20 +118,20 @@ class Resources:
     frames: Annotated[
         str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
     ] = None
-    """Numbers of the first and the last frame of a sequence to stylize; all where not set. In a recipe file style,
+    """Numbers of the first and the last frame of a sequence to stylize; all frames if not set. In a recipe file, style,
     style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
     between keys: gamma = {49 = 0.1, 72 = 1.0}."""
     weights: Annotated[
         str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
     ] = None
-    """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. Searched for
-    where not set (tnst-mi weights lists the places)."""
+    """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. If not set, they are
+    searched for (tnst-mi weights lists the places)."""
     variant: Annotated[
         str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
     ] = None
-    """Mitsuba variant: GPU or CPU; the GPU where not set and one answers."""
+    """Mitsuba variant: GPU or CPU. If not set, the GPU if one is available."""
     format: Annotated[str | None, Text("npz|vol|uni|vdb", "npz, vol, uni or vdb", "npz|vol|uni|vdb")] = None
-    """File format of the results; the input's where not set."""
+    """File format of the results; the input's format if not set."""
     fps: Annotated[float, Number(above=0.0, high=240.0)] = 24.0
     """Frames per second of a sequence's preview video, above 0."""
 

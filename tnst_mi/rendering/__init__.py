@@ -1,6 +1,6 @@
-"""From a density to pictures.
+"""Rendering a density.
 
-`renderer` has the one interface of all renderers, the emission–absorption one, and `tnst_mi.render`; what it calls is
-in `march` (the integrator plugin) and `cameras`. `scattering` is the path-traced alternative, `driving` chooses.
-`studio`, `looks` and `pictures` make the lit pictures of the end.
+`renderer` holds the common interface of all renderers, the emission–absorption renderer, and `tnst_mi.render`; it
+builds on `march` (the integrator plugin) and `cameras`. `scattering` is the path-traced alternative, `driving` chooses
+between them. `studio`, `looks` and `pictures` make the final pictures.
 """

@@ -1,4 +1,4 @@
-"""The renderer that drives a stylization, as its recipe says: emission–absorption, or the scattering path tracer."""
+"""The renderer that drives a stylization, chosen by its recipe: emission–absorption, or the scattering path tracer."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 
 STILL_SPP = 256
-"""Paths per pixel of a path-traced still; an iteration of an optimisation can do with far fewer."""
+"""Paths per pixel of a path-traced still; an iteration of an optimisation needs far fewer."""
 
 
 def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = None) -> Renderer:
-    """The renderer of a recipe's views, for grids of a shape (D, H, W) and cell size h.
+    """The renderer of a recipe's views, for grids of shape (D, H, W) and cell size h.
 
-    `spp`, paths per pixel, is the recipe's where None; emission–absorption has no use for it.
-    Raises `InputError` where the recipe's light cannot be used.
+    `spp`, paths per pixel, defaults to the recipe's; emission–absorption ignores it. Raises `InputError` if the
+    recipe's light cannot be used.
     """
     if recipe.integrator == "emission_absorption":
         return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h)
@@ -33,7 +33,7 @@ def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = N
 def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed.
 
-    Where it is path traced, the same density has the same noise each time. Raises `InputError` as `driving_renderer`.
+    If it is path traced, the same density has the same noise each time. Raises `InputError` like `driving_renderer`.
     """
     renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP)
     return renderer.render(mi.TensorXf(density), [recipe.main_view], [recipe.seed]).numpy()[0]
@@ -41,5 +41,5 @@ def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
 
 @functools.lru_cache(maxsize=4)
 def _scattering(variant: str, shape: Shape, gamma: float, h: float, lighting: Lighting) -> ScatteringRenderer:
-    """Loading a scene is slow, and Mitsuba does not give back all its memory."""
+    """Cached, since loading a scene is slow and Mitsuba does not free all of its memory."""
     return ScatteringRenderer(shape, gamma, h, lighting)

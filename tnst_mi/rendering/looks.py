@@ -10,12 +10,12 @@ from tnst_mi.resources import scene_file
 
 
 def look_file(look: str) -> Path:
-    """The scene of a look; raises `InputError` where the installation lacks it."""
+    """The scene file of a look; raises `InputError` if the installation lacks it."""
     return scene_file(f"looks/{look}.xml")
 
 
 def extinction(look: str) -> float:
-    """Optical thickness of smoke of density 1 along the longest edge of the grid, which the look's scene states."""
+    """Optical depth of smoke of density 1 along the longest edge of the grid, as the look's scene states it."""
     file = look_file(look)
     default = ElementTree.parse(file).find("default[@name='extinction']")
     if default is None:
@@ -26,6 +26,6 @@ def extinction(look: str) -> float:
 def gamma(look: str, shape: tuple[int, int, int]) -> float:
     """The same as γ, extinction per unit of density and cell, for a grid (D, H, W): 100 / 300 for "thick" and 300 rows.
 
-    The paper's own γ, for grids of 300 rows, are 0.01 to 1: the same smoke from a veil to a solid body.
+    The paper's own γ, for grids of 300 rows, ranges from 0.01 to 1: the same smoke from a veil to a solid body.
     """
     return extinction(look) / max(shape)

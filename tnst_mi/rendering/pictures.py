@@ -1,4 +1,4 @@
-"""The pictures of `tnst-mi render`: which frame from which view, and the two ways to make them."""
+"""The pictures of `tnst-mi render`: which frame from which view, and the two ways to render them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Attributes = dict[str, float | str | View]
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture to be made: the frame's place in its sequence, the view, and what tells its file from others."""
+    """One picture to render: the frame's index in its sequence, the view, and the suffix that identifies its file."""
 
     frame: int
     view: View
@@ -32,10 +32,10 @@ def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot]:
 
 
 def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
-    """A full turn of the azimuth in `count` steps, the last one short of the first so that the video loops.
+    """A full turn of the azimuth in `count` steps, ending one step before the start so that the video loops.
 
     A sequence plays once during the turn, evenly: picture i shows frame ⌊i frames / count⌋. With as many pictures as
-    frames, each frame is seen once.
+    frames, each frame is shown once.
     """
     digits = len(str(count - 1))
     return [
@@ -45,23 +45,23 @@ def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
 
 
 class Painter(Protocol):
-    """A way to make pictures."""
+    """Interface of the two ways to render pictures."""
 
     def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
         """Linear values of picture `number`, (H, W) or (H, W, 3)."""
         ...
 
     def shown(self, image: np.ndarray) -> np.ndarray:
-        """The same as an 8-bit picture shows it, in [0, 1]."""
+        """The values as displayed by an 8-bit picture, in [0, 1]."""
         ...
 
     def attributes(self) -> Attributes:
-        """What the header of an EXR says about all pictures."""
+        """Entries common to the EXR headers of all pictures."""
         ...
 
 
 class EmissionAbsorptionPainter:
-    """Grey pictures by the emission–absorption integrator; one exposure, 1 / the largest value in the `first` view."""
+    """Grey pictures by the emission–absorption integrator, with one exposure: 1 / the largest value in view `first`."""
 
     def __init__(self, frames: Sequence[Frame], first: View, gamma: float, quadrature: str) -> None:
         self.gamma, self.quadrature, self.exposure = gamma, quadrature, 1.0
@@ -74,7 +74,7 @@ class EmissionAbsorptionPainter:
         return self.exposure * np.asarray(render(density, view, self.gamma, self.quadrature))
 
     def shown(self, image: np.ndarray) -> np.ndarray:
-        """Without any tone curve: these are the pictures that the network sees."""
+        """The image without any tone curve, as the network sees it."""
         return image
 
     def attributes(self) -> Attributes:
@@ -83,17 +83,17 @@ class EmissionAbsorptionPainter:
 
 
 class PathTracedPainter:
-    """Pictures (height, width, 3) of the smoke in the studio of a look; every picture has noise of its own.
+    """Pictures (height, width, 3) of the smoke in the studio of a look; the noise differs from picture to picture.
 
     Args:
-        frames: all frames to come.
-        views: all views to come, in degrees.
+        frames: all frames that will be rendered.
+        views: all views that will be rendered, in degrees.
         look: "thin", "medium" or "thick".
         integrator: "volpath" or "prbvolpath".
         size: (width, height) in pixels.
         samples: paths per pixel.
         seed: not negative.
-        denoise: use OptiX where it exists; `denoised` says whether it does.
+        denoise: denoise with OptiX where available; `denoised` records whether it is.
 
     Raises:
         InputError: frames differ in shape, or a view is from below the ground.
@@ -116,12 +116,12 @@ class PathTracedPainter:
         self.denoised = self.denoiser is not None
 
     def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
-        """Radiance, where 1 is white."""
+        """Radiance; 1 is white."""
         image = self.studio.render(density, view, self.samples, (self.seed, number))
         return image if self.denoiser is None else self.denoiser(image)
 
     def shown(self, image: np.ndarray) -> np.ndarray:
-        """Through the sRGB curve."""
+        """The image after the sRGB curve."""
         return srgb(image)
 
     def attributes(self) -> Attributes:

@@ -1,6 +1,6 @@
 """Registers the package's Mitsuba plugins with the active variant.
 
-Types are bound to a variant when a class is created, so the modules are reloaded at each change of the variant: by the
+Types are bound to a variant when a class is created, so the modules are reloaded whenever the variant changes: by the
 callback that `import tnst_mi` installs, and from Mitsuba 3.10 on by the `mitsuba` entry point, which names this module.
 """
 

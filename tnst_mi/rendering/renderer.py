@@ -1,8 +1,8 @@
-"""Renderers of a density on a grid, differentiable in the density; emission–absorption, and the public `render`.
+"""Renderers of a density on a grid, differentiable with respect to it; emission–absorption, and the public `render`.
 
-World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d
-of a `heterogeneous` medium, and the `emission_absorption` plugin marches it. A medium is enough: no Mitsuba scene is
-made, so that nothing of a ray tracer (on a GPU: OptiX) is needed.
+World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d of
+a `heterogeneous` medium, and the `emission_absorption` plugin marches through it. A medium is enough: no Mitsuba scene
+is built, so no ray tracer (OptiX on a GPU) is needed.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from tnst_mi.rendering.scene import medium_description, view_distance
 class Renderer(ABC):
     """Renders densities (D, H, W) of one grid from orthographic views.
 
-    A seed is one or more whole numbers ≥ 0 from which a renderer draws what is random in it: the same seed, the same
+    A seed is one or more integers ≥ 0 from which a renderer draws its random numbers: the same seed gives the same
     images and derivatives.
     """
 
     def render(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int] = (0,)) -> mi.TensorXf:
-        """Images (V, H, W) of a density (D, H, W), differentiable in the density; row 0 is at the top."""
+        """Images (V, H, W) of a density (D, H, W), differentiable with respect to it; row 0 is at the top."""
         return dr.custom(_Render, density, self, tuple(views), tuple(seed))
 
     @abstractmethod
     def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
-        """What the views show, (V, H, W), without derivatives."""
+        """The images (V, H, W) of the views, without derivatives."""
 
     @abstractmethod
     def gradient(
@@ -51,7 +51,7 @@ class Renderer(ABC):
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
     ) -> mi.TensorXf:
-        """The derivative (D, H, W) with respect to the density, from that (V, H, W) with respect to its `images`."""
+        """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
 
     def tangent(
         self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int], change: mi.TensorXf
@@ -61,7 +61,7 @@ class Renderer(ABC):
 
 
 class _Render(dr.CustomOp):
-    """density → images, by whatever renderer."""
+    """density → images, by any renderer."""
 
     def eval(
         self, density: mi.TensorXf, renderer: Renderer, views: tuple[View, ...], seed: tuple[int, ...]
@@ -69,7 +69,7 @@ class _Render(dr.CustomOp):
         self.density, self.renderer, self.arguments = dr.detach(density), renderer, (views, seed)
         with dr.suspend_grad():
             self.images = renderer.images(self.density, views, seed)
-        # The adjoint needs them again, and must not have to march for them.
+        # Evaluated now: the adjoint needs them again and should not march for them.
         dr.eval(self.images)
         return self.images
 
@@ -86,14 +86,14 @@ class _Render(dr.CustomOp):
 
 
 class EmissionAbsorptionRenderer(Renderer):
-    """Smoke that emits and absorbs light (paper Eq. 11); nothing about it is random.
+    """Smoke that emits and absorbs light (paper Eq. 11); deterministic.
 
     Args:
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
         quadrature: "paper", "exact" or "transmittance".
         h: size of a cell in full-resolution cells; also the distance between pixels.
-        step: distance between the samples of a ray in full-resolution cells; h where None.
+        step: distance between the samples of a ray in full-resolution cells; h if None.
     """
 
     def __init__(self, shape: Shape, gamma: float, quadrature: str, h: float, step: float | None = None) -> None:
@@ -102,7 +102,7 @@ class EmissionAbsorptionRenderer(Renderer):
         self._integrator = _integrator(mi.variant(), gamma, quadrature, step or h)
 
     def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
-        """What the views show, (V, H, W), without derivatives."""
+        """The images (V, H, W) of the views, without derivatives."""
         self._place(density)
         rays = self._rays(views)
         L = self._sample(dr.ADMode.Primal, rays.through_pixels(0, len(views)))
@@ -116,14 +116,14 @@ class EmissionAbsorptionRenderer(Renderer):
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
     ) -> mi.TensorXf:
-        """The derivative (D, H, W) with respect to the density, from that (V, H, W) with respect to its `images`."""
+        """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
         rays = self._rays(views)
         _, rows, columns = self.shape
         pixels = dr.arange(mi.UInt32, rows * columns)
         with dr.resume_grad():
             σ_t = self._place(density, attached=True)
             with dr.suspend_grad():
-                # View by view, since the adjoint of every sample of a view is stored.
+                # One view at a time, since the adjoint of every sample of a view is stored.
                 for view in range(len(views)):
                     pixel = pixels + mi.UInt32(opaque_int(view * rows * columns))
                     L, δL = (dr.gather(mi.Float, image.array, pixel) for image in (images, image_gradient))
@@ -139,7 +139,7 @@ class EmissionAbsorptionRenderer(Renderer):
             σ_t = self._place(density, attached=True)
             dr.set_grad(σ_t, mi.TensorXf(change.array, (*self.shape, 1)))
             with dr.suspend_grad():
-                # The derivative is that with respect to σ_t before the medium's scale, which is the density.
+                # The derivative is with respect to σ_t before the medium's scale, which is the density.
                 L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
         return mi.TensorXf(L, (len(views), *self.shape[1:]))
 
@@ -148,7 +148,7 @@ class EmissionAbsorptionRenderer(Renderer):
         return OrthographicRays(columns, rows, self.h, view_distance(self.shape, self.h), views)
 
     def _place(self, density: mi.TensorXf, attached: bool = False) -> mi.TensorXf:
-        """Give the medium a density, which it keeps until the next one; the medium's tensor."""
+        """Set the medium's density, which stays until the next call; returns the medium's tensor."""
         σ_t = mi.TensorXf(density.array, (*self.shape, 1))
         if attached:
             dr.enable_grad(σ_t)
@@ -161,14 +161,14 @@ class EmissionAbsorptionRenderer(Renderer):
         return self._medium.extinction
 
     def _sample(self, mode: dr.ADMode, rays: mi.Ray3f, **adjoint: object) -> mi.Float:
-        """Call the integrator for some rays, without the detour of a film."""
+        """Call the integrator for some rays directly, without a film."""
         adjoint = {"state_in": None, "δL": None} | adjoint
         return self._integrator.sample(mode, self._medium, None, rays, active=mi.Bool(True), **adjoint)[0][0]
 
 
 @functools.lru_cache(maxsize=6)
 def _medium(variant: str, shape: Shape, h: float) -> GridMedium:
-    """A medium, kept, since Mitsuba does not give back all the memory of one; each pass puts its own density in."""
+    """A cached medium, since Mitsuba does not free all memory of a medium; each pass sets its own density."""
     return GridMedium(mi.load_dict(medium_description(shape, h)))
 
 
@@ -192,18 +192,19 @@ def render(
     centre of the grid.
 
     Args:
-        density: (D, H, W), finite and ≥ 0, which is not checked; 0 outside the grid.
+        density: (D, H, W), finite and ≥ 0 (not checked); 0 outside the grid.
         view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
         gamma: γ > 0, extinction per unit of density and full-resolution cell.
         quadrature: "paper" (inclusive sum), "exact" or "transmittance" (= γ · exact).
         h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
 
     Returns:
-        Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind given. "exact" and
-        "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1). Differentiable in the density.
+        Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
+        and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1). Differentiable with respect to the
+        density.
 
     Raises:
-        InputError: an argument has another shape or range than stated.
+        InputError: the shape or range of an argument is not as stated.
 
     Example:
         >>> import torch

@@ -1,7 +1,7 @@
-"""Smoke that scatters light instead of emitting it, path traced by Mitsuba's `prbvolpath`: what drives a stylization
-when its recipe says so, to see what the paper's emission–absorption leaves out.
+"""Smoke that scatters light instead of emitting it, path traced by Mitsuba's `prbvolpath`. A recipe can choose it to
+drive a stylization, to study what the paper's emission–absorption model omits.
 
-World units, the views and the smoke's box are those of `scene`; black is where no light is scattered into the view.
+World units, views and the smoke's box are as in `scene`; pixels are black where no light is scattered into the view.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _MAX_DEPTH = 32
 _RUSSIAN_ROULETTE_DEPTH = 8
 
 _SLACK = 2.0
-"""Majorant over the largest extinction when a scene is loaded. At 1 the derivatives of `prbvolpath` are wrong: they are
-carried by null collisions, of which there are none where the smoke is densest."""
+"""Ratio of the majorant to the largest extinction when a scene is loaded. At 1 the derivatives of `prbvolpath` are
+wrong: they rely on null collisions, of which there are none where the smoke is densest."""
 
 _LEAST_SLACK = 1.1
-"""Slack below which the scene is loaded again with a larger majorant."""
+"""Ratio below which the scene is loaded again with a larger majorant."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Lighting:
     """How the smoke scatters, and what light falls on it.
 
     Attributes:
-        albedo: scattered share of the extinguished light, 0 to 1.
-        anisotropy: mean cosine g of Henyey and Greenstein's phase function, -1 to 1 exclusive; 0 scatters evenly.
-        light: Mitsuba scene file of which the emitters are taken.
+        albedo: fraction of the extinguished light that is scattered, 0 to 1.
+        anisotropy: mean cosine g of the Henyey-Greenstein phase function, -1 to 1 exclusive; 0 is isotropic.
+        light: Mitsuba scene file that provides the emitters.
         spp: paths per pixel.
     """
 
@@ -53,7 +53,7 @@ class Lighting:
 
 
 class ScatteringRenderer(Renderer):
-    """Smoke that scatters light, path traced: each seed has its own noise, and the derivative has noise of its own.
+    """Path-traced smoke that scatters light: each seed has its own noise, and so has the derivative.
 
     Args:
         shape: (D, H, W) of the grid.
@@ -68,13 +68,13 @@ class ScatteringRenderer(Renderer):
     def __init__(self, shape: Shape, gamma: float, h: float, lighting: Lighting) -> None:
         require_optix("--integrator prbvolpath")
         self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
-        # Kept: emitters refer to the scene that they were loaded with.
+        # Kept alive: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)
-        #: By number of views.
+        #: Loaded scenes by number of views.
         self._scenes: dict[int, _LoadedScene] = {}
 
     def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
-        """What the views show, (V, H, W), without derivatives."""
+        """The images (V, H, W) of the views, without derivatives."""
         loaded = self._show(density, views)
         primal, _ = _seeds(seed)
         image = loaded.scene.integrator().render(
@@ -90,7 +90,7 @@ class ScatteringRenderer(Renderer):
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
     ) -> mi.TensorXf:
-        """An estimate of the derivative (D, H, W) with respect to the density, along paths of its own."""
+        """An estimate of the gradient (D, H, W) with respect to the density, from independent paths."""
         _, rows, columns = self.shape
         _, adjoint = _seeds(seed)
         with dr.resume_grad():
@@ -105,7 +105,7 @@ class ScatteringRenderer(Renderer):
             return mi.TensorXf(dr.grad(loaded.parameters[_DENSITY]).array, self.shape)
 
     def _show(self, density: mi.TensorXf, views: Sequence[View]) -> _LoadedScene:
-        """A scene with this density and these views, its majorant larger than the extinction."""
+        """A scene with this density and these views, and a majorant above the largest extinction."""
         count = len(views)
         loaded = self._scenes.get(count) or self._load(count, 1.0)
         largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
@@ -148,20 +148,20 @@ class _LoadedScene:
 
 
 def _seeds(seed: Sequence[int]) -> tuple[int, int]:
-    """Seeds of the primal and the adjoint pass, unlike each other: they share no random numbers."""
+    """Different seeds for the primal and the adjoint pass, so that they share no random numbers."""
     primal, adjoint = np.random.default_rng(list(seed)).integers(1 << 32, size=2)
     return int(primal), int(adjoint)
 
 
 def load_light(path: Path) -> mi.Scene:
-    """A Mitsuba scene file, for its emitters, which must surround a scene: directional, constant or envmap.
+    """Load a Mitsuba scene file for its emitters, which must surround a scene: directional, constant or envmap.
 
     Raises:
         InputError: the file cannot be read, has no emitter, or one that belongs to a shape.
     """
     try:
         scene = mi.load_file(str(path))
-    except Exception as error:  # Mitsuba's parser and plugins raise RuntimeError, TypeError, …, in many lines
+    except Exception as error:  # Mitsuba's parser and plugins raise RuntimeError, TypeError, …, on many lines
         reason = str(error).strip().splitlines()
         raise InputError(f"{path}: cannot be read as a Mitsuba scene ({reason[0] if reason else error})") from None
     if not scene.emitters():

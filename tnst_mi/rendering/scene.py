@@ -1,4 +1,4 @@
-"""Descriptions, for `mi.load_dict`, of the medium of one grid, and of a Mitsuba scene around it.
+"""Descriptions for `mi.load_dict`: the medium of one grid, and a Mitsuba scene around it.
 
 World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d
 of a `heterogeneous` medium.
@@ -14,13 +14,13 @@ import numpy as np
 
 from tnst_mi.fields.grid import Shape
 
-#: Majorant of the medium. The `emission_absorption` integrator needs none; a fixed one spares Mitsuba from reading the
+#: Majorant of the medium. The `emission_absorption` integrator needs none; with a fixed one, Mitsuba does not read the
 #: maximum back to the host after each change of the density.
 _MAJORANT = 1e6
 
 
 def medium_description(shape: Shape, h: float) -> dict[str, Any]:
-    """A medium on a grid (D, H, W) of cells of size h, in full-resolution cells; its density is still 0."""
+    """A medium on a grid (D, H, W) of cells of size h, in full-resolution cells; its density is initially 0."""
     d, rows, columns = shape
     return {
         "type": "heterogeneous",
@@ -31,14 +31,14 @@ def medium_description(shape: Shape, h: float) -> dict[str, Any]:
             # gridvolume fills the unit cube [0, 1]³.
             "to_world": mi.ScalarTransform4f().scale([columns * h, rows * h, d * h]).translate(-0.5),
             "max_value": _MAJORANT,
-            # Textures of a GPU interpolate with weights of 8 bits.
+            # GPU textures interpolate with 8-bit weights.
             "accel": False,
         },
     }
 
 
 def view_distance(shape: Shape, h: float) -> float:
-    """How far from the grid's centre the rays of a view begin: outside the grid, whatever the view."""
+    """Distance of the ray origins of a view from the grid's centre: outside the grid in every view."""
     d, rows, columns = shape
     return 2 * math.hypot(columns * h / 2, rows * h / 2, d * h / 2) + h
 
@@ -46,15 +46,15 @@ def view_distance(shape: Shape, h: float) -> float:
 def scene_description(
     shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
 ) -> dict[str, Any]:
-    """Box, medium, sensor and integrator; the density is still 0.
+    """Box, medium, sensor and integrator; the density is initially 0.
 
     Args:
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
         quadrature: "paper", "exact" or "transmittance".
         h: size of a cell in full-resolution cells.
-        view_count: number of views in the one image.
-        step: distance between the samples of a ray in full-resolution cells; h where None.
+        view_count: number of views stacked in the image.
+        step: distance between the samples of a ray in full-resolution cells; h if None.
     """
     d, rows, columns = shape
     half = (columns * h / 2, rows * h / 2, d * h / 2)

@@ -1,7 +1,7 @@
 """Beauty renders: smoke lit in the studio of `scenes/looks`, with multiple scattering, by Mitsuba's path tracers.
 
-A look is a Mitsuba XML scene; the smoke, its place and the picture's size are its parameters. World units: the longest
-edge of the grid is 1 and its centre the origin, so that one set of lights fits grids of any size. Camera, lights and
+A look is a Mitsuba XML scene; the smoke, its position and the picture size are its parameters. World units: the longest
+edge of the grid is 1 and its centre is the origin, so that one set of lights fits grids of any size. Camera, lights and
 sky turn together with the azimuth, as if the smoke stood on a turntable: every view is lit from the same side.
 """
 
@@ -31,10 +31,10 @@ _DENSITY = "smoke.interior_medium.sigma_t.data"
 _CAMERA = "camera.to_world"
 _ZOOM = "camera.x_fov"
 
-#: Mitsuba's bound on the density, relative to the largest one. Derivatives of `prbvolpath` need the slack.
+#: Majorant of the density, relative to the largest density. Derivatives of `prbvolpath` need the slack.
 _SLACK = 1.1
 
-#: Room around the grid's box in the picture.
+#: Margin around the grid's box in the picture, as a factor.
 _MARGIN = 1.05
 
 #: Distance of the ground below the grid, so that no ray starts on both.
@@ -48,8 +48,8 @@ class Smoke:
     Attributes:
         shape: (D, H, W) of their grids.
         largest: the largest density.
-        occupied: the box that holds all smoke and a cell around it, the whole grid where there is none; path tracing
-            is slow in it and fast elsewhere.
+        occupied: the box that contains all smoke and one cell around it, or the whole grid if there is none; path
+            tracing is slow inside it and fast elsewhere.
     """
 
     shape: Shape
@@ -58,7 +58,7 @@ class Smoke:
 
     @classmethod
     def of(cls, densities: Iterable[np.ndarray]) -> Smoke:
-        """Look through densities (D, H, W), one at a time.
+        """Scan densities (D, H, W), one at a time.
 
         Raises:
             InputError: there are none, or their shapes differ.
@@ -78,13 +78,13 @@ class Smoke:
 
 
 class Studio:
-    """The scene of a look, loaded once, to be rendered with any of the frames and views it was made for.
+    """The scene of a look, loaded once and rendered with any of its frames and views.
 
     Args:
         look: "thin", "medium" or "thick".
         integrator: "volpath" or "prbvolpath".
         smoke: what the frames have in common.
-        views: all views to come, (azimuth, elevation) in degrees; one zoom shows the whole grid in each.
+        views: all views that will be rendered, (azimuth, elevation) in degrees; one zoom shows the whole grid in each.
         size: (width, height) of the pictures in pixels.
 
     Raises:
@@ -97,8 +97,8 @@ class Studio:
         edges = np.array(smoke.shape[::-1]) / max(smoke.shape)
         self._load(look, integrator, edges)
         self.parameters = mi.traverse(self.scene)
-        #: How the camera, and all that turns with it, stands for the view (0, 0). Copies: the dictionary hands out
-        #: references, which the views would turn further and further.
+        #: Transforms of the camera, and of all that turns with it, for the view (0, 0). Copies: the dictionary returns
+        #: references, in which the rotations of successive views would accumulate.
         self._front = {
             key: mi.Transform4f(self.parameters[key].matrix)
             for key in self.parameters.keys()
@@ -115,7 +115,7 @@ class Studio:
         self.parameters[_ZOOM] = dr.opaque(mi.Float, _horizontal_field_of_view(edges, views, distance, size))
 
     def _load(self, look: str, integrator: str, edges: np.ndarray) -> None:
-        """Load the look's scene around a grid of the given edges (x, y, z), with no smoke in it."""
+        """Load the look's scene around a grid of the given edges (x, y, z), without smoke."""
         low, high = (
             np.array([getattr(cells, end) for cells in reversed(self.smoke.occupied)]) / max(self.smoke.shape)
             - edges / 2
@@ -137,7 +137,7 @@ class Studio:
             )
 
     def show(self, density: np.ndarray, view: View) -> None:
-        """Put a density (D, H, W) of the frames into the scene, and turn the camera to a view."""
+        """Set the density (D, H, W) of a frame, and turn the camera to a view."""
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
         azimuth, elevation = view
@@ -155,14 +155,14 @@ class Studio:
             density: (D, H, W), one of the frames.
             view: (azimuth, elevation) in degrees, one of the views.
             samples: paths per pixel; the noise falls with their square root.
-            seed: the same one gives the same bits on the same machine and variant.
+            seed: the same seed gives the same bits on the same machine and variant.
 
         Returns:
             Linear radiance (height, width, 3), row 0 at the top; the lights are set so that 1 is white.
         """
         self.show(density, view)
         total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
-        # One path per pixel and launch: more would be added up in the order in which the threads arrive.
+        # One path per pixel and launch: more would be summed in the order in which threads arrive.
         for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
             total += mi.render(self.scene, spp=1, seed=pass_seed)
             dr.eval(total)
@@ -172,9 +172,9 @@ class Studio:
 def _horizontal_field_of_view(
     edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]
 ) -> float:
-    """The angle in degrees at which pictures of a size show a whole box, and a margin, in every view.
+    """The angle in degrees at which pictures of the given size show a whole box, plus a margin, in every view.
 
-    The box has edges (x, y, z) about the origin, which the camera looks at from a distance.
+    The box has edges (x, y, z) and is centred on the origin, at which the camera looks from the given distance.
     """
     signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
     widest = 0.0
@@ -192,12 +192,12 @@ class Denoiser:
         self._denoise = mi.OptixDenoiser(input_size=list(size))
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """The picture (height, width, 3) without its noise."""
+        """The denoised picture (height, width, 3)."""
         return np.array(self._denoise(mi.TensorXf(np.ascontiguousarray(image, np.float32))))
 
 
 def find_denoiser(size: tuple[int, int]) -> Denoiser | None:
-    """The denoiser, or None where the variant or the driver lacks OptiX, or the driver lacks the denoiser's weights."""
+    """The denoiser, or None if the variant or the driver lacks OptiX, or the driver lacks the denoiser's weights."""
     if not mi.variant().startswith("cuda") or not hasattr(mi, "OptixDenoiser") or not _denoiser_answers():
         return None
     return Denoiser(size)
@@ -205,6 +205,6 @@ def find_denoiser(size: tuple[int, int]) -> Denoiser | None:
 
 @functools.cache
 def _denoiser_answers() -> bool:
-    """Whether OptiX can make a denoiser, tried in another process: Mitsuba ends the process where it cannot."""
+    """Whether OptiX can create a denoiser, tried in a subprocess, since Mitsuba ends the process if it cannot."""
     attempt = f"import mitsuba as mi; mi.set_variant({mi.variant()!r}); mi.OptixDenoiser(input_size=[16, 16])"
     return subprocess.run([sys.executable, "-c", attempt], capture_output=True, check=False).returncode == 0

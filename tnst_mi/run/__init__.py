@@ -1,6 +1,6 @@
 """A whole run: from paths and a recipe to a folder of results.
 
-Read `api` first (`tnst_mi.stylize`), then `prepare`, which checks everything and gives an immutable `Prepared`, and
-`job`, which runs it. `inputs` and `measure` look at the frames, `memory` at what they need; `folder` says what is
-written where, `record` and `flicker` what run.json tells, `report` and `before_after` what is drawn.
+Read `api` first (`tnst_mi.stylize`), then `prepare`, which checks everything and returns an immutable `Prepared`, and
+`job`, which runs it. `inputs` and `measure` examine the frames, `memory` estimates what they need; `folder` defines the
+layout of the results, `record` and `flicker` the contents of run.json, `report` and `before_after` the figures.
 """

@@ -21,15 +21,15 @@ from tnst_mi.run.record import sequence_record
 
 @dataclass(frozen=True)
 class Result:
-    """What a stylization gives, one entry per frame. Arrays that were written to files are read when they are used.
+    """The result of a stylization, one entry per frame. Arrays that were written to files are read on access.
 
     Attributes:
         densities: stylized densities, (D, H, W) float32, blended as the recipe says.
         velocities: the velocities v* that transport the smoke, (D, H, W, 3) float32 in cells per frame; 0
-            where the recipe changes densities in place.
-        frames: the frames as they came in.
+            if the recipe changes densities directly.
+        frames: the input frames.
         history: one dict per iteration: octave, iteration, loss, terms, seconds.
-        run: the content of run.json.
+        run: the contents of run.json.
         out: the folder of the results, or None.
     """
 
@@ -49,8 +49,8 @@ def stylize(
 ) -> Result:
     """Stylize one frame or a sequence.
 
-    Ctrl-C ends it early: a single frame is given as far as it got. Without `out`, the state of all frames of a sequence
-    is held in memory; with it, memory is bounded by the window.
+    Ctrl-C ends it early; a single frame is then returned in its current state. Without `out`, the state of all frames
+    of a sequence is held in memory; with it, memory is bounded by the window.
 
     Args:
         frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
@@ -59,7 +59,7 @@ def stylize(
         progress: show a progress bar on stderr.
 
     Raises:
-        InputError: the frames, the recipe, the weights or `out` cannot be used; then nothing is written.
+        InputError: the frames, the recipe, the weights or `out` cannot be used; nothing is written in that case.
 
     Example:
         >>> import numpy as np, tnst_mi

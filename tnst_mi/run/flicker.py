@@ -1,10 +1,10 @@
-"""Flicker: how badly the change that a stylization makes follows the smoke from one frame to the next.
+"""Flicker: how far the change made by a stylization fails to follow the smoke from one frame to the next.
 
     flicker_t = ‖SL(d*_t − d_t, u_t) − (d*_{t+1} − d_{t+1})‖₂ / ‖d*_{t+1} − d_{t+1}‖₂
 
-SL is one semi-Lagrangian step, clamped at the edge. 0 means that the change moves with the smoke, about √2 that the
-changes of the two frames, if of one size, have nothing to do with each other. How large they are does not enter: the
-figure says little without that (`relative_change`) and the loss that was gained.
+SL is one semi-Lagrangian step, clamped at the edge. 0 means that the change moves with the smoke; about √2 means that
+the changes of the two frames, if of equal size, are unrelated. The size of the changes does not enter: the value says
+little without it (`relative_change`) and without the reduction of the loss.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ def flicker(change: np.ndarray, next_change: np.ndarray, velocity: np.ndarray) -
         velocity: the first frame's simulation velocity, (D, H, W, 3) in cells per frame.
 
     Returns:
-        The figure, ≥ 0; None where the next frame is not changed.
+        The flicker, ≥ 0; None if the next frame is unchanged.
 
     Raises:
-        InputError: the velocity is of another grid than the change.
+        InputError: the velocity and the change are on different grids.
     """
     carried = advect(change, velocity, method="semi_lagrangian", outside="edge")
     return _ratio(_norm(carried - next_change), _norm(next_change))
 
 
 def relative_change(before: np.ndarray, after: np.ndarray) -> float | None:
-    """Size of a change, ‖d* − d‖₂ / ‖d‖₂, of two densities (D, H, W); None where the first is empty."""
+    """Size of a change, ‖d* − d‖₂ / ‖d‖₂, of two densities (D, H, W); None if the first is empty."""
     return _ratio(_norm(after - before), _norm(before))
 
 
@@ -43,8 +43,8 @@ class FlickerMeter:
     """Flicker of a sequence whose frames are added in order; only the last frame is kept.
 
     Attributes:
-        pairs: one dict {"from": name, "to": name, "flicker": number or None} for each pair of adjacent frames, as far
-            as the first of them has a velocity.
+        pairs: one dict {"from": name, "to": name, "flicker": number or None} for each pair of adjacent frames
+            of which the first has a velocity.
     """
 
     def __init__(self) -> None:
@@ -52,17 +52,17 @@ class FlickerMeter:
         self._last: tuple[str, np.ndarray, np.ndarray | None] | None = None
 
     def add(self, name: str, before: np.ndarray, after: np.ndarray, velocity: np.ndarray | None) -> None:
-        """Take the next frame.
+        """Add the next frame.
 
         Args:
-            name: what `pairs` calls it.
+            name: its name in `pairs`.
             before: d, (D, H, W).
             after: d*, likewise.
-            velocity: the simulation velocity, (D, H, W, 3) in cells per frame; without one there is no pair of this
-                frame with the next.
+            velocity: the simulation velocity, (D, H, W, 3) in cells per frame; without one, this frame and the
+                next form no pair.
 
         Raises:
-            InputError: the frame before was of another grid than its velocity.
+            InputError: the previous frame and its velocity are on different grids.
         """
         change = after - before
         if self._last is not None:
@@ -74,7 +74,7 @@ class FlickerMeter:
 
     @property
     def mean(self) -> float | None:
-        """Mean over the pairs that have a figure; None where none has."""
+        """Mean over the pairs that have a value; None if none has."""
         figures = [pair["flicker"] for pair in self.pairs if pair["flicker"] is not None]
         return sum(figures) / len(figures) if figures else None
 

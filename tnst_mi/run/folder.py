@@ -1,12 +1,12 @@
-"""The folder of a run: what is written where, how a finished frame is recognised, what may be overwritten.
+"""The folder of a run: its layout, how a finished frame is recognised, and what may be overwritten.
 
     density/NAME.npz     stylized density, obstacle     velocity/NAME.npz    the velocity v* that transports
-                         (.vol, .uni or .vdb in place of .npz where that is the format of the results)
+                         (.vol, .uni or .vdb instead of .npz if the results have that format)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
-    recipe.toml          the recipe as run              run.json             what was done, with which numbers
+    recipe.toml          the recipe as run              run.json             the record of the run
     metrics.jsonl        one line per iteration
 
-Every file appears whole or not at all; a frame counts as finished once run.json, written last, says so.
+Every file is written atomically; a frame counts as finished once run.json, which is written last, lists it as complete.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
 
-#: What a run writes for each frame, and for all frames together; overwriting removes these files and no others.
+#: Files that a run writes for each frame, and for all frames together; overwriting removes these and no others.
 _FRAME_FILES = (
     *(f"{kind}/{{}}{suffix}" for kind in ("density", "velocity") for suffix in FORMATS),
     *(f"images/{{}}_{state}.{format}" for state in ("before", "after") for format in ("png", "exr")),
@@ -48,7 +48,7 @@ _RUN_FILES = (
     "metrics.jsonl",
 )
 
-#: What tells that a folder holds a run: removed last, and in this order, so that a removal can be taken up again.
+#: Files that mark a folder as that of a run: removed last, in this order, so that an interrupted removal can be redone.
 _MARKS = ("run.json", "recipe.toml")
 
 _FOLDERS = ("density", "velocity", "images")
@@ -56,7 +56,7 @@ _FOLDERS = ("density", "velocity", "images")
 #: Folder of the working state.
 _WORK = ".work"
 
-#: Keys that may be others when a run is resumed.
+#: Keys that may differ when a run is resumed.
 _DECIDES_NOTHING = ("fps",)
 
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -69,10 +69,10 @@ def holds_run(out: Path) -> bool:
 
 
 def frame_names(out: Path) -> list[str]:
-    """The names of the frames of the run in a folder; none where the folder is empty or new.
+    """The names of the frames of the run in a folder; none if the folder is empty or new.
 
     Raises:
-        InputError: the folder holds something else than a run, or its run.json is damaged.
+        InputError: the folder holds something other than a run, or its run.json is damaged.
     """
     if not _occupied(out) or _just_begun(out):
         return []
@@ -80,12 +80,12 @@ def frame_names(out: Path) -> list[str]:
         raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
-        # A frame may have been written and not recorded yet.
+        # A frame may have been written but not recorded yet.
         names = list(dict.fromkeys([*(frame["name"] for frame in run["frames"]), *run.get("inputs", ())]))
     except _DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {_ELSEWHERE}") from None
     for name in names:
-        # Whoever wrote the file must not make us remove anything outside the folder.
+        # The file is untrusted: it must not make us remove anything outside the folder.
         if not isinstance(name, str) or not is_file_name(name):
             raise InputError(f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}")
     return names
@@ -99,13 +99,13 @@ def is_file_name(name: str) -> bool:
 def resumable_run(
     out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
 ) -> dict[str, Any] | None:
-    """The record of the run to be resumed, with the frames that it has finished; None where it has not begun.
+    """The record of the run to be resumed, with its finished frames; None if it has not begun.
 
     Args:
         out: the folder of the run.
-        recipe: what it is to be resumed with.
-        weights: likewise, as run.json tells them.
-        suffix: how the names of the files of its results end.
+        recipe: the recipe to resume it with.
+        weights: the weights to resume it with, as run.json records them.
+        suffix: file suffix of its results.
 
     Raises:
         InputError: the folder holds something else, or a run with another recipe, other weights, or files of another
@@ -149,7 +149,7 @@ class RunFolder:
     """Writes the results of a run."""
 
     def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False, suffix: str = FORMATS[0]) -> None:
-        """Make the folder ready, removing the results of an earlier run if they are to be overwritten."""
+        """Prepare the folder, removing the results of an earlier run if they are to be overwritten."""
         self.out, self.work, self._suffix = out, out / _WORK, suffix
         if overwrite:
             _remove_results(out, frame_names(out))
@@ -159,13 +159,13 @@ class RunFolder:
             temporary.write_text(recipe.to_toml(), "utf-8")
 
     def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
-        """Write a frame's stylized density with its obstacle, and the velocity that made it, in the frame's place."""
+        """Write a frame's stylized density with its obstacle, and the velocity that made it, with its placement."""
         file, place = f"{source.name}{self._suffix}", source.placement
         write_frame(self.out / "density" / file, density, obstacle=source.obstacle, placement=place)
         write_frame(self.out / "velocity" / file, None, velocity, placement=place)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
-        """Write the main view before and after, exposed alike; `attributes` go into the EXR headers."""
+        """Write the main view before and after, with equal exposure; `attributes` go into the EXR headers."""
         images = self.out / "images"
         for suffix, image in (("before", before), ("after", after)):
             write_png(images / f"{name}_{suffix}.png", image)
@@ -173,7 +173,7 @@ class RunFolder:
         write_png(images / f"{name}_comparison.png", side_by_side(before, after))
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
-        """Add a frame's iterations to metrics.jsonl, in place of its earlier lines, and plot its loss."""
+        """Add a frame's iterations to metrics.jsonl, replacing its earlier lines, and plot its loss."""
         path = self.out / "metrics.jsonl"
         lines = path.read_text("utf-8").splitlines() if path.exists() else []
         lines = [line for line in lines if json.loads(line)["frame"] != name]
@@ -184,7 +184,7 @@ class RunFolder:
             plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
 
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
-        """Write what shows all frames together, whose pictures have been written: preview, contact sheet, plots."""
+        """Write the preview, contact sheet and plots of all frames, whose pictures have been written already."""
         images, records, sequence = self.out / "images", run["frames"], run["sequence"]
         names = [record["name"] for record in records]
 
@@ -203,7 +203,7 @@ class RunFolder:
         plot_sequence(images / "sequence.png", names, before, after, flickers, changes)
 
     def remove_work(self) -> None:
-        """Remove the working state of a run that is done."""
+        """Remove the working state of a finished run."""
         shutil.rmtree(self.work, ignore_errors=True)
 
     def write_run(self, run: dict[str, Any]) -> None:
@@ -231,7 +231,7 @@ class StoredArrays(Sequence[np.ndarray]):
         """Read one array, or select several.
 
         Raises:
-            InputError: its file was damaged since the run.
+            InputError: its file has been damaged since the run.
         """
         if isinstance(index, slice):
             return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
@@ -247,7 +247,7 @@ class StoredArrays(Sequence[np.ndarray]):
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
-    """Plot the loss over the iterations as PNG, a panel for each octave since each scales its terms anew."""
+    """Plot the loss over the iterations as PNG, one panel per octave, since each scales its terms anew."""
     octaves = sorted({entry["octave"] for entry in history})
     figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
     figure.suptitle(name, parse_math=False)
@@ -265,7 +265,7 @@ def _occupied(out: Path) -> bool:
 
 
 def _just_begun(out: Path) -> bool:
-    """Whether a run was killed here before it wrote its first run.json, or after it had removed another one."""
+    """Whether a run was killed here before it wrote its first run.json, or after it removed an earlier one."""
     return all(
         path.name == "recipe.toml"
         or path.name.startswith((".recipe.", ".run."))
@@ -275,18 +275,18 @@ def _just_begun(out: Path) -> bool:
 
 
 def _results_of(out: Path, name: str, suffix: str) -> bool:
-    """Whether the arrays of a frame are there."""
+    """Whether the arrays of a frame exist."""
     return is_file_name(name) and all((out / kind / f"{name}{suffix}").is_file() for kind in ("density", "velocity"))
 
 
 def _remove_results(out: Path, names: Iterable[str]) -> None:
-    """Remove the files of the named frames and of their run, then the folders that this leaves empty."""
+    """Remove the files of the named frames and of their run, then the folders left empty by this."""
     for path in _result_files(out, names):
-        # A linked folder is not ours, whatever its files are called.
+        # A symlinked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
     if (out / _WORK).is_dir() and not (out / _WORK).is_symlink():
-        # An error here ends the run: what would be left is the state of another one.
+        # An error here must end the run: the state left behind would be that of another run.
         shutil.rmtree(out / _WORK)
     for name in _MARKS:
         (out / name).unlink(missing_ok=True)
@@ -298,6 +298,6 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
 def _result_files(out: Path, names: Iterable[str]) -> Iterator[Path]:
     for name in names:
         yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
-        # Of formats with one grid in a file.
+        # For formats with one grid per file.
         yield from (companion(out / "density" / f"{name}{suffix}", OBSTACLE[0]) for suffix in GRID_FORMATS)
     yield from (out / name for name in _RUN_FILES)

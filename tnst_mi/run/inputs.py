@@ -1,4 +1,4 @@
-"""What can be stylized, as a sequence of frames."""
+"""Every accepted input, as a sequence of frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Frames = str | Path | Frame | Sequence[Frame] | np.ndarray
 
 
 def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
-    """The frames that are meant; those of files are read when they are used.
+    """The frames of an input; those in files are read on access.
 
     Raises:
         InputError: there are none, or they cannot be used.

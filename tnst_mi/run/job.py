@@ -1,4 +1,4 @@
-"""A run that has been prepared: stylize its frames, report, and write the results."""
+"""Carries out a prepared run: stylizes its frames, reports, and writes the results."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
 
-#: A full disk, and a quota that is used up.
+#: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class Optimisation(Protocol):
-    """What a run needs of an optimisation; `SequenceOptimisation` is the one."""
+    """The interface of an optimisation as seen by a run; `SequenceOptimisation` implements it."""
 
     interrupted: bool
 
     def run(
         self, on_iteration: Callable[[Progress], None] | None, finished: Collection[int]
     ) -> Generator[tuple[int, Stylized], None, None]:
-        """Stylize the frames but those that are finished, and give each with its index."""
+        """Stylize the frames that are not finished, and yield each with its index."""
         ...
 
 
-#: Makes the optimisation of a plan: of these frames, judged by this network, with the state in this store.
+#: Creates the optimisation of a plan, from its frames, the network that judges them, and the store for the state.
 Optimiser = Callable[[Plan, Sequence[Frame], GoogLeNet, Store], Optimisation]
 
 
 @dataclass(frozen=True)
 class StylizedFrame:
-    """One finished frame: what came in, what the optimisation gave, and what run.json says of it."""
+    """One finished frame: the input, the result of the optimisation, and the record in run.json."""
 
     source: Frame
     stylized: Stylized
@@ -55,16 +55,16 @@ class StylizedFrame:
 
 
 class Run(Iterator[StylizedFrame]):
-    """The frames of a prepared run, each stylized and written when it is asked for.
+    """Iterates over the frames of a prepared run; each is stylized and written on demand.
 
     Args:
-        prepared: what is run, from `prepare`.
+        prepared: the run, from `prepare`.
         progress: show a progress bar on stderr.
         optimiser: makes the optimisation; None for `SequenceOptimisation`.
 
     Attributes:
-        prepared: what is run.
-        record: what run.json says so far.
+        prepared: the run.
+        record: the contents of run.json so far.
     """
 
     def __init__(self, prepared: Prepared, progress: bool = True, optimiser: Optimiser | None = None) -> None:
@@ -92,7 +92,7 @@ class Run(Iterator[StylizedFrame]):
         if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):
             self.record["status"] = "done"
             if prepared.out is not None:
-                # It may have been killed before it had cleaned up.
+                # The earlier run may have been killed before it cleaned up.
                 folder = RunFolder(prepared.out, prepared.recipe, suffix=prepared.suffix)
                 folder.write_run(self.record)
                 folder.remove_work()
@@ -139,7 +139,7 @@ class Run(Iterator[StylizedFrame]):
             self._conclude(folder)
 
     def _announce(self) -> None:
-        """Say what the run is on, and what in its recipe has no effect."""
+        """Report the network and the memory of the run, and what in its recipe has no effect."""
         prepared, network = self.prepared, self.prepared.network
         self._bar.say(f"network: {network.model.flavour}, {network.model.source}")
         self._bar.say(prepared.memory)
@@ -164,11 +164,11 @@ class Run(Iterator[StylizedFrame]):
         folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
-        # Whole runs keep every frame; the largest arrays are not part of the result.
+        # Callers may keep every frame of a run; its largest arrays are not part of the result.
         frame.stylized.potential = (None, None)
 
     def _conclude(self, folder: RunFolder) -> None:
-        """Write what concerns all frames together, and clean up."""
+        """Write the results for all frames together, and clean up."""
         prepared = self.prepared
         names = [measure.name for measure in prepared.measures]
         self.record["frames"].sort(key=lambda record: names.index(record["name"]))

@@ -1,4 +1,4 @@
-"""What is known of the frames of a run before they are stylized: how bright they are, and which they are."""
+"""Measurements of the frames of a run before they are stylized: their brightness, and their identity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tnst_mi.run.folder import is_file_name
 
 @dataclass(frozen=True)
 class Measure:
-    """What is known of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
+    """Measurements of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
     of its density, the SHA-256 of its arrays, and whether it has a velocity."""
 
     name: str
@@ -36,7 +36,7 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
     """Read every frame once, so that bad ones are found before any work, and measure its main view.
 
     Raises:
-        InputError: a frame cannot be read or differs in shape, or its name is double or cannot name files.
+        InputError: a frame cannot be read or differs in shape, or its name is a duplicate or cannot name files.
     """
     measures = []
     for frame in checked_shapes(frames):
@@ -66,10 +66,10 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
 
 
 def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
-    """Check that a window of several frames can be had: velocities lead from each frame to the next.
+    """Check that a window of several frames is possible: velocities lead from each frame to the next.
 
     Raises:
-        InputError: there is but one frame, one lacks its velocity, or their numbers have gaps.
+        InputError: there is only one frame, one lacks its velocity, or their numbers have gaps.
     """
     if recipe.window == 1:
         return
@@ -92,10 +92,10 @@ def exposure_of(measures: Sequence[Measure]) -> float:
 
 
 def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:
-    """Check that a run to be resumed had these frames: each of them, finished or not, has its part in the others.
+    """Check that a run to be resumed had these frames: each of them, finished or not, affects the others.
 
     Raises:
-        InputError: there were other frames, or one of them was another.
+        InputError: the frames, their order, or the files that the recipe names have changed.
     """
     now, remedy = digests(measures), "resume with the same input, or use --overwrite"
     for path, digest in file_digests(recipe).items():

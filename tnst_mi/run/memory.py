@@ -1,4 +1,4 @@
-"""What a run needs of memory, so that it is said before it starts, and refused where it cannot fit."""
+"""Estimates the memory that a run needs, to report it before the start and to refuse a run that cannot fit."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
 
-# Measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md): the largest resident size, less
-# what the network takes up, is a line over the cells for each parameterisation.
+# Measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md): the peak resident size, less what
+# the network takes up, is linear in the number of cells for each parameterisation.
 
 #: Bytes of a process that has loaded Mitsuba, Dr.Jit, LLVM, torch and a GoogLeNet, and compiled its kernels.
 PROCESS = 450_000_000
 
-#: Bytes by cell of the finest grid: density, mask, images' derivatives, transport and result; more for each component.
+#: Bytes per cell of the finest grid (density, mask, images' derivatives, transport, result), and per component.
 _TRANSPORT_CELL, _TRANSPORT_COMPONENT, _DENSITY_CELL = 55, 27, 55
 
-#: Bytes by cell, and by component, that a window adds: velocity, gain, sums, and an item that is read ahead.
+#: Bytes per cell, and per component, that a window adds: velocity, gain, sums, and an item that is read ahead.
 _WINDOW_CELL, _WINDOW_COMPONENT = 50, 16
 
-#: The network's evaluation takes more than what autograd keeps of it: gradients, and a convolution's columns by pixel.
+#: The network's evaluation takes more than what autograd saves: gradients, and a convolution's columns, per pixel.
 _NETWORK_FACTOR, _NETWORK_PIXEL = 1.2, 1000
 
 
 @dataclass(frozen=True)
 class Need:
-    """The most memory that a run takes, in bytes.
+    """The peak memory of a run, in bytes.
 
     Attributes:
         shape: (D, H, W) of the finest grid.
-        by_cell: of the grids, for each cell; of the state of all frames too, where that is not on disk.
-        by_pixel: of the network, for each pixel of an image, for all views that it sees at once.
+        by_cell: of the grids, per cell; with the state of all frames, if that is not on disk.
+        by_pixel: of the network, per pixel of an image, for all views of a batch.
     """
 
     shape: tuple[int, int, int]
@@ -45,7 +45,7 @@ class Need:
 
     @property
     def total(self) -> int:
-        """All of it, the process included."""
+        """The sum, including the process itself."""
         depth, height, width = self.shape
         return PROCESS + int(height * width * (self.by_cell * depth + self.by_pixel))
 
@@ -60,13 +60,13 @@ class Need:
 
 
 def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float, on_disk: bool) -> Need:
-    """What a run needs where the active variant computes.
+    """The memory that a run needs on the device of the active variant.
 
     Args:
         shape: (D, H, W) of the frames.
         recipe: of the run.
         count: number of frames.
-        saved: bytes that autograd keeps of the network's evaluation, for each pixel of one view.
+        saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
     components = recipe.components
@@ -83,11 +83,11 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
-    """The most bytes that a run of `count` frames (D, H, W) keeps or writes, results included.
+    """Upper bound of the bytes that a run of `count` frames (D, H, W) keeps or writes, including results.
 
-    By cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 a component); with a window the velocity
-    (6), the gain (2), the step (2 a component) and the change (2) too; as results a density (4) and a velocity (12), if
-    they compress to nothing less. Coarser octaves add up to less than a quarter, which leaves room for an obstacle.
+    Per cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 per component); with a window also the
+    velocity (6), the gain (2), the step (2 per component) and the change (2); as results a density (4) and a velocity
+    (12), assuming no compression. Coarser octaves add less than a quarter, which leaves room for an obstacle.
     """
     components = recipe.components
     by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)
@@ -95,10 +95,10 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
 
 
 def require_memory(need: Need, free: int) -> str:
-    """Say what a run will take of the memory that is there.
+    """Check that a run fits into the free memory, and return a line that says how much of it the run takes.
 
     Raises:
-        InputError: it is more than there is.
+        InputError: the run does not fit.
     """
     if need.total > free:
         size = "×".join(str(n) for n in reversed(need.shape))
@@ -114,9 +114,9 @@ def require_memory(need: Need, free: int) -> str:
 
 
 def free_bytes() -> int:
-    """What a run can have where the active variant computes, in bytes."""
+    """Memory that a run can use on the device of the active variant, in bytes."""
     device = torch_device()
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
-    # Of what a run needs, the process holds a part already.
+    # The process already holds part of what a run needs.
     return environment.free_memory() + min(environment.resident_memory(), PROCESS)

@@ -1,4 +1,4 @@
-"""Checking everything that can be checked before the work of a run starts."""
+"""Checks everything that can be checked before the work of a run starts."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from tnst_mi.run.measure import (
 )
 from tnst_mi.run.memory import free_bytes, needed, require_memory, working_bytes
 
-#: Height that the objective is tried at, with the aspect of the frames, by which pictures are cropped.
+#: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
 
-#: What a run that is resumed keeps of its record.
+#: Entries of its earlier record that a resumed run keeps.
 _KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
 
 
 @dataclass(frozen=True)
 class Network:
-    """The network of a run; `fallback` where nobody asked for it and no other was found."""
+    """The network of a run; `fallback` if it was not requested but no other was found."""
 
     model: GoogLeNet
     fallback: bool = False
@@ -56,14 +56,14 @@ class Prepared:
     Attributes:
         recipe: with all paths absolute.
         frames: the input.
-        measures: what is known of each frame.
+        measures: measurements of each frame.
         network: judges the images.
         plan: of the optimisation.
-        memory: what the run will take of it, a line.
+        memory: a line that says how much of it the run takes.
         out: the folder of the results, or None.
-        suffix: how the names of the files of the results end: in the recipe's format, or else the input's.
-        overwrite: a run in `out` is replaced.
-        record: what run.json says before the first frame is done; that of an earlier run which goes on.
+        suffix: file suffix of the results, of the recipe's format or else of the input's.
+        overwrite: whether a run in `out` is replaced.
+        record: the contents of run.json before the first frame is done, with those of an earlier run that is resumed.
     """
 
     recipe: Recipe
@@ -83,14 +83,14 @@ class Prepared:
         return [frame.step_scale for frame in self.plan.frames]
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
-        """The input's frames of these names, in their order; all of them as the sequence that they came in."""
+        """The input frames with these names, in input order; if these are all, the input sequence itself."""
         if len(names) == len(self.frames):
             return self.frames
         return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in names]
 
 
 def load_network(recipe: Recipe) -> Network:
-    """The network that a recipe asks for, or the first that is found.
+    """The network that a recipe names, or else the first that is found.
 
     Raises:
         InputError: it cannot be found or read, or the recipe's channels are those of another network.
@@ -118,7 +118,7 @@ def prepare(
         out: the folder of the results, or None.
         resume: continue the run in `out` where it stopped.
         overwrite: replace the run in `out`.
-        network: judges the images; None takes what the recipe asks for.
+        network: judges the images; None loads the one that the recipe names.
 
     Raises:
         InputError: something cannot be used.
@@ -133,12 +133,12 @@ def prepare(
         source = Path(frames) if isinstance(frames, str | Path) else None
         require_writable(out, source, None if resume or overwrite else _remedy(out))
         if overwrite:
-            frame_names(out)  # refuses what is no run
+            frame_names(out)  # refuses anything but a run
     sequence = sequence_of(frames, recipe)
     # Reading the first frame finds most bad inputs before the network is loaded.
     shape = sequence[0].density.shape
     variant = activate(recipe.variant)
-    # Layers, tags and pictures are checked before the frames, all of which may be empty and need none of them.
+    # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
     objective = objective_of(recipe)
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))

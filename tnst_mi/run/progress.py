@@ -22,7 +22,7 @@ class ProgressBar:
     def advance(self, progress: Progress) -> None:
         """Show one more iteration."""
         if self._bar is None:
-            # A resumed run begins where it stopped.
+            # A resumed run begins where the earlier one stopped.
             begin = progress.done - 1
             self._bar = tqdm(
                 total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True

@@ -1,4 +1,4 @@
-"""What run.json says of a frame, and of a sequence as a whole: how steady it is, and what that cost."""
+"""The records in run.json of a frame, and of a sequence as a whole: how steady it is, and at what cost."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
 def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
-    """What a run has made of a frame.
+    """The record of a stylized frame.
 
     Args:
-        frame: as it came in.
+        frame: the input frame.
         step_scale: its factor of η.
-        stylized: what the optimisation gave.
+        stylized: the result of the optimisation.
     """
     return {
         "name": frame.name,
@@ -42,18 +42,18 @@ def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[st
 def sequence_record(
     recipe: Recipe, frames: Iterable[Frame], densities: Iterable[np.ndarray], records: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Flicker by pair, always with the loss reduction and the size of the change.
+    """Flicker per pair, always together with the loss reduction and the size of the change.
 
     Args:
         recipe: the recipe of the run.
-        frames: the frames as they came in.
+        frames: the input frames.
         densities: their stylized densities, (D, H, W).
         records: their records, with the loss before and after.
 
     Returns:
-        window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ by frame, and their mean;
-        loss_before and loss_after, means over the frames, and of the unscaled terms likewise; loss_reduction,
-        1 − after/before where that has a meaning.
+        window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ per frame, and their
+        mean; loss_before and loss_after, means over the frames, and likewise those of the unscaled terms;
+        loss_reduction, 1 − after/before where that is meaningful.
     """
     meter, changes = FlickerMeter(), []
     for frame, density in zip(frames, densities, strict=True):
@@ -69,7 +69,7 @@ def sequence_record(
         "loss_before": before,
         "loss_after": after,
         **{key: _mean_terms([record[key] for record in records]) for key in ("terms_before", "terms_after")},
-        # Style distances are positive; activations to be raised are losses below 0, of which no share can be told.
+        # Only a positive loss (style distances) can fall by a share; activations to be raised are negative losses.
         "loss_reduction": None if before is None or after is None or before <= 0 else 1 - after / before,
     }
 

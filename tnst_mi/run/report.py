@@ -1,4 +1,4 @@
-"""What a stylized sequence shows of itself: a preview video, a contact sheet, and plots over the frames."""
+"""Visual reports of a stylized sequence: a preview video, a contact sheet, and plots over the frames."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from tnst_mi.run.before_after import side_by_side
 #: Frames on a contact sheet, and in one row of it.
 _ON_SHEET, _IN_ROW = 12, 6
 
-#: Most columns and rows of a picture on the contact sheet.
+#: Maximum columns and rows of a picture on the contact sheet.
 _TILE = (240, 360)
 
-#: White pixels around the pictures of a frame, and for the words below and on the left.
+#: White pixels around the pictures of a frame, and for the captions below and on the left.
 _MARGIN, _CAPTION = 8, 24
 
-#: A column of the contact sheet leaves room for a name, however narrow the pictures are.
+#: Minimum width of a column of the contact sheet: room for a name, however narrow the pictures are.
 _LEAST_COLUMN = 120
 
-#: Pixels per inch of the contact sheet: a power of two, so that inches give whole pixels back.
+#: Pixels per inch of the contact sheet: a power of two, so that inches convert back to whole pixels.
 _RESOLUTION = 128
 
-#: Most names of frames along the axis of a plot, and most letters of one.
+#: Maximum number of frame names along the axis of a plot, and of characters in one.
 _NAMES, _LETTERS = 12, 16
 
 
@@ -41,7 +41,7 @@ def write_preview(path: Path, pairs: Iterable[tuple[np.ndarray, np.ndarray]], fr
 
     Args:
         path: the file, ending in .mp4.
-        pairs: for each frame the two pictures (H, W) in [0, 1], one frame or more; taken one by one.
+        pairs: for each frame the two pictures (H, W) in [0, 1], one frame or more; consumed one by one.
         frames_per_second: how fast it plays.
 
     Raises:
@@ -57,7 +57,7 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
 
     Args:
         path: the file, ending in .png.
-        entries: name and the two pictures (H, W) in [0, 1] of every frame; taken one by one, only the chosen ones kept.
+        entries: name and the two pictures (H, W) in [0, 1] of every frame; consumed one by one.
         count: number of entries, at least 1.
     """
     chosen = set(_evenly_spread(count))
@@ -93,14 +93,14 @@ def plot_sequence(
     pairs: Sequence[dict[str, Any]],
     changes: Sequence[float | None],
 ) -> None:
-    """Plot as PNG what there is to know of the frames: loss before and after, flicker and size of the change.
+    """Plot the measurements of the frames as PNG: loss before and after, flicker, and size of the change.
 
     Args:
         path: the file, ending in .png.
         names: the frames, in order.
         losses_before: the loss of each frame at the start; None leaves a gap.
         losses_after: the same at the end.
-        pairs: adjacent frames and their flicker, as `FlickerMeter.pairs`.
+        pairs: adjacent frames and their flicker, as in `FlickerMeter.pairs`.
         changes: ‖d* − d‖ / ‖d‖ of each frame.
     """
     figure = Figure(figsize=(9, 8), layout="constrained")
@@ -139,7 +139,7 @@ def plot_sequence(
 
 
 def _evenly_spread(count: int) -> list[int]:
-    """Which of `count` frames go on a contact sheet: all, or from the first to the last."""
+    """Indices of the frames of `count` on a contact sheet: all, or evenly spread from the first to the last."""
     chosen = min(count, _ON_SHEET)
     return [i * (count - 1) // max(chosen - 1, 1) for i in range(chosen)]
 
@@ -153,12 +153,12 @@ def _tile(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def _shortened(name: str, letters: int) -> str:
-    """A name of at most so many letters; its end is kept, where the number is."""
+    """A name cut to at most `letters` characters; its end is kept, where the number is."""
     return name if len(name) <= letters else "…" + name[1 - letters :]
 
 
 def _with_gaps(values: Sequence[float | None]) -> np.ndarray:
-    """None as NaN, which plots leave out."""
+    """The values, with None as NaN, which plots leave out."""
     return np.array([np.nan if value is None else value for value in values], np.float64)
 
 

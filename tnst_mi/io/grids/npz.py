@@ -1,4 +1,4 @@
-"""npz files: read without pickle and without trusting the sizes that they claim; written whole."""
+"""npz files, read without pickle and without trusting the sizes they claim, and written atomically."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """Shape and type of an array, as its file says before the data."""
+    """Shape and type of an array, as its header declares them."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -52,10 +52,10 @@ def read_headers(path: Path) -> dict[str, ArrayHeader]:
 
 
 def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
-    """Read those of the arrays `keys` that an npz file has.
+    """Read the arrays named in `keys`, as far as an npz file contains them.
 
     Raises:
-        InputError: as `read_headers`; or the data are truncated, damaged, no numbers, or too large.
+        InputError: as `read_headers`; or the data are truncated, damaged, not numeric, or too large.
     """
     with _opened(path) as archive:
         return {key: _read_array(path, archive, key) for key in keys if key in _names(archive)}
@@ -64,7 +64,7 @@ def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
 def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write a compressed npz file."""
     with written_whole(path) as temporary, temporary.open("wb") as file:
-        # The stub takes the arrays for the flag allow_pickle as well.
+        # The type stub also matches the arrays against the flag allow_pickle.
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
@@ -79,7 +79,7 @@ def _names(archive: zipfile.ZipFile) -> list[str]:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
-    """An array's member of the archive, open for reading, which `ZipFile.open` promises to be no more than `IO`."""
+    """Open an array's archive member for reading; `ZipFile.open` is annotated as returning plain `IO`."""
     return cast("zipfile.ZipExtFile", archive.open(f"{name}.npy"))
 
 
@@ -106,7 +106,7 @@ def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Read one array, which must not claim more than its member of the archive can hold."""
+    """Read one array, rejecting a claimed size that its archive member cannot hold."""
     member = archive.getinfo(f"{name}.npy")
     with _member(archive, name) as stream:
         header = _parse_header(path, name, stream)

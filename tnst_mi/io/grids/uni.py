@@ -1,4 +1,4 @@
-"""Mantaflow's .uni files: one grid each, gzip around a header and the values, x running fastest.
+"""Mantaflow's .uni files: one grid each, a gzipped header and values, x running fastest.
 
 Sources: `fileio/iogrids.cpp` and `grid.h` of Mantaflow. A velocity grid with the MAC bit holds component c on the lower
 face of each cell along axis c; one without it holds values at the cell centres.
@@ -19,10 +19,10 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.untrusted import LARGEST_ARRAY, LARGEST_EXTENT, LARGEST_RATIO, opening, read_numbers
 
-# Bits of the type of a grid (Mantaflow's GridBase::GridType).
+# Bits of a grid's type (Mantaflow's GridBase::GridType).
 REAL, INTEGER, VECTOR, MAC, FLAGS = 1, 2, 4, 8, 32
 
-#: Bit of a cell in a grid of flags that marks it as solid (Mantaflow's FlagGrid::TypeObstacle).
+#: Bit that marks a cell of a flag grid as solid (Mantaflow's FlagGrid::TypeObstacle).
 OBSTACLE_FLAG = 2
 
 _MAGIC = b"MNT3"
@@ -30,7 +30,7 @@ _SIZES = struct.Struct("<6i")
 _BUILD_BYTES = 252
 _TAIL = struct.Struct("<iQ")  # fourth dimension, time stamp
 
-# What follows the six sizes: nothing; 256 bytes of build information and a time stamp; as in _TAIL.
+# Bytes after the magic: six sizes; then MNT2 has 256 bytes of build information and a time stamp, MNT3 252 and _TAIL.
 _HEADER_BYTES = {b"MNT1": 24, b"MNT2": 288, b"MNT3": 288}
 
 # By element type and bytes per element.
@@ -45,7 +45,7 @@ _ELEMENTS = {
 
 @dataclass(frozen=True)
 class UniHeader:
-    """What a .uni file says before its values.
+    """The header of a .uni file.
 
     Attributes:
         shape: extents of the grid in the file's own axes, slowest first: (Z, Y, X).
@@ -68,7 +68,7 @@ class UniHeader:
 
 
 def read_uni_header(path: Path) -> UniHeader:
-    """Read what a .uni file says of its grid.
+    """Read the header of a .uni file.
 
     Raises:
         InputError: the file is missing, damaged, or of an unknown kind.
@@ -80,13 +80,13 @@ def read_uni(path: Path) -> tuple[UniHeader, np.ndarray]:
     """Read a .uni file: its header, and its values (Z, Y, X) or (Z, Y, X, 3) in the axes and units of the file.
 
     Raises:
-        InputError: as `read_uni_header`; or the values are truncated or more than the header says.
+        InputError: as `read_uni_header`; or the values are truncated, or more than the header declares.
     """
     return _read(path, values=True)
 
 
 def write_uni(path: Path, values: np.ndarray, grid_type: int, build: str = "tnst_mi") -> None:
-    """Write a grid as Mantaflow's newest kind of .uni file (MNT3).
+    """Write a grid in Mantaflow's newest .uni version (MNT3).
 
     Args:
         path: the file.
@@ -101,7 +101,7 @@ def write_uni(path: Path, values: np.ndarray, grid_type: int, build: str = "tnst
     note = build.encode("utf-8")[: _BUILD_BYTES - 1].ljust(_BUILD_BYTES, b"\0")
     sizes = _SIZES.pack(width, height, depth, grid_type, element, components * dtype.itemsize)
     with written_whole(path) as temporary, temporary.open("wb") as raw:
-        # Without a time stamp equal grids give equal files.
+        # Without a time stamp, equal grids give equal files.
         with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=1, mtime=0) as file:
             file.write(_MAGIC + sizes + note + _TAIL.pack(0, 0))
             file.write(np.ascontiguousarray(values, dtype=dtype).data)
@@ -132,7 +132,7 @@ def _read_header(path: Path, file: gzip.GzipFile) -> UniHeader:
 
 
 def _read_values(path: Path, file: gzip.GzipFile, header: UniHeader) -> np.ndarray:
-    """Read the values, which must not be more than the file can hold."""
+    """Read the values, rejecting a claimed size that the file cannot hold."""
     shape = header.shape if header.components == 1 else (*header.shape, header.components)
     size = math.prod(shape) * header.dtype.itemsize
     if size > LARGEST_ARRAY:

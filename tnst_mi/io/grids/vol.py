@@ -1,7 +1,7 @@
-"""Mitsuba's .vol files (VolumeGrid): a header and the values, x running fastest, channels together.
+"""Mitsuba's .vol files (VolumeGrid): a header and the values, x running fastest, channels interleaved.
 
-Source: Mitsuba's documentation of `gridvolume`. The bounding box of the header is written as the unit cube, where
-Mitsuba puts a volume by itself, and not read: scenes place a volume by its `to_world`.
+Source: Mitsuba's documentation of `gridvolume`. The bounding box in the header is written as the unit cube, Mitsuba's
+default placement, and ignored on reading: scenes place a volume by its `to_world`.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _VERSION = 3
 _HEADER = struct.Struct("<3sB5i6f")
 _UNIT_CUBE = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
 
-# Encodings: float32, half, and bytes of which 255 is 1. Mitsuba 3 reads and writes the first only.
+# Encodings: float32, half precision, and bytes with 255 for 1. Mitsuba 3 reads and writes only the first.
 _FLOAT = 1
 _ENCODINGS = {_FLOAT: "<f4", 2: "<f2", 3: "u1"}
 
 
 def read_vol_shape(path: Path) -> tuple[int, ...]:
-    """Read the shape of the grid in a .vol file: (D, H, W), or (D, H, W, channels) for several.
+    """Read the shape of the grid in a .vol file: (D, H, W), or (D, H, W, channels) for several channels.
 
     Raises:
         InputError: the file is missing, damaged, or of an unknown kind.
@@ -36,7 +36,7 @@ def read_vol_shape(path: Path) -> tuple[int, ...]:
 
 
 def read_vol(path: Path) -> np.ndarray:
-    """Read a .vol file: float32 (D, H, W), or (D, H, W, channels) for several.
+    """Read a .vol file: float32 (D, H, W), or (D, H, W, channels) for several channels.
 
     Raises:
         InputError: as `read_vol_shape`.

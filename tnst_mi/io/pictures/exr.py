@@ -1,4 +1,4 @@
-"""OpenEXR pictures: one float32 luminance channel, or red, green and blue, with what made the picture in the header."""
+"""OpenEXR pictures: one float32 luminance channel, or red, green and blue, with the render settings in the header."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tnst_mi.io.atomic import write_failure, written_whole
 
 
 def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
-    """Write a picture without loss.
+    """Write a picture losslessly.
 
     Args:
         path: the file, ending in .exr.

@@ -1,4 +1,4 @@
-"""PNG pictures of 8 bits, from values clipped to [0, 1]; the sRGB curve is for those that want it, not applied here."""
+"""8-bit PNG pictures from values clipped to [0, 1]; callers that want the sRGB curve apply it themselves."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 
 def eight_bits(image: np.ndarray) -> np.ndarray:
-    """Values clipped to [0, 1] as the nearest of 0 to 255."""
+    """Clip values to [0, 1] and quantise them to 0 to 255."""
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:
-    """Linear values, clipped to [0, 1], through the sRGB curve (IEC 61966-2-1), for pictures that are looked at."""
+    """Clip linear values to [0, 1] and apply the sRGB curve (IEC 61966-2-1), for pictures meant for viewing."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

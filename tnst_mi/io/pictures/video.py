@@ -1,4 +1,4 @@
-"""H.264 videos in mp4 files, through the ffmpeg that the package imageio-ffmpeg carries."""
+"""H.264 videos in mp4 files, encoded by the ffmpeg that the package imageio-ffmpeg bundles."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import write_failure, written_whole
 from tnst_mi.io.pictures.png import eight_bits
 
-#: The package is large: installations may leave it out, and videos with it.
+#: Optional, since the package is large; without it there are no videos.
 _ffmpeg: Any = importlib.import_module("imageio_ffmpeg") if importlib.util.find_spec("imageio_ffmpeg") else None
 
-#: Players guess the colour matrix from the size of the picture; this is written into the file.
+#: Tags written into the file; without them, players guess the colour matrix from the size of the picture.
 _COLOURS = ["-vf", "scale=out_color_matrix=bt709"]
 _COLOURS += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"]
 
@@ -26,7 +26,7 @@ _PLAYS_WHILE_LOADING = ["-movflags", "+faststart"]
 
 
 def can_encode() -> bool:
-    """Whether the package that carries ffmpeg is installed."""
+    """Whether the package that bundles ffmpeg is installed."""
     return _ffmpeg is not None
 
 
@@ -42,11 +42,11 @@ class Video:
     def add(self, image: np.ndarray) -> None:
         """Append a picture (H, W) or (H, W, 3), row 0 at the top; 0 is black, 1 and above full brightness.
 
-        All pictures have the size of the first. An odd width or height is made even, which the format asks for, by
+        All pictures must have the size of the first. An odd width or height is made even, as the format requires, by
         repeating the last column or row.
 
         Raises:
-            InputError: the picture has another size than the first.
+            InputError: the picture differs in size from the first.
         """
         rows, columns = image.shape[:2]
         pixels = eight_bits(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))
@@ -78,7 +78,7 @@ class Video:
         """Finish the file.
 
         Raises:
-            OSError: not all pictures are in it, such as for a full disk, which the encoder does not tell.
+            OSError: pictures are missing, for instance because of a full disk, which the encoder does not report.
         """
         if self._encoder is None:
             return
@@ -94,14 +94,14 @@ class Video:
 
 @contextmanager
 def open_video(path: Path, frames_per_second: float = 24.0) -> Iterator[Video]:
-    """A `Video` whose file appears once the block ends well, whole or not at all.
+    """A `Video` whose file appears, complete, only if the block ends without an exception.
 
     Args:
         path: the file, ending in .mp4.
         frames_per_second: how fast it plays.
 
     Raises:
-        InputError: nothing is installed that could encode it.
+        InputError: no encoder is installed.
     """
     if not can_encode():
         raise InputError(f"{path}: videos need the package imageio-ffmpeg, which is not installed: pip install it")

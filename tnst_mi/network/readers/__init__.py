@@ -1,7 +1,7 @@
-"""Readers of GoogLeNet weights: GraphDef, caffemodel, torch state dict, safetensors; none runs a file's code.
+"""Readers of GoogLeNet weights: GraphDef, caffemodel, torch state dict, safetensors; none executes code from a file.
 
-network_weights   what all of them hand over, and the check that it is a GoogLeNet
-protobuf          the wire format below the next two
+network_weights   what all of them return, and the check that it is a GoogLeNet
+protobuf          the wire format of GraphDef and caffemodel
 graphdef, caffemodel, state_dict   one file format each
 quantised         the 8-bit form of the network that ships with the package
 """
@@ -32,12 +32,12 @@ CLASS_LIST = "imagenet_comp_graph_label_strings.txt"
 """Inception5h's class names: a member of inception5h.zip, or a file beside the .pb or the state dict."""
 
 SUFFIXES = (".safetensors", ".caffemodel", ".pb", ".zip", ".pth", ".pt")
-"""The file formats, told apart by the ending of the name."""
+"""The file formats, identified by the file extension."""
 
 _GRAPH = "tensorflow_inception_graph.pb"
 _ZIP_MAGIC = b"PK\x03\x04"
 _LARGEST_FILE = 1 << 30
-"""Bytes; the published files have 28 to 54 million. Guards against reading something else into memory."""
+"""In bytes; the published files have 28 to 54 million. Keeps unrelated large files out of memory."""
 
 
 def read_weights(path: Path) -> NetworkWeights:
@@ -50,7 +50,7 @@ def read_weights(path: Path) -> NetworkWeights:
 
 
 def flavour_of(path: Path) -> str:
-    """The flavour of a weights file, by its format, its metadata and its tensors' names; raises `InputError`."""
+    """The flavour of a weights file, from its format, metadata and tensor names; raises `InputError`."""
     with _input_errors(path):
         match _suffix(path):
             case ".caffemodel":
@@ -66,7 +66,7 @@ def flavour_of(path: Path) -> str:
 
 @contextmanager
 def _input_errors(path: Path) -> Iterator[None]:
-    """Turn what can go wrong with a file into one line that names it."""
+    """Turn errors in reading a file into one line that names it."""
     try:
         yield
     except MalformedFile as error:
@@ -76,7 +76,7 @@ def _input_errors(path: Path) -> Iterator[None]:
 
 
 def _suffix(path: Path) -> str:
-    """The ending of the name, which tells the format; the size is checked on the way."""
+    """The file extension, which determines the format; also checks the size."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise MalformedFile(f"no known weights format (the name ends in {suffix!r}, not in {', '.join(SUFFIXES)})")
@@ -108,7 +108,7 @@ def _read(path: Path) -> NetworkWeights:
 
 
 def _unpacked_size(path: Path) -> int:
-    """Bytes that reading takes; a zip archive (`torch.save` writes one) can hold more than its own size."""
+    """Bytes that reading needs; a zip archive (`torch.save` writes one) can expand beyond its own size."""
     with path.open("rb") as file:
         if file.read(len(_ZIP_MAGIC)) != _ZIP_MAGIC:
             return path.stat().st_size
@@ -131,7 +131,7 @@ def _read_zip(path: Path) -> NetworkWeights:
 
 @contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    """An open zip archive; whatever is wrong with it becomes `MalformedFile`."""
+    """An open zip archive; any error in it becomes `MalformedFile`."""
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive

@@ -15,7 +15,7 @@ _LAYER_FORMATS = ((100, 1, 7), (2, 4, 6))
 """(field of NetParameter, field of the layer's name, field of its blobs)."""
 
 _AUXILIARY = ("loss1/", "loss2/")
-"""The two classifiers that only training uses."""
+"""The two auxiliary classifiers, used only in training."""
 
 
 def read_caffemodel(data: bytes) -> NetworkWeights:

@@ -23,7 +23,7 @@ from tnst_mi.network.readers.protobuf import Message
 
 _FLOAT32 = 1
 _AUXILIARY = re.compile(r"(head|nn|softmax)[01]_")
-"""The two classifiers that only training uses."""
+"""The two auxiliary classifiers, used only in training."""
 
 
 def read_graphdef(data: bytes) -> NetworkWeights:
@@ -60,7 +60,7 @@ def _attributes(node: Message) -> dict[str, Message]:
 
 
 def _response_norm(attributes: dict[str, Message]) -> ResponseNorm:
-    """The attributes of an LRN node; an absent one has the default of TensorFlow's operation."""
+    """The attributes of an LRN node; an absent one takes the default of TensorFlow's operation."""
 
     def number(name: str, default: float) -> float:
         values = attributes[name].floats(4) if name in attributes else np.empty(0)

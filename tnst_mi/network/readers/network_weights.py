@@ -1,4 +1,4 @@
-"""What every reader hands over: GoogLeNet's tensors under their BVLC names, checked to fit together."""
+"""What every reader returns: GoogLeNet's tensors under their BVLC names, checked for consistency."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from tnst_mi.network.shipped import PATTERNS
 
 FLAVOURS = ("bvlc", "inception5h", "torchvision", PATTERNS)
-"""The published networks, the preferred one first, and the one that ships with the package."""
+"""The published networks in order of preference, and the one that ships with the package."""
 
 BLOCKS = tuple(f"inception_{name}" for name in ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b"))
 """The inception blocks from the image to the classifier."""
@@ -21,13 +21,13 @@ BRANCH_LAYERS = ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
 """The six convolutions of an inception block."""
 
 CONCATENATED = ("1x1", "3x3", "5x5", "pool_proj")
-"""The branch layers whose results are concatenated, in this order, to the output of the block."""
+"""The branch layers whose results are concatenated, in this order, into the output of the block."""
 
 STEM = ("conv1/7x7_s2", "conv2/3x3_reduce", "conv2/3x3")
 """The three convolutions before the first block."""
 
 CLASSIFIER = "loss3/classifier"
-"""The fully connected layer behind the last block."""
+"""The fully connected layer after the last block."""
 
 CONVOLUTIONS = (*STEM, *(f"{block}/{branch}" for block in BLOCKS for branch in BRANCH_LAYERS))
 """Every convolution, in the order of evaluation."""
@@ -45,7 +45,7 @@ def tensorflow_name(layer: str) -> str:
 
 
 class MalformedFile(ValueError):
-    """A weights file breaks its format or holds something else; `read_weights` adds the file's name."""
+    """A weights file violates its format or holds something else; `read_weights` adds the file's name."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class NetworkWeights:
     """The contents of a weights file.
 
     `tensors` maps `<BVLC layer>.weight` (out, in, rows, columns) and `<BVLC layer>.bias` to float32 tensors;
-    `response_norms` are the two sets of constants the file itself states, if it does;
-    `class_names` is the file's own list, if it has one.
+    `response_norms` holds the two sets of constants, if the file itself states them; `class_names` is the file's own
+    list, if it has one.
     """
 
     flavour: str
@@ -73,14 +73,14 @@ class NetworkWeights:
     class_names: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Raise `MalformedFile` unless the tensors are exactly a GoogLeNet's, fit together and are finite."""
+        """Raise `MalformedFile` unless the tensors are exactly those of a GoogLeNet, consistent and finite."""
         expected = {f"{layer}.{kind}" for layer in (*CONVOLUTIONS, CLASSIFIER) for kind in ("weight", "bias")}
         require_names(self.tensors.keys(), expected)
         for layer, inputs, kernel in self._convolution_inputs():
             self._require_shape(layer, (self._width(layer), inputs, kernel, kernel))
         self._require_shape(CLASSIFIER, (self._width(CLASSIFIER), self.block_width(BLOCKS[-1])))
         for name, tensor in self.tensors.items():
-            # The extremes of a tensor are finite only if all of it is: NaN propagates to both.
+            # The extremes of a tensor are finite only if all its values are: NaN propagates to both.
             if not all(math.isfinite(extreme) for extreme in torch.aminmax(tensor)):
                 raise MalformedFile(f"tensor {name!r} has values that are not finite")
 
@@ -92,7 +92,7 @@ class NetworkWeights:
         return self.tensors[f"{layer}.bias"].numel()
 
     def _convolution_inputs(self) -> Iterator[tuple[str, int, int]]:
-        """Each convolution with the number of channels that reaches it and its kernel size."""
+        """Each convolution with its number of input channels and its kernel size."""
         channels = 3
         for layer, kernel in zip(STEM, (7, 1, 3), strict=True):
             yield layer, channels, kernel

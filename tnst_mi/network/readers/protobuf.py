@@ -1,7 +1,7 @@
 """A minimal reader of the protocol buffer wire format (https://protobuf.dev/programming-guides/encoding).
 
-Only what the two weights formats need. Every length is checked against the bytes that are there
-before it is used, and nothing is copied until a field is asked for.
+It covers only what the two weights formats need. Every length is checked against the remaining bytes before it is used,
+and nothing is copied until a field is read.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Message:
         return [Message(data) for data in self.byte_ranges(number)]
 
     def text(self, number: int) -> str:
-        """A string; "" where the field is absent (the last one counts, as the format demands)."""
+        """A string, "" if the field is absent; the last occurrence counts, as the format requires."""
         values = self.byte_ranges(number)
         try:
             return bytes(values[-1]).decode("utf-8") if values else ""

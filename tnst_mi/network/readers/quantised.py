@@ -1,4 +1,4 @@
-"""The 8-bit form that the network `patterns` ships in: a safetensors file, a quarter of the size of float32.
+"""The 8-bit format in which the network `patterns` ships: a safetensors file, a quarter of the size of float32.
 
 For each convolution and the classifier, under its BVLC name:
 
@@ -6,8 +6,8 @@ For each convolution and the classifier, under its BVLC name:
     <layer>.scale    float32 (out,): the weights of an output channel are its integers times its scale
     <layer>.bias     float32 (out,)
 
-The metadata say flavour = "patterns" and, as a JSON list in `classes`, the name of each output of the
-classifier, its synonyms behind commas.
+The metadata hold flavour = "patterns" and, in `classes`, a JSON list with the name of each output of the classifier,
+with synonyms separated by commas.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _LARGEST = 127
 
 
 def write_quantised(path: Path, weights: NetworkWeights) -> None:
-    """Write a network with its class names, the weights rounded to 8 bits for each output channel.
+    """Write a network with its class names, its weights quantised to 8 bits per output channel.
 
     A weight changes by at most half the scale of its channel, which is the channel's largest |weight| / 127.
-    The file is written in place; `io.atomic.written_whole` lets it appear whole or not at all.
-    Raises `MalformedFile` where the network is not `patterns` or its class names do not fit its classifier.
+    The file is written in place; use `io.atomic.written_whole` to write it atomically. Raises `MalformedFile` if the
+    network is not `patterns` or its class names do not match its classifier.
     """
     if weights.flavour != PATTERNS:
         raise MalformedFile(f"weights of flavour {weights.flavour!r}, expected {PATTERNS!r}")
@@ -58,7 +58,7 @@ def write_quantised(path: Path, weights: NetworkWeights) -> None:
 def quantised(weight: Tensor) -> tuple[Tensor, Tensor]:
     """Round float weights (out, ...) to (integers int8 of the same shape, scale float32 (out,)).
 
-    The scale of an output channel without any weight but 0 is 0.
+    The scale of an output channel whose weights are all 0 is 0.
     """
     weight = weight.detach().cpu().double()
     scale = (weight.flatten(1).abs().amax(1) / _LARGEST).float()
@@ -68,12 +68,12 @@ def quantised(weight: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def is_quantised(names: Iterable[str], metadata: Mapping[str, str]) -> bool:
-    """Whether a safetensors file is meant to be in this form, by its header."""
+    """Whether the header of a safetensors file indicates this format."""
     return metadata.get("flavour") == PATTERNS or any(name.endswith(".scale") for name in names)
 
 
 def from_quantised(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> NetworkWeights:
-    """The network in the contents of such a file, in float32, with its class names; raises `MalformedFile`."""
+    """The network in the contents of a quantised file, in float32, with its class names; raises `MalformedFile`."""
     if metadata.get("flavour") != PATTERNS:
         raise MalformedFile(f"8-bit weights whose metadata have flavour {metadata.get('flavour')!r}, not {PATTERNS!r}")
     require_names(tensors.keys(), {f"{layer}.{kind}" for layer in _LAYERS for kind in _DTYPES})
@@ -111,12 +111,12 @@ def _json(text: str | None) -> Any:
 
 
 def _checked_classes(names: Any, bias: Tensor) -> list[str]:
-    """The class names, if they are a list with a text for each output of the classifier."""
+    """The class names, checked to be a list with one text per output of the classifier."""
     if not isinstance(names, list) or len(names) != bias.numel():
         found = f"{len(names)} names" if isinstance(names, list) else f"a {type(names).__name__}"
         raise MalformedFile(f"the classes in the metadata are {found}, expected a list of {bias.numel()} names")
     for index, name in enumerate(names):
-        # They are shown on terminals, and each synonym can be asked for.
+        # They are printed on terminals, and each synonym can be requested.
         if not isinstance(name, str) or not name.isprintable() or not all(map(str.strip, name.split(","))):
             raise MalformedFile(
                 f"class {index} in the metadata is {reprlib.repr(name)}, expected names separated by commas"

@@ -28,7 +28,7 @@ from tnst_mi.network.readers.network_weights import (
 
 _TENSORFLOW_KEY = re.compile(r"(?P<layer>.+?)(_pre_relu|_pre_activation)?(_conv|_matmul)?\.(?P<kind>weight|bias)")
 _AUXILIARY = ("loss1/", "loss2/", "aux1.", "aux2.")
-"""The classifiers that only training uses."""
+"""The auxiliary classifiers, used only in training."""
 
 _TORCHVISION_BRANCHES = {
     "1x1": "branch1",
@@ -50,7 +50,7 @@ _FIRST_TENSORS = {
 
 
 def flavour_of_names(names: Iterable[str]) -> str:
-    """The flavour that the tensors' names betray; raises `MalformedFile` where they are no GoogLeNet's."""
+    """The flavour implied by the tensor names; raises `MalformedFile` if they belong to another network."""
     names = list(names)
     for name in names:
         if name in _FIRST_TENSORS:
@@ -69,7 +69,7 @@ def safetensors_header(path: Path) -> tuple[list[str], dict[str, str]]:
 
 
 def read_safetensors(path: Path) -> dict[str, Tensor]:
-    """All tensors of a .safetensors file; raises `MalformedFile`. The format holds no code."""
+    """All tensors of a .safetensors file; raises `MalformedFile`. The format cannot hold code."""
     try:
         with safe_open(path, framework="pt") as file:
             return {name: file.get_tensor(name) for name in file.keys()}
@@ -84,7 +84,7 @@ def read_pth(path: Path) -> dict[str, Tensor]:
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of pickle protocols; what matters is an error here
+            warnings.simplefilter("ignore")  # about pickle protocols; what matters raises an error
             contents = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a malformed pickle can make the unpickler raise almost anything
         raise MalformedFile(
@@ -96,7 +96,7 @@ def read_pth(path: Path) -> dict[str, Tensor]:
 
 
 def from_state_dict(tensors: dict[str, Tensor]) -> NetworkWeights:
-    """The network in a state dict of any of the three conventions; raises `MalformedFile`."""
+    """The network in a state dict that follows any of the three conventions; raises `MalformedFile`."""
     flavour = flavour_of_names(tensors)
     for name, tensor in tensors.items():
         if not tensor.is_floating_point() and not name.endswith(".num_batches_tracked"):
@@ -112,7 +112,7 @@ def from_state_dict(tensors: dict[str, Tensor]) -> NetworkWeights:
 
 
 def _from_tensorflow(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Rename TensorFlow's layer names to BVLC's; other names stay, to be reported as unexpected."""
+    """Rename TensorFlow's layer names to BVLC's; other names are kept and later reported as unexpected."""
     layers = {tensorflow_name(layer): layer for layer in (*CONVOLUTIONS, CLASSIFIER)}
     renamed = {}
     for name, tensor in tensors.items():
@@ -124,7 +124,7 @@ def _from_tensorflow(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _fold_batch_norm(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Rename torchvision's layers, each batch normalisation multiplied into the convolution before it."""
+    """Rename torchvision's layers and fold each batch normalisation into the convolution before it."""
     remaining = {name: value for name, value in tensors.items() if not name.endswith(".num_batches_tracked")}
     folded = {}
     for layer in CONVOLUTIONS:
@@ -153,5 +153,5 @@ def _torchvision_name(layer: str) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    """The first line of a library's message, which may have many."""
+    """The first line of a library's message, which may have several."""
     return (str(error).strip() or type(error).__name__).splitlines()[0][:120]

@@ -1,1 +1,1 @@
-"""Where the cameras stand: sets of views (`views`), their rays (`orthographic`), and as a Mitsuba sensor (`sensor`)."""
+"""Cameras: sets of views (`views`), their rays (`orthographic`), and the same as a Mitsuba sensor (`sensor`)."""

@@ -16,11 +16,11 @@ from tnst_mi.rendering.cameras.views import View, camera_frame
 
 @dataclass(frozen=True)
 class ParallelRays:
-    """Tells that rays are those of one orthographic view, and so their samples a regular lattice.
+    """Marks rays as belonging to one orthographic view, so that their samples form a regular lattice.
 
     Attributes:
-        width, height: the rays go through this many evenly spaced pixels, row by row, of at least two each.
-        direction: of all rays in world space, a unit vector (3,).
+        width, height: number of evenly spaced pixels that the rays go through, row by row; at least two each.
+        direction: direction of all rays in world space, a unit vector (3,).
     """
 
     width: int
@@ -29,12 +29,12 @@ class ParallelRays:
 
 
 class OrthographicRays:
-    """The rays of V views that look at the origin, which is the centre of their images; the images are stacked.
+    """The rays of V views that are centred on the origin and whose images are stacked.
 
     Args:
         width, height: pixels of one view.
         spacing: distance between pixels in world units.
-        distance: of the rays' origins from the centre, in world units.
+        distance: distance of the ray origins from the centre, in world units.
         views: V pairs (azimuth, elevation) in degrees.
     """
 
@@ -45,7 +45,7 @@ class OrthographicRays:
         self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
 
     def through(self, position: mi.Point2f, active: mi.Bool | bool = True) -> mi.Ray3f:
-        """Rays through positions in [0, 1]² of the stack of images, from its upper left corner."""
+        """Rays through positions in [0, 1]² of the stacked images, measured from the upper left corner."""
         width, height, count = opaque(self.width), opaque(self.height), len(self.views)
         row = position.y * height * opaque(count)
         view = dr.clip(mi.UInt32(row / height), 0, mi.UInt32(opaque_int(count - 1)))
@@ -64,7 +64,7 @@ class OrthographicRays:
         return ray
 
     def through_pixels(self, first: int, count: int) -> mi.Ray3f:
-        """Rays through the pixel centres of `count` views from number `first`, row by row."""
+        """Rays through the pixel centres of `count` views, starting at number `first`, row by row."""
         pixel = dr.arange(mi.UInt32, count * self.height * self.width)
         row, column = Divisor(self.width).split(pixel)
         row += mi.UInt32(opaque_int(first * self.height))
@@ -73,11 +73,11 @@ class OrthographicRays:
         return self.through(mi.Point2f(x, y))
 
     def parallel(self, view: int) -> ParallelRays | None:
-        """What the rays through the pixel centres of a view have in common; None where they are but one row."""
+        """What the rays through the pixel centres of a view have in common; None if they form a single line."""
         if min(self.width, self.height) < 2:
             return None
         return ParallelRays(self.width, self.height, -_camera_frame(*self.views[view])[2])
 
 
-#: Within an iteration the same views are asked for several times.
+#: Cached, since an iteration uses the same views several times.
 _camera_frame = functools.lru_cache(maxsize=256)(camera_frame)

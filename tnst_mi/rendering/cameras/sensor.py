@@ -22,7 +22,7 @@ class OrthographicViews(mi.Sensor):
 
      * - view_count
        - |int|
-       - Number V of views. The film shows them from top to bottom: its height is V times that of a view.
+       - Number V of views. The film shows them from top to bottom: its height is V times the height of a view.
          (Default: 1)
      * - spacing
        - |float|
@@ -49,7 +49,7 @@ class OrthographicViews(mi.Sensor):
         self.set_views([(0.0, 0.0)] * self.view_count)
 
     def set_views(self, views: Sequence[View]) -> None:
-        """Point the views at new (azimuth, elevation) angles in degrees; as many as `view_count`."""
+        """Set the views to new (azimuth, elevation) angles in degrees, `view_count` of them."""
         if len(views) != self.view_count:
             raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
         self.rays = OrthographicRays(self._width, self._height, self.spacing, self.distance, views)
@@ -68,7 +68,7 @@ class OrthographicViews(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, *arguments: object, **named: object) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
-        """As `sample_ray`; no textures are filtered in these scenes, so the differentials are left out."""
+        """Like `sample_ray`; no textures are filtered in these scenes, so the differentials are omitted."""
         ray, weight = self.sample_ray(*arguments, **named)
         return mi.RayDifferential3f(ray), weight
 

@@ -1,4 +1,4 @@
-"""Where the cameras stand: Poisson-disc sets of views, and the camera's axes for one view.
+"""Camera placement: Poisson-disc sets of views, and the camera's axes for one view.
 
 A view is (azimuth, elevation) in degrees. (0, 0) looks along -z from +z with x to the right and y up;
 +azimuth moves the camera towards +x, +elevation moves it up.
@@ -15,9 +15,9 @@ from tnst_mi.errors import InputError
 #: (azimuth, elevation) in degrees.
 View = tuple[float, float]
 
-# Darts thrown at one radius before the radius shrinks, the first radius relative to the densest packing, the factor
-# it shrinks by, and the fraction of the first radius below which points may coincide (ranges so narrow that floats
-# run out), so the search ends.
+# Darts thrown at one radius before it shrinks; the first radius relative to the densest packing; the factor by which it
+# shrinks; and the fraction of the first radius below which points may coincide, so that the search ends even in ranges
+# too narrow for floating point.
 DARTS = 64
 DENSITY = 0.75
 SHRINK = 0.95
@@ -32,10 +32,10 @@ def sample_views(
 ) -> np.ndarray:
     """Spread n views evenly but irregularly over a range of directions (paper section 4.1).
 
-    Poisson-disc sampling by dart throwing: a point is kept if it lies at least a radius away from all
-    others. The radius starts at 3/4 of that of the densest packing, a usual density of Poisson-disc sets (a larger
-    one would push a few views into the corners), and shrinks until n points fit, so there are always exactly n;
-    in a range without extent they coincide.
+    Poisson-disc sampling by dart throwing: a point is kept if it lies at least a radius away from all others. The
+    radius starts at 3/4 of the densest packing's, a usual density of Poisson-disc sets (a larger one would push a few
+    views into the corners), and shrinks until n points fit, so there are always exactly n; in a range of zero extent
+    they coincide.
 
     Args:
         n: Number of views, at least 1.
@@ -91,7 +91,7 @@ def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarr
     towards_camera = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
     up = np.cross(towards_camera, right)
-    # The cosine of 90° is 6e-17 in floating point; a ray that should run along a face would cross it far away.
+    # The cosine of 90° is 6e-17 in floating point; a ray meant to run along a face would cross it far away.
     return np.round(right, 15), np.round(up, 15), np.round(towards_camera, 15)
 
 

@@ -1,7 +1,7 @@
 """The transpose of interpolation at the samples of parallel rays, in gather form: each voxel collects from its samples.
 
-Scattering needs eight additions to memory per sample, which have to be exact for a repeatable sum. Here every voxel
-reads the samples around it, of which there are about eight as well, and adds them up in a fixed order.
+A scatter needs eight additions to memory per sample, which have to be exact for a repeatable sum. Here every voxel
+reads the samples around it, also about eight, and adds them up in a fixed order.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
 
 _RUN = 2
-"""Voxels per thread, neighbours along z: they share most of the samples that they read."""
+"""Voxels per thread, consecutive along z: they share most of the samples they read."""
 
 
 class BackProjection:
-    r"""Values at the samples of one view, and their transport to the cells.
+    r"""Values at the samples of one view, and their back-projection to the cells.
 
-    The samples of parallel rays through a pixel grid are an affine lattice: sample j of the ray of column p and row q
+    The samples of parallel rays through a pixel grid form an affine lattice: sample j of the ray of column p and row q
     lies at x = o + p a + q b + j c (in cells). Interpolation gives voxel v the weight Π_i max(0, 1 − |x_i − v_i|), with
     x clamped to the grid. It vanishes unless x is within one cell of v on every axis, that is, unless (p, q, j) is
-    within Σ_i |M⁻¹|_{·i} of M⁻¹ (v − o), with M = [a b c]: a box of lattice points that each voxel goes through.
+    within Σ_i |M⁻¹|_{·i} of M⁻¹ (v − o), with M = [a b c]: a box of lattice points over which each voxel loops.
 
     Args:
         medium: the grid and its place in the world.
@@ -40,11 +40,11 @@ class BackProjection:
 
     def __init__(self, medium: GridMedium, lattice: Lattice, rays: ParallelRays) -> None:
         self.shape, self.rays = medium.grid_shape, rays
-        # Enough to cover the grid to both sides of its centre.
+        # Enough to cover the grid on both sides of its centre.
         extent = np.abs(rays.direction @ np.linalg.inv(medium.transform.matrix)).sum()
         before = math.ceil(extent / (2 * lattice.spacing)) + 1
         planes = 2 * before + 1
-        # Not `opaque`, which would share them with other numbers that happen to be equal in some of the views.
+        # Not `opaque`, which would share their arrays with other numbers that happen to be equal in some views.
         before, self.last_plane = dr.opaque(mi.Float, before), dr.opaque(mi.Float, planes - 1)
         pixels = rays.width * rays.height
         self.pixels = opaque_int(pixels)
@@ -58,7 +58,7 @@ class BackProjection:
         corner, right, below = (
             dr.gather(mi.Vector3f, start, opaque_int(i)) for i in (0, rays.width - 1, pixels - rays.width)
         )
-        #: Along p, q and j: from one lattice point to the next, and between their values in storage.
+        #: Along p, q and j: the step from one lattice point to the next, and the stride of their values in storage.
         self.steps = [
             (right - corner) / opaque(rays.width - 1),
             (below - corner) / opaque(rays.height - 1),
@@ -74,13 +74,13 @@ class BackProjection:
         dr.scatter(self.values, value, mi.UInt32(dr.fma(mi.Int32(k), self.pixels, self.first)), active)
 
     def add_to(self, total: mi.Float) -> None:
-        """Add what every voxel gets to `total`, one number per voxel, in place."""
+        """Add the back-projected value of every voxel to `total`, one number per voxel, in place."""
         d, h, w = self.shape
         runs = Cells.of((-(-d // _RUN), h, w))
         voxel = mi.Vector3f(mi.Float(runs.x), mi.Float(runs.y), mi.Float(runs.z * _RUN))
         last = mi.Vector3f(*(opaque(n - 1) for n in (w, h, d)))
 
-        # Lattice points within reach of all voxels of a run.
+        # Lattice points within reach of any voxel of a run.
         middle = voxel - self.origin + mi.Vector3f(0, 0, (_RUN - 1) / 2)
         low, high = [], []
         for axis, end in enumerate((opaque(self.rays.width - 1), opaque(self.rays.height - 1), self.last_plane)):
@@ -111,7 +111,7 @@ class BackProjection:
             dr.scatter_reduce(dr.ReduceOp.Add, total, value, index, z < opaque_int(d), mode)
         dr.eval(total)
 
-    # A method: a function that recurses into itself would be kept, with all values, until Python's cyclic collection.
+    # A method: a recursive closure would stay alive, with all its arrays, until Python's cyclic garbage collection.
     def _visit_box(
         self,
         axes: tuple[int, ...],
@@ -122,7 +122,7 @@ class BackProjection:
         index: mi.Int32,
         sums: list[mi.Float],
     ) -> list[mi.Float]:
-        """Sums after `visit` at all lattice points of a box that starts at `position`: a loop for each of the axes."""
+        """Sums after `visit` at all lattice points of a box that starts at `position`: one nested loop per axis."""
         if not axes:
             return visit(position, index, sums)
         axis, inner = axes[0], axes[1:]

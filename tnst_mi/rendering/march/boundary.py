@@ -34,7 +34,7 @@ class SceneMedium(GridMedium):
         self.fills_box = self._is_the_box()
 
     def _is_the_box(self) -> bool:
-        """Whether the shape around the medium is the box of the grid, so that no ray need be traced to find it."""
+        """Whether the shape around the medium is the box of the grid, so that no rays need to be traced to find it."""
         if not isinstance(self.shape, mi.Mesh) or self.shape.face_count() != 12:
             return False
         vertices = np.array(mi.traverse(self.shape)["vertex_positions"], np.float64).reshape(-1, 3)
@@ -49,7 +49,7 @@ class SceneMedium(GridMedium):
 
 
 def crossing(scene: mi.Scene, shape: mi.Shape, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-    """Distances at which rays enter (0: they start inside) and leave the convex shape; empty where they miss it."""
+    """Distances at which rays enter (0 if they start inside) and leave the convex shape; empty if they miss it."""
     boundary = mi.ShapePtr(shape)
 
     def body(here: mi.Ray3f, active: mi.Bool, entry: mi.Float, exit: mi.Float) -> tuple:
@@ -59,7 +59,7 @@ def crossing(scene: mi.Scene, shape: mi.Shape, ray: mi.Ray3f, active: mi.Bool) -
         entering = dr.dot(hit.n, ray.d) < 0
         entry = dr.select(on_boundary & entering, distance, entry)
         exit = dr.select(on_boundary & ~entering, distance, exit)
-        # Other surfaces are passed; the caller decides whether they are in the way.
+        # Other surfaces are skipped; the caller decides whether they are in the way.
         return hit.spawn_ray(ray.d), active & hit.is_valid() & ~(on_boundary & ~entering), entry, exit
 
     n = dr.width(ray)
@@ -90,9 +90,9 @@ def first_surface(scene: mi.Scene, shape: mi.Shape, ray: mi.Ray3f, active: mi.Bo
 def seen_behind(
     scene: mi.Scene, medium: SceneMedium, lattice: Lattice, ray: mi.Ray3f, active: mi.Bool
 ) -> tuple[mi.Spectrum | None, mi.Bool]:
-    """What rays see of emitters behind the medium, None where there are none, and which rays pass through it at all.
+    """Radiance of emitters behind the medium, None if there are none, and which rays pass through the medium.
 
-    The samples of rays that end on a surface before the medium are taken out of the lattice.
+    Rays that end on a surface in front of the medium lose their samples in the lattice.
 
     Raises:
         RuntimeError: a surface lies inside the medium.

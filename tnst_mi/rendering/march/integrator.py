@@ -20,7 +20,6 @@ from tnst_mi.rendering.march.back_projection import BackProjection
 from tnst_mi.rendering.march.boundary import SceneMedium, crossing, seen_behind
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
-from tnst_mi.rendering.march.occupancy import Occupancy
 
 
 class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
@@ -36,7 +35,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
          (Default: 0.1)
      * - quadrature
        - |string|
-       - How the integral along a ray is discretised, with d_k the samples at distance h:
+       - Discretisation of the integral along a ray, with samples d_k at distance h:
          ``paper``: h Σ d_k exp(−γ h Σ_{i≤k} d_i), the inclusive sum of the authors' program;
          ``exact``: every segment integrated exactly, (1 − exp(−γ h Σ d))/γ;
          ``transmittance``: 1 − exp(−γ h Σ d). (Default: ``paper``)
@@ -45,13 +44,13 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
        - Distance h between samples in world units. (Default: the shortest edge of the grid's cells)
 
     Works in any scene with one ``heterogeneous`` medium, its ``sigma_t`` a ``gridvolume``, inside a convex shape with a
-    ``null`` BSDF, and with any sensor. The medium emits and absorbs; its albedo and phase function play no part.
+    ``null`` BSDF, and with any sensor. The medium emits and absorbs; its albedo and phase function are ignored.
     Emitters seen through the medium are attenuated and added. Surfaces inside the medium are an error. The sample
     positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`.
 
-    Derivatives are those with respect to ``sigma_t.data``. The reverse-mode pass replays the march and stores
-    nothing per step; its result has the same bits in every run. With one extinction channel the march is scalar,
-    with three it is done per channel.
+    Derivatives are with respect to ``sigma_t.data``. The reverse-mode pass replays the march and stores nothing per
+    step; its result is bit-identical in every run. With one extinction channel the march is scalar, with three it is
+    done per channel.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -70,7 +69,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         self._medium: SceneMedium | None = None
 
     def parameters_changed(self, keys: list[str]) -> None:
-        """Forget what was resolved from the scene."""
+        """Discard what was resolved from the scene."""
         self._medium = None
 
     def resolve(self, scene: mi.Scene) -> SceneMedium:
@@ -95,8 +94,8 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
         """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
 
-        A `GridMedium` in place of the scene is marched by itself, before black: nothing is traced, and on a GPU no
-        OptiX is needed. To tell that the rays are `parallel` makes the adjoint faster.
+        A `GridMedium` instead of a scene is marched alone, in front of black: no rays are traced, and on a GPU no OptiX
+        is needed. Declaring the rays `parallel` makes the adjoint faster.
         """
         if isinstance(scene, mi.Scene):
             medium = self.resolve(scene)
@@ -116,7 +115,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         return mi.Spectrum(L), valid, [], L
 
     # --------------------------------------------------------------------
-    # Where a ray passes through the medium, and what it sees behind
+    # Where a ray passes through the medium, and what is behind it
     # --------------------------------------------------------------------
 
     def _sample_distance(self, medium: GridMedium) -> float:
@@ -133,32 +132,6 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     # The march
     # --------------------------------------------------------------------
 
-    def _march(self, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
-        """Visit the samples of every ray from the sensor away; `visit(k, stencil, *state)` returns the next state."""
-        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
-        result = dr.while_loop(
-            state=(k, *state),
-            cond=lambda k, *_: k < lattice.count,
-            body=lambda k, *state: (k + 1, *visit(k, lattice.stencil(k), *state)),
-            label=label,
-        )
-        return result[1:]
-
-    def _march_smoke(self, medium: GridMedium, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
-        """As `_march`, with `visit(stencil, *state)`, passing over samples where the extinction is 0."""
-        occupancy = medium.occupancy
-        return self._march(lattice, state, lambda _, *rest: self._in_smoke(occupancy, visit, *rest), label)
-
-    def _in_smoke(self, occupancy: Occupancy, visit: Any, stencil: ClampedStencil, *state: Any) -> tuple:
-        """The state after `visit(stencil, *state)` where there may be smoke; unchanged elsewhere."""
-        return dr.if_stmt(
-            args=state,
-            cond=occupancy.at(stencil.lower),
-            true_fn=lambda *state: visit(stencil, *state),
-            false_fn=lambda *state: state,
-            label="smoke",
-        )
-
     def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: ClampedStencil) -> Any:
         """Interpolated extinction: `mi.Float` for a grey medium, `mi.Color3f` for a coloured one."""
         value = stencil.value(stencil.read(tensor.array, medium.channels))
@@ -169,37 +142,36 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         value_type = mi.Float if medium.channels == 1 else mi.Color3f
         return dr.zeros(value_type, dr.width(lattice.count))
 
+    @dr.syntax
     def _radiance(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
-        σ_t = dr.detach(medium.extinction)
-        inv_gamma = opaque(1 / self.gamma)
-        h = lattice.step
-        zeros = self._zeros(medium, lattice)
+        σ_t, occupancy, h = dr.detach(medium.extinction), medium.occupancy, lattice.step
+        inv_gamma = opaque(1 / self.gamma)  # 1/γ: emission over extinction
+        τ = self._zeros(medium, lattice)  # optical depth from the sensor
+        L = self._zeros(medium, lattice)  # radiance, times γ
+        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
 
-        if self.quadrature == "paper":
-
-            def emit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
+        # --------------------- March ---------------------
+        while dr.hint(k < lattice.count, label="emission_absorption"):
+            stencil = lattice.stencil(k)
+            if dr.hint(occupancy.at(stencil.lower), label="smoke"):
                 σ = self._extinction(medium, σ_t, stencil)
-                τ = τ + h * σ
-                return τ, L + h * σ * dr.exp(-τ)
+                τ += h * σ
+                if dr.hint(self.quadrature == "paper", mode="scalar"):
+                    L += h * σ * dr.exp(-τ)
+            k += 1
 
-            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), emit, "emission_absorption")
+        # ------------------- Quadrature ------------------
+        if dr.hint(self.quadrature != "paper", mode="scalar"):
+            L = -_expm1(-τ)  # the segments' transmittances telescope
+        if dr.hint(self.quadrature != "transmittance", mode="scalar"):
             L *= inv_gamma
-        else:
-            # The segments' transmittances telescope: only the optical depth is needed.
-            def absorb(stencil: ClampedStencil, τ: Any) -> tuple:
-                return (τ + h * self._extinction(medium, σ_t, stencil),)
-
-            (τ,) = self._march_smoke(medium, lattice, (zeros,), absorb, "emission_absorption")
-            L = -_expm1(-τ)
-            if self.quadrature == "exact":
-                L *= inv_gamma
         return L if background is None else mi.Spectrum(L) + dr.exp(-τ) * background
 
     def _scatter_adjoint(self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum) -> None:
         """Accumulate δL · ∂L/∂σ_t into the gradient of the extinction tensor.
 
-        paper:  ∂L/∂σ_k = h (exp(−τ_k)/γ − (L − S_k)), S_k being the part of L from the samples before k: what sample
-        k emits towards the sensor, less what it absorbs of everything at and behind it.
+        paper:  ∂L/∂σ_k = h (exp(−τ_k)/γ − (L − S_k)), where S_k is the part of L from the samples before k: what sample
+        k emits towards the sensor, minus what it absorbs of everything at and behind it.
         exact:  ∂L/∂σ_k = h (1/γ − L) for every k, and h (1 − L) for transmittance.
         """
         # `RBIntegrator` suspends derivatives around this function.
@@ -216,7 +188,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             projection = BackProjection(medium, lattice, lattice.rays)
             self._march_adjoint(medium, lattice, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
             with dr.resume_grad():
-                # Taken out of the AD graph, whose reference to it would make an addition in place copy the array.
+                # Removed from the AD graph, whose reference would make the in-place addition copy the array.
                 total = dr.grad(medium.extinction).array
                 dr.clear_grad(medium.extinction)
             projection.add_to(total)
@@ -230,65 +202,63 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         with dr.resume_grad():
             dr.accum_grad(medium.extinction, mi.TensorXf(total, tuple(medium.extinction.shape)))
 
+    @dr.syntax
     def _march_adjoint(self, medium: GridMedium, lattice: Lattice, A: Any, B: Any, deposit: Any) -> None:
         """Call `deposit(k, stencil, δL ∂L/∂σ_k)` for every sample, given A = δL and B = δL · L."""
-        σ_t = dr.detach(medium.extinction)
-        inv_gamma = opaque(1 / self.gamma)
-        h, scale = lattice.step, opaque(medium.scale)
-        label = "emission_absorption adjoint"
+        σ_t, occupancy = dr.detach(medium.extinction), medium.occupancy
+        h, scale, inv_gamma = lattice.step, opaque(medium.scale), opaque(1 / self.gamma)
+        paper = self.quadrature == "paper"
+        constant = (A * self._limit - B) * h * scale  # of the other quadratures: the same for every sample of a ray
+        τ = self._zeros(medium, lattice)  # optical depth from the sensor
+        T = self._zeros(medium, lattice) + 1  # transmittance
+        S = self._zeros(medium, lattice)  # radiance of the samples so far
+        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
 
-        if self.quadrature == "paper":
-            occupancy = medium.occupancy
-
-            def absorb(stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
-                σ = self._extinction(medium, σ_t, stencil)
-                τ = τ + h * σ
-                T = dr.exp(-τ)
-                return τ, T, S + h * σ * T * inv_gamma
-
-            def visit(k: mi.UInt32, stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
-                # Empty space, too, has a derivative: it could emit and absorb.
+        while dr.hint(k < lattice.count, label="emission_absorption adjoint"):
+            stencil = lattice.stencil(k)
+            if dr.hint(paper, mode="scalar"):
                 before = S
-                τ, T, S = self._in_smoke(occupancy, absorb, stencil, τ, T, S)
+                if dr.hint(occupancy.at(stencil.lower), label="smoke"):
+                    σ = self._extinction(medium, σ_t, stencil)
+                    τ += h * σ
+                    T = dr.exp(-τ)
+                    S = S + h * σ * T * inv_gamma  # not in place: `before` keeps its value
+                # Empty space, too, has a derivative: it could emit and absorb.
                 deposit(k, stencil, (A * (T * inv_gamma + before) - B) * h * scale)
-                return τ, T, S
-
-            zeros = self._zeros(medium, lattice)
-            self._march(lattice, (zeros, zeros + 1, zeros), visit, label)
-        else:
-            constant = (A * self._limit - B) * h * scale
-
-            def visit_alike(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
+            else:
                 deposit(k, stencil, constant)
-                return ()
-
-            self._march(lattice, (), visit_alike, label)
+            k += 1
 
     @property
     def _limit(self) -> mi.Float:
         """The radiance of opaque smoke."""
         return opaque(1 / self.gamma if self.quadrature != "transmittance" else 1.0)
 
+    @dr.syntax
     def _tangent(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
         """Derivative of the radiance along the tangent of the extinction tensor."""
         with dr.resume_grad():
             σ_t, σ_dot = dr.detach(medium.extinction), dr.grad(medium.extinction)
-        inv_gamma = opaque(1 / self.gamma)
-        h = lattice.step
-        zeros = self._zeros(medium, lattice)
+        h, inv_gamma = lattice.step, opaque(1 / self.gamma)
+        τ = self._zeros(medium, lattice)
+        τ_dot = self._zeros(medium, lattice)
+        L_dot = self._zeros(medium, lattice)
+        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
 
-        def visit(_: mi.UInt32, stencil: ClampedStencil, τ: Any, τ_dot: Any, L_dot: Any) -> tuple:
+        while dr.hint(k < lattice.count, label="emission_absorption tangent"):
+            stencil = lattice.stencil(k)
             σ = self._extinction(medium, σ_t, stencil)
             δσ = self._extinction(medium, σ_dot, stencil)
-            τ, τ_dot = τ + h * σ, τ_dot + h * δσ
-            return τ, τ_dot, L_dot + h * (δσ - σ * τ_dot) * dr.exp(-τ)
+            τ += h * σ
+            τ_dot += h * δσ
+            L_dot += h * (δσ - σ * τ_dot) * dr.exp(-τ)
+            k += 1
 
-        τ, τ_dot, L_dot = self._march(lattice, (zeros, zeros, zeros), visit, "emission_absorption tangent")
         T = dr.exp(-τ)
-        if self.quadrature == "paper":
+        if dr.hint(self.quadrature != "paper", mode="scalar"):
+            L_dot = T * τ_dot
+        if dr.hint(self.quadrature != "transmittance", mode="scalar"):
             L_dot *= inv_gamma
-        else:
-            L_dot = T * τ_dot * (inv_gamma if self.quadrature == "exact" else 1)
         return L_dot if background is None else mi.Spectrum(L_dot) - T * τ_dot * background
 
     def to_string(self) -> str:
@@ -298,7 +268,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
 
 
 def _expm1(x: Any) -> Any:
-    """exp(x) − 1 without cancellation near 0: the difference there is x (1 + x/2 (1 + x/3))."""
+    """exp(x) − 1 without cancellation near 0, where it is the series x (1 + x/2 (1 + x/3 (1 + x/4)))."""
     return dr.select(dr.abs(x) < 1e-2, x * (1 + x * (0.5 + x * (1 / 6 + x * (1 / 24)))), dr.exp(x) - 1)
 
 

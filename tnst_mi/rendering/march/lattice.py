@@ -1,4 +1,4 @@
-"""Where a march takes its samples along the rays."""
+"""The sample positions of a march along its rays."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from tnst_mi.rendering.march.medium import GridMedium
 class Lattice:
     """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
 
-    Sample k of n lies at (k − (n − 1)/2) step from that point, n having the parity of D: a ray along z through a grid
-    of cubic cells, with the cell as step, samples exactly the cell centres. Only samples between the entry into and the
-    exit from the grid's box are visited, and of these only the ones in front of the ray's origin and inside the shape
-    around the medium.
+    Sample k of n lies at (k − (n − 1)/2) step from that point, where n has the parity of D: a ray along z through a
+    grid of cubic cells, with the cell size as step, samples exactly the cell centres. Only samples inside the grid's
+    box are visited, and of these only those in front of the ray's origin and inside the shape around the medium.
 
     Args:
         medium: the grid and its place in the world.
@@ -30,9 +29,9 @@ class Lattice:
     Attributes:
         entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
         count: number of samples of each ray.
-        spacing, step: distance between samples in world units, as a number of the host and of the device.
-        rays: set where the rays are those of one view.
-        first: for each ray, where in the sequence k − (n − 1)/2 (rounded down) its first sample is.
+        spacing, step: distance between samples in world units, on the host and on the device.
+        rays: set if the rays belong to one view.
+        first: for each ray, the value of k − (n − 1)/2 (rounded down) at its first sample.
     """
 
     def __init__(
@@ -74,11 +73,11 @@ class Lattice:
 
     @property
     def longest(self) -> int:
-        """No ray has more samples than this."""
+        """Upper bound on the number of samples of a ray."""
         return math.ceil(self._diagonal() / self.spacing) + 2
 
     def leave_out(self, hidden: mi.Bool) -> None:
-        """Take all samples from some of the rays."""
+        """Remove all samples of the `hidden` rays."""
         self.count = dr.select(hidden, 0, self.count)
 
     def stencil(self, k: mi.UInt32 | mi.Float) -> ClampedStencil:

@@ -1,4 +1,4 @@
-"""What a march through a `heterogeneous` medium needs: its extinction tensor and the map from world to cells.
+"""What marching through a `heterogeneous` medium needs: its extinction tensor, and the map from world to cells.
 
 Resolving them once lets the integrator gather from the tensor instead of calling the medium's virtual functions for
 every sample.
@@ -17,10 +17,10 @@ from tnst_mi.rendering.march.occupancy import Occupancy
 
 
 def _children(node: mi.Object) -> dict[str, mi.Object]:
-    """The child objects that a Mitsuba object announces, by name."""
+    """The child objects of a Mitsuba object, by name."""
     objects: dict[str, mi.Object] = {}
 
-    # Here, since its base belongs to the active variant.
+    # Defined here, since its base class belongs to the active variant.
     class Children(mi.TraversalCallback):
         def put(self, name: str, value: object, *_: object) -> None:
             if isinstance(value, mi.Object):
@@ -54,17 +54,17 @@ class GridTransform:
 def probe_transform(volume: mi.Volume) -> GridTransform:
     """Recover the `to_world` of a gridvolume, which Mitsuba does not expose.
 
-    The grid's centre is the centre of its bounding box. The rest is read off with a probe: for a moment the volume
-    holds 2×2×2 cells whose values rise along one axis, and the derivative of its interpolated value at the centre
-    is that axis' row of the matrix. Three probes, then the volume's own data are put back.
+    The grid's centre is the centre of its bounding box. The rest is probed: temporarily, the volume holds 2×2×2 cells
+    whose values rise along one axis, and the gradient of its interpolated value at the centre gives that axis' row of
+    the matrix. After three probes, the volume's own data are restored.
     """
     box = volume.bbox()
     centre = np.array((box.min + box.max) * 0.5, dtype=np.float64).ravel().tolist()
     parameters = mi.traverse(volume)
     rows = []
-    # Integrators suspend derivatives while they render: the volume's own data, if attached, would come back detached.
+    # Integrators suspend derivatives while they render: the volume's own data, if attached, would be restored detached.
     with dr.resume_grad():
-        # A copy: the dictionary hands out a reference, which the probes would overwrite.
+        # A copy: the dictionary returns a reference, which the probes would overwrite.
         data = mi.TensorXf(parameters["data"])
         try:
             for axis in range(3):
@@ -95,13 +95,13 @@ class GridMedium:
 
     Attributes:
         medium: the Mitsuba medium.
-        parameters: those of the medium, as `mi.traverse` gives them.
+        parameters: the medium's parameters, from `mi.traverse`.
         extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the medium's is.
         scale: the medium's `scale`.
         transform: world space to the grid's unit cube.
 
     Raises:
-        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` no `gridvolume`.
+        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` is not a `gridvolume`.
     """
 
     def __init__(self, medium: mi.Medium) -> None:
@@ -115,7 +115,7 @@ class GridMedium:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take over the current extinction and scale, which `parameters.update()` may have replaced."""
+        """Update to the current extinction and scale, which `parameters.update()` may have replaced."""
         self.extinction = self.parameters["sigma_t.data"]
         self.scale = float(self.parameters["scale"])
 
@@ -131,9 +131,9 @@ class GridMedium:
 
     @property
     def occupancy(self) -> Occupancy:
-        """Where the extinction is not 0; found once for each array of values."""
+        """Where the extinction is not 0; computed once per array of values."""
         values = dr.detach(self.extinction).array
-        # The occupancy keeps its values alive, so that no other array can take over their index.
+        # The occupancy keeps its values alive, so that no other array can reuse their index.
         if self._occupancy is None or self._occupancy.values.index != values.index:
             self._occupancy = Occupancy(values, self.grid_shape, self.channels)
         return self._occupancy

@@ -1,4 +1,4 @@
-"""Which parts of a grid hold anything at all: a march passes over the rest, which adds nothing to its sums."""
+"""Which parts of a grid are not empty: a march skips the rest, which adds nothing to its sums."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from tnst_mi.fields.grid import Cells, Shape
 from tnst_mi.fields.kernels import gather, opaque_int
 
 _LOG2_EDGE = 2
-"""Blocks of 4³ cells. Larger ones hold more empty space, and smaller ones no longer fit the cache."""
+"""Blocks of 4³ cells. Larger ones contain more empty space, smaller ones no longer fit in the cache."""
 
 
 class Occupancy:
-    """For every block of cells, whether interpolation at a sample in it can give anything but 0.
+    """For every block of cells, whether interpolation at a sample in it can be non-zero.
 
-    A sample belongs to the block of its lower cells, and reads the cells above these too. So a block counts as occupied
-    where it or one of its upper neighbours has a cell that is not 0.
+    A sample belongs to the block of its lower cells but also reads the cells above them. So a block counts as occupied
+    if it or one of its upper neighbours has a non-zero cell.
 
     Args:
         values: all channels of every cell of the grid, flat.
@@ -33,10 +33,10 @@ class Occupancy:
         cells = Cells.of(shape)
         filled = mi.Bool(False)
         for value in gather(values, dr.arange(mi.UInt32, dr.prod(shape)), channels):
-            # A NaN counts as well.
+            # NaN counts as filled, too.
             filled |= value != 0
         own = dr.zeros(mi.UInt32, dr.prod(blocks))
-        # All writers write the same.
+        # All threads write the same value.
         dr.scatter(own, mi.UInt32(1), self._block(cells.x, cells.y, cells.z), filled)
 
         block = Cells.of(blocks)
@@ -53,5 +53,5 @@ class Occupancy:
         return mi.UInt32(dr.fma(row, self._columns, x >> _LOG2_EDGE))
 
     def at(self, lower: mi.Vector3i) -> mi.Bool:
-        """Whether interpolation between these cells (x, y, z) and the next ones may differ from 0."""
+        """Whether interpolation between these cells (x, y, z) and the next ones may be non-zero."""
         return dr.gather(mi.UInt32, self._flags, self._block(lower.x, lower.y, lower.z)) != 0

@@ -1,4 +1,4 @@
-"""OpenVDB files (.vdb), read and written without the OpenVDB library: trees of numbers and vectors."""
+"""OpenVDB files (.vdb), read and written without the OpenVDB library: trees of scalars and vectors."""
 
 from __future__ import annotations
 

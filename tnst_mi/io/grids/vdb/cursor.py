@@ -1,4 +1,4 @@
-"""Reading binary data of a file that may be damaged: nothing is read beyond its end."""
+"""Bounds-checked reading of binary data from a file that may be damaged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Cursor:
         """The next `count` bytes.
 
         Raises:
-            InputError: the data end before.
+            InputError: fewer are left.
         """
         end = self._position + count
         if count < 0 or end > len(self._data):
@@ -36,11 +36,11 @@ class Cursor:
         return taken
 
     def unpack(self, layout: struct.Struct) -> tuple:
-        """The next numbers, laid out as `layout` says."""
+        """The next numbers, in the given layout."""
         return layout.unpack(self.take(layout.size))
 
     def string(self) -> str:
-        """The next text: its length, then its bytes."""
+        """The next string, stored as its length and its bytes."""
         (length,) = self.unpack(_LENGTH)
         if length > _LARGEST_STRING:
             raise InputError(f"{self.path}: damaged: a name of {length} bytes")

@@ -1,7 +1,7 @@
-"""Frames as OpenVDB files: which grids make a frame, what box of voxels it is, and in what axes and units.
+"""Frames as OpenVDB files: which grids make up a frame, which box of voxels it spans, and in what axes and units.
 
-A file holds the voxels that are active, not the domain of the simulation. Ours and Blender's tell it; else it is the
-box around the active voxels, which in a sequence has to be the same for all frames: `box_of_all`.
+A file holds the active voxels, not the domain of the simulation. Our files and Blender's declare the domain; otherwise
+it is the box around the active voxels, which must be the same for all frames of a sequence: `box_of_all`.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from tnst_mi.io.orientation import to_z_up
 
 _DENSITY, _VELOCITY, _OBSTACLE, _FLAGS = ("density",), ("velocity", "vel", "v"), ("obstacle",), ("flags",)
 
-# What our files say of themselves; other programs may say it too.
+# Metadata that our files carry; other programs may write it too.
 _UP, _UNITS, _LOWEST, _HIGHEST = "tnst_mi_up", "tnst_mi_velocity_units", "tnst_mi_box_min", "tnst_mi_box_max"
 
-#: Blender's caches (Mantaflow) tell the resolution of the domain, whose first voxel is (0, 0, 0), with every grid.
+#: Blender's caches (Mantaflow) store with every grid the resolution of the domain, whose first voxel is (0, 0, 0).
 _BLENDER = "file_base_resolution"
 
-# Beyond this coordinate of a voxel, which has 32 bits, the place is kept in the translation alone.
+# Voxel coordinates have 32 bits: beyond this one, the position is stored in the translation alone.
 _FARTHEST = 1 << 30
 
-# Grids fit each other if their voxels differ by less than this part.
+# Grids match if the sizes and positions of their voxels differ by less than this fraction of the size.
 _TOLERANCE = 1e-4
 
 
 def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
-    """Read a frame; the voxels of `box`, or of the file's own box.
+    """Read the voxels of a frame in `box`, or in the file's own box.
 
     Raises:
         InputError: the file cannot be used, its grids do not fit together, or it has no active voxel and no box.
@@ -73,7 +73,7 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
         velocity=None if velocity is None else velocity.tree.values_in(box),
         obstacle=solid,
         staggered=velocity is not None and velocity.staggered,
-        # Blender stores velocities where there is smoke only; what is 0 elsewhere is not meant.
+        # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
         known=velocity.tree.active_in(box) if velocity is not None and velocity.staggered else None,
         up=up,
         velocity_units=units,
@@ -85,7 +85,7 @@ def read_vdb_frame(path: Path, box: Box | None = None) -> StoredFrame:
 
 
 def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placement | None = None) -> None:
-    """Write grids (D, H, W) with y up, by name, at the place they came from; without one z is up, as in Blender."""
+    """Write named y-up grids (D, H, W) at their original placement; without one, the file is z up, as in Blender."""
     placement = placement or Placement()
     if placement.up == "z":
         arrays = {name: to_z_up(array) for name, array in arrays.items()}
@@ -108,7 +108,7 @@ def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placem
 
 
 def describe_vdb(path: Path) -> list[str]:
-    """What is in a file, a line for each grid."""
+    """The contents of a file, one line per grid."""
     lines = []
     for grid in read_vdb(path).grids:
         kind = grid.tree_type.removeprefix("Tree_").removesuffix("_HalfFloat").removesuffix("_5_4_3")
@@ -124,10 +124,10 @@ def describe_vdb(path: Path) -> list[str]:
 
 
 def box_of_all(paths: Sequence[Path]) -> Box | None:
-    """The box that holds those of several files, which are frames of one sequence; None where none has one.
+    """The smallest box that holds the boxes of several files, the frames of one sequence; None if none has one.
 
     Raises:
-        InputError: a file cannot be used, or the files' voxels differ in size or place.
+        InputError: a file cannot be used, or the files' voxels differ in size or position.
     """
     lowest, highest, first = [], [], None
     for path in paths:
@@ -145,7 +145,7 @@ def box_of_all(paths: Sequence[Path]) -> Box | None:
 
 
 def _grids_of(file: VdbFile) -> tuple[Grid | None, Grid | None, Grid | None]:
-    """The density, the velocity and the obstacle of a frame, as far as they are there."""
+    """The density, velocity and obstacle grids of a frame, each None if missing."""
     scalars = [grid for grid in file.grids if grid.kind is not None and grid.kind.components == 1]
     vectors = [grid for grid in file.grids if grid.kind is not None and grid.kind.components == 3]
     density = _named(scalars, _DENSITY)
@@ -176,9 +176,9 @@ def _require_fit(path: Path, one: Grid, other: Grid, whose: str) -> None:
 
 
 def _box_of(path: Path, file: VdbFile, grids: Sequence[Grid]) -> Box | None:
-    """The box that a file tells, with the active voxels of its first grid in it; or that of all of its active voxels.
+    """The box that a file declares, extended to the active voxels of its first grid; else the box of all active voxels.
 
-    `grids` are the density and the velocity, as far as they are there.
+    `grids` are the density and the velocity, if present.
     """
     told = _told_box(path, file, grids)
     boxes = [grid.topology.active_box() for grid in (grids if told is None else grids[:1])]
@@ -202,7 +202,7 @@ def _told_box(path: Path, file: VdbFile, grids: Sequence[Grid]) -> Box | None:
 
 
 def _conventions(file: VdbFile, grid: Grid) -> tuple[str, str, float | None]:
-    """Which axis is up, the unit of the velocity, and the duration of a frame in it."""
+    """The up axis, the unit of the velocity, and the duration of a frame in its unit of time."""
     up, units = file.metadata.get(_UP), file.metadata.get(_UNITS)
     if up in ("y", "z") and units in VELOCITY_UNITS:
         return up, units, None if units == CELLS_PER_FRAME else SECONDS_PER_FRAME

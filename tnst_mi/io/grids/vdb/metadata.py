@@ -1,4 +1,4 @@
-"""The named values that OpenVDB files and grids carry, and the maps from voxels to the scene.
+"""The metadata of OpenVDB files and grids, and the transforms from voxels to the scene.
 
 Sources: `openvdb/Metadata.h`, `openvdb/math/Maps.h`.
 """
@@ -12,13 +12,13 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.vdb.cursor import Cursor
 
-#: A named value: a text, a number, or three of them.
+#: A metadata value: a string, a number, or three numbers.
 Value = str | bool | int | float | tuple[int, ...] | tuple[float, ...]
 
 _COUNT = struct.Struct("<I")
 _LARGEST_COUNT = 10_000
 
-# What numbers of each type look like.
+# Binary layouts of the numeric types.
 _LAYOUTS = {
     "bool": struct.Struct("<?"),
     "int32": struct.Struct("<i"),
@@ -33,12 +33,12 @@ _LAYOUTS = {
 _VECTOR = struct.Struct("<3d")
 _MATRIX = struct.Struct("<16d")
 
-# Voxels count as cubes, and axes as the scene's, up to this part of their size.
+# Voxels count as cubes aligned with the scene's axes up to this fraction of their size.
 _TOLERANCE = 1e-4
 
 
 def read_metadata(cursor: Cursor) -> dict[str, Value]:
-    """Read named values; those of types that are not known are left out.
+    """Read metadata by name; values of unknown types are skipped.
 
     Raises:
         InputError: the data are damaged.
@@ -60,7 +60,7 @@ def read_metadata(cursor: Cursor) -> dict[str, Value]:
 
 
 def written_metadata(values: dict[str, tuple[str, Value]]) -> bytes:
-    """What `read_metadata` reads back, of (type, value) by name."""
+    """Encode (type, value) by name as `read_metadata` reads it."""
     data = _COUNT.pack(len(values))
     for name, (kind, value) in values.items():
         if isinstance(value, str):
@@ -72,28 +72,28 @@ def written_metadata(values: dict[str, tuple[str, Value]]) -> bytes:
 
 
 def written_string(text: str) -> bytes:
-    """A text as files hold it."""
+    """Encode a string: its length, then its bytes."""
     encoded = text.encode("utf-8")
     return _COUNT.pack(len(encoded)) + encoded
 
 
 def read_transform(cursor: Cursor) -> tuple[float, tuple[float, float, float]]:
-    """Read the map from voxels to the scene: the edge of a voxel, and where voxel (0, 0, 0) is.
+    """Read the transform from voxels to the scene: the edge of a voxel, and the position of voxel (0, 0, 0).
 
     Raises:
-        InputError: voxels are no cubes along the axes of the scene, or the data are damaged.
+        InputError: voxels are not cubes aligned with the scene's axes, or the data are damaged.
     """
     kind = cursor.string()
     scale, translation = np.eye(3), np.zeros(3)
     if kind in ("AffineMap", "UnitaryMap"):
-        matrix = np.array(cursor.unpack(_MATRIX)).reshape(4, 4)  # acts on rows
+        matrix = np.array(cursor.unpack(_MATRIX)).reshape(4, 4)  # acts on row vectors
         scale, translation = matrix[:3, :3], matrix[3, :3]
     elif kind in ("UniformScaleMap", "ScaleMap", "UniformScaleTranslateMap", "ScaleTranslateMap", "TranslationMap"):
         if "Transla" in kind:
             translation = np.array(cursor.unpack(_VECTOR))
         if "Scale" in kind:
             scale = np.diag(cursor.unpack(_VECTOR))
-            cursor.take(4 * _VECTOR.size)  # the voxel size, and inverses that follow from it
+            cursor.take(4 * _VECTOR.size)  # the voxel size, and inverses derived from it
     else:
         raise InputError(f"{cursor.path}: voxels placed by a {kind!r}, expected scaling and translation; resample it")
     edge = float(scale[0, 0])
@@ -109,7 +109,7 @@ def read_transform(cursor: Cursor) -> tuple[float, tuple[float, float, float]]:
 
 
 def written_transform(edge: float, translation: tuple[float, float, float]) -> bytes:
-    """What `read_transform` reads back."""
+    """Encode a transform as `read_transform` reads it."""
     vectors = [(value,) * 3 for value in (edge, edge, 1.0 / edge, 1.0 / edge**2, 0.5 / edge)]
     kind = "UniformScaleMap"
     if any(translation):

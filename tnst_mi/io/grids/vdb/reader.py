@@ -1,4 +1,4 @@
-"""OpenVDB files (.vdb): what grids there are, their named values and places, and their trees.
+"""Read OpenVDB files (.vdb): the grids, their metadata and transforms, and their trees.
 
 Source: `openvdb/io/File.cc`, `Archive.cc`, `GridDescriptor.cc`; file versions 222 to 224 (OpenVDB 3 to 12).
 """
@@ -22,16 +22,16 @@ from tnst_mi.io.untrusted import opening
 #: The first eight bytes of every file.
 MAGIC = struct.pack("<q", 0x56444220)
 
-#: Versions of the format that are read.
+#: Supported versions of the format.
 VERSIONS = (222, 223, 224)
 
-#: Ends the type of a tree whose values are in half precision.
+#: Suffix of the type of a tree with values in half precision.
 HALF = "_HalfFloat"
 
-#: Length of the identifier of a file.
+#: Length of a file's UUID, which is stored as text.
 UUID_BYTES = 36
 
-# Equal names of grids are made unique by a number after this character.
+# A number after this character makes equal grid names unique.
 _SEPARATOR = "\x1e"
 
 _VERSION = struct.Struct("<3I?")
@@ -39,24 +39,24 @@ _COUNT = struct.Struct("<i")
 _OFFSETS = struct.Struct("<3q")
 _COMPRESSION = struct.Struct("<I")
 
-# Of the part of a file, or of a grid, that comes before the values.
+# Limits on what precedes the values of a file or grid: bytes, and number of grids.
 _LARGEST_DESCRIPTION = 1 << 20
 _LARGEST_COUNT = 1000
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of a file; its tree is read when it is asked for.
+    """A grid of a file; its tree is read on first access.
 
     Attributes:
         path: the file.
-        name: of the grid; several may have the same.
-        tree_type: the type of the tree in the words of the file, such as "Tree_float_5_4_3_HalfFloat".
-        metadata: named values.
+        name: name of the grid; several may share one.
+        tree_type: type of the tree as written in the file, such as "Tree_float_5_4_3_HalfFloat".
+        metadata: values by name.
         voxel_size: edge of a voxel, in units of the scene.
-        translation: where voxel (0, 0, 0) is in the scene.
+        translation: position of voxel (0, 0, 0) in the scene.
         compression: bits, see `tnst_mi.io.grids.vdb.values`.
-        span: where in the file its tree starts, where the values of the leaves do, and where it ends.
+        span: offsets in the file of the tree, of the values of its leaves, and of its end.
     """
 
     path: Path
@@ -75,9 +75,9 @@ class Grid:
 
     @property
     def kind(self) -> ValueType | None:
-        """The kind of its values; None for a kind that is not read."""
+        """The kind of its values; None if unsupported."""
         known = VALUE_TYPES.get(self.tree_type.removesuffix(HALF))
-        if known is None or known.dtype.kind != "f":  # integers are not halved, whatever their type is called
+        if known is None or known.dtype.kind != "f":  # integers are never in half precision, whatever the type name
             return known
         return dataclasses.replace(known, half=self.half)
 
@@ -88,7 +88,7 @@ class Grid:
 
     @property
     def codec(self) -> str:
-        """What its values are compressed with."""
+        """The compression of its values."""
         return "blosc" if self.compression & BLOSC else "zip" if self.compression & ZIP else "uncompressed"
 
     @cached_property
@@ -96,13 +96,13 @@ class Grid:
         """The voxels and their values.
 
         Raises:
-            InputError: they are truncated or damaged, or of a kind that is not read.
+            InputError: they are truncated or damaged, or of an unsupported kind.
         """
         return self._read(values=True)
 
     @cached_property
     def topology(self) -> Tree:
-        """The tree without the values of its leaves, which is quicker to read.
+        """The tree without the values of its leaves, which is faster to read.
 
         Raises:
             InputError: as `tree`.
@@ -121,18 +121,18 @@ class Grid:
 
 @dataclass(frozen=True)
 class VdbFile:
-    """What an OpenVDB file holds: named values, and grids in the order of the file."""
+    """The contents of an OpenVDB file: metadata, and grids in file order."""
 
     metadata: dict[str, Value]
     grids: list[Grid]
 
 
 def read_vdb(path: Path) -> VdbFile:
-    """Read what is in an OpenVDB file, but for the values of the grids.
+    """Read the contents of an OpenVDB file except for the values of the grids.
 
     Raises:
-        InputError: it is missing, damaged, no such file, or of a version that is not read; or a grid's voxels are no
-            cubes along the axes of the scene.
+        InputError: it is missing, damaged, not an OpenVDB file, or of an unsupported version; or a grid's voxels are
+            not cubes aligned with the scene's axes.
     """
     with opening(path, "a .vdb file"), path.open("rb") as file:
         return _read(path, file)
@@ -157,7 +157,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
     for _ in range(count):
         unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
         places = start, leaves, end = cursor.unpack(_OFFSETS)
-        # A grid that shares the tree of another one has no leaves.
+        # A grid that shares the tree of another has no leaves of its own.
         if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
             raise InputError(f"{path}: truncated or damaged: grid {unique_name!r} lies outside of the file")
         grids[unique_name] = _read_grid(path, file, unique_name.split(_SEPARATOR)[0], tree_type, places)
@@ -184,7 +184,7 @@ def _read_grid(path: Path, file: BinaryIO, name: str, tree_type: str, places: tu
 
 
 def _cursor(path: Path, file: BinaryIO, start: int, end: int | None = None) -> Cursor:
-    """The bytes of a file from `start` to `end`, or a part that is longer than any description of a grid."""
+    """The bytes of a file from `start` to `end`, or else a part longer than any description of a grid."""
     if end is not None and end < start:
         raise InputError(f"{path}: damaged: a grid's values start before its description ends")
     file.seek(start)

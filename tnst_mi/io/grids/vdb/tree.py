@@ -1,7 +1,7 @@
-"""OpenVDB's sparse trees of 32³, 16³ and 8³ branches: read from a file, and unfolded into dense grids.
+"""OpenVDB's sparse trees with branching 32³, 16³ and 8³: read from a file, and expanded into dense grids.
 
-Source: `openvdb/tree/RootNode.h`, `InternalNode.h`, `LeafNode.h`, `io/Compression.h`. Everywhere in here coordinates
-are (X, Y, Z) in voxels, and the eight voxels along an edge of a leaf run with Z fastest.
+Source: `openvdb/tree/RootNode.h`, `InternalNode.h`, `LeafNode.h`, `io/Compression.h`. Coordinates in this module
+are (X, Y, Z) in voxels, and the 8³ voxels of a leaf are stored with Z fastest.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from tnst_mi.io.grids.vdb.cursor import Cursor
 from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, ValueType, read_run
 from tnst_mi.machine.environment import free_memory
 
-#: Voxels along an edge of a leaf, and in it.
+#: Voxels along an edge of a leaf, and in the whole leaf.
 LEAF_EDGE, LEAF_VOXELS = 8, 512
 
-#: Largest dense grid that is made of a tree, in cells.
+#: Largest dense grid that is made from a tree, in cells.
 LARGEST_BOX = 1 << 28
 
-#: Bytes by cell and component, measured, that it takes to unfold a tree and to make a frame's grid of it.
+#: Measured bytes per cell and component that it takes to expand a tree and make a frame's grid from it.
 _CELL_BYTES = 14
 
-#: Lowest and highest voxel (X, Y, Z) of a box, both inside.
+#: Lowest and highest voxel (X, Y, Z) of a box, both inclusive.
 Box = tuple[np.ndarray, np.ndarray]
 
-# Branches along an edge, and voxels along the edge of what a branch leads to, from the root down.
+# Children along an edge of a node, and voxels along an edge of a child, from the root down.
 _LEVELS = ((32, 128), (16, 8))
 _ROOT_EDGE = 4096
 
-# What a node says of its inactive values: all are the background, all its negative, all one other value; one of two
-# by a mask: negative or background, another value or background, two others; or all values are there.
+# How a node encodes its inactive values: all are the background, its negative, or one other value; a mask selects
+# one of two: negative or background, another value or background, two others; or all values are stored.
 _BACKGROUND, _NEGATIVE, _ONE, _MASK_NEGATIVE, _MASK_ONE, _MASK_TWO, _ALL = range(7)
 
 _INTEGER = struct.Struct("<i")
@@ -70,11 +70,11 @@ class Tree:
 
     @property
     def active_voxels(self) -> int:
-        """Number of active voxels, those in tiles counted."""
+        """Number of active voxels, including those in tiles."""
         return int(self.leaf_active.sum()) + sum(int(edge) ** 3 for edge in self.tile_edges[self.tile_active])
 
     def active_box(self) -> Box | None:
-        """The smallest box around all active voxels; None where there are none."""
+        """The smallest box around all active voxels; None if there are none."""
         lowest, highest = [self.tile_origins[self.tile_active]], []
         highest.append(lowest[0] + self.tile_edges[self.tile_active, None] - 1)
         occupied = self.leaf_active.any(axis=1)
@@ -118,21 +118,21 @@ class Tree:
 
 
 def require_small(path: Path, box: Box, components: int = 1) -> None:
-    """Check that a box of a file's grids can be made dense grids: what a file holds does not limit it.
+    """Check that a box of a file's grids can be made dense: the size of a file does not bound the box.
 
     Args:
         path: the file.
-        box: of its voxels.
-        components: of all those grids together.
+        box: the box, in voxels.
+        components: number of components of all grids together.
 
     Raises:
-        InputError: it has too many cells, for us or for the memory that is free.
+        InputError: it has too many cells, for our limit or for the free memory.
     """
     extents = [int(extent) for extent in box[1] - box[0] + 1]
     spans = f"{path}: its voxels span {' x '.join(map(str, extents))} cells"
     if math.prod(extents) > LARGEST_BOX:
         raise InputError(f"{spans}, expected at most {LARGEST_BOX} in all; crop the grid")
-    # Whole leaves are unfolded.
+    # Whole leaves are expanded.
     blocks = math.prod(int(count) for count in box[1] // LEAF_EDGE - box[0] // LEAF_EDGE + 1)
     need, free = blocks * LEAF_VOXELS * components * _CELL_BYTES, free_memory()
     if free is not None and need > free:
@@ -140,10 +140,10 @@ def require_small(path: Path, box: Box, components: int = 1) -> None:
 
 
 class TreeReader:
-    """Reads one tree; the whole shape of it comes first in a file, then the values of the leaves."""
+    """Reads one tree; a file holds its whole topology first, then the values of the leaves."""
 
     def __init__(self, cursor: Cursor, kind: ValueType, compression: int) -> None:
-        """Take where to read, the kind of values, and the bits of their compression."""
+        """Set where to read, the kind of values, and their compression flags."""
         self._cursor, self._kind, self._compression = cursor, kind, compression
         self._background = np.zeros(kind.shape, kind.dtype)
         self._tiles: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -151,7 +151,7 @@ class TreeReader:
         self._leaf_masks: list[np.ndarray] = []
 
     def read(self, values: bool = True) -> Tree:
-        """Read the tree; without the values of its leaves if only their places matter.
+        """Read the tree; without the values of its leaves if only the topology matters.
 
         Raises:
             InputError: the data are truncated or damaged.
@@ -183,7 +183,7 @@ class TreeReader:
             self._read_branches(np.array(cursor.unpack(_COORDINATE), np.int64), 0)
 
     def _read_branches(self, origin: np.ndarray, level: int) -> None:
-        """Read a node inside the tree: its tiles, then what its branches lead to."""
+        """Read an internal node: its tiles, then its children."""
         count, edge = _LEVELS[level]
         branches, active = self._mask(count**3), self._mask(count**3)
         values = self._read_node(active)
@@ -205,13 +205,13 @@ class TreeReader:
             self._tiles.append((origins, np.full(len(origins), edge, np.int64), active, values))
 
     def _read_leaves(self, active: np.ndarray) -> np.ndarray:
-        """Read the values of all leaves, which are put in their places at once."""
+        """Read the values of all leaves, scattered into place in one assignment."""
         values = np.empty((*active.shape, *self._kind.shape), self._kind.dtype)
         values[...] = self._background
         stored = active.copy()
         runs = []
         for index, count in enumerate(active.sum(axis=1).tolist()):
-            self._cursor.take(LEAF_VOXELS // 8)  # the mask of active voxels once more
+            self._cursor.take(LEAF_VOXELS // 8)  # the mask of active voxels, repeated
             run, complete, inactive = self._read_run(count, LEAF_VOXELS)
             runs.append(run)
             if complete:
@@ -232,7 +232,7 @@ class TreeReader:
         return values
 
     def _read_run(self, active: int, size: int) -> tuple[bytes | memoryview, bool, np.ndarray | None]:
-        """Read the values of a node of `size`: all of them, or the active ones and what the inactive ones are."""
+        """Read the values of a node of `size`: all of them, or the active ones and what the inactive ones equal."""
         (state,) = self._cursor.take(1)
         if state > _ALL:
             raise InputError(f"{self._cursor.path}: damaged: a node of unknown kind {state}")
@@ -244,7 +244,7 @@ class TreeReader:
         return read_run(self._cursor, count * self._kind.run_itemsize, self._compression), complete, inactive
 
     def _read_inactive(self, state: int, size: int) -> np.ndarray | None:
-        """The inactive values of a node, one or for each of its voxels; None where they are the background."""
+        """The inactive values of a node, one for all voxels or one for each; None if they are the background."""
         if state in (_BACKGROUND, _ALL):
             return None
         first, second = -self._background, self._background

@@ -1,4 +1,4 @@
-"""The kinds of values that OpenVDB trees hold, and how runs of them are compressed in files.
+"""The value types of OpenVDB trees, and the compression of runs of values in files.
 
 Source: `openvdb/io/Compression.h` and `Compression.cc`, file versions 222 to 224.
 """
@@ -16,20 +16,20 @@ from blosc.blosc_extension import error as BloscError
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.vdb.cursor import Cursor
 
-# Bits of a grid's compression.
+# Bits of a grid's compression flags.
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4
 
 _SIZE = struct.Struct("<q")
 _BLOSC_HEADER = struct.Struct("<4BIII")  # versions, flags, size of a value; bytes, bytes of a block, compressed bytes
 _BLOSC_LEVEL = 5
 
-# A run of values is at most a few hundred kilobytes: threads cost more than they give.
+# A run of values is at most a few hundred kilobytes: threads cost more than they gain.
 blosc.set_nthreads(1)
 
 
 @dataclass(frozen=True)
 class ValueType:
-    """How the values of a tree are stored: numbers of one type, one or three for a voxel."""
+    """How the values of a tree are stored: numbers of one type, one or three per voxel."""
 
     dtype: np.dtype
     components: int
@@ -37,12 +37,12 @@ class ValueType:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one value: () or (3,)."""
+        """Shape of one value: () or (3,)."""
         return () if self.components == 1 else (self.components,)
 
     @property
     def itemsize(self) -> int:
-        """Bytes of a value by itself, such as the background: these are never halved."""
+        """Bytes of a single value, such as the background, which is never in half precision."""
         return self.dtype.itemsize * self.components
 
     @property
@@ -56,15 +56,15 @@ class ValueType:
         return self.run_dtype.itemsize * self.components
 
     def one(self, data: bytes | memoryview) -> np.ndarray:
-        """A value by itself."""
+        """Decode a single value."""
         return np.frombuffer(data, self.dtype).reshape(self.shape)
 
     def run(self, data: bytes) -> np.ndarray:
-        """A run of values, (N) or (N, 3)."""
+        """Decode a run of values, (N) or (N, 3)."""
         return np.frombuffer(data, self.run_dtype).astype(self.dtype, copy=False).reshape(-1, *self.shape)
 
 
-#: The trees that are read, by the names of their types in files; all branch 32³, 16³, 8³.
+#: Supported trees, by the names of their types in files; all have the branching 32³, 16³, 8³.
 VALUE_TYPES = {
     "Tree_float_5_4_3": ValueType(np.dtype("<f4"), 1),
     "Tree_double_5_4_3": ValueType(np.dtype("<f8"), 1),
@@ -75,11 +75,11 @@ VALUE_TYPES = {
 
 
 def read_run(cursor: Cursor, size: int, compression: int) -> bytes | memoryview:
-    """Read a run of values of `size` bytes, as they were before compression."""
+    """Read and decompress a run of values of `size` bytes (before compression)."""
     if not compression & (ZIP | BLOSC):
         return cursor.take(size)
     (stored,) = cursor.unpack(_SIZE)
-    if stored <= 0:  # what does not get smaller is kept as it is
+    if stored <= 0:  # data that do not shrink are stored uncompressed
         data = cursor.take(-stored)
     elif compression & BLOSC:
         data = _decompressed_by_blosc(cursor, cursor.take(stored), size)
@@ -91,7 +91,7 @@ def read_run(cursor: Cursor, size: int, compression: int) -> bytes | memoryview:
 
 
 def written_run(data: bytes, itemsize: int, compression: int) -> bytes:
-    """What `read_run` reads back: the bytes of a run whose values have `itemsize` bytes each."""
+    """Encode a run, whose values have `itemsize` bytes each, as `read_run` reads it."""
     if not compression & (ZIP | BLOSC):
         return data
     if not data:
@@ -106,7 +106,7 @@ def written_run(data: bytes, itemsize: int, compression: int) -> bytes:
 
 
 def _decompressed_by_blosc(cursor: Cursor, data: memoryview, size: int) -> bytes:
-    # The library allocates what the header claims.
+    # The library allocates what the header claims, so check the claim first.
     if len(data) >= _BLOSC_HEADER.size:
         *_, claimed, _, compressed = _BLOSC_HEADER.unpack_from(data)
         if claimed == size and compressed == len(data):

@@ -1,4 +1,4 @@
-"""Write dense grids as OpenVDB files: what is not 0 becomes active voxels in leaves, the rest is background.
+"""Write dense grids as OpenVDB files: nonzero voxels become active voxels in leaves, the rest is background.
 
 The file version is 224, as OpenVDB 6.2 to 12 write it; Blender and Houdini read it.
 """
@@ -21,7 +21,7 @@ from tnst_mi.io.grids.vdb.reader import MAGIC
 from tnst_mi.io.grids.vdb.tree import LEAF_EDGE, LEAF_VOXELS
 from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, BLOSC, ZIP, written_run
 
-#: The compressions that can be written, by name.
+#: Supported compressions by name.
 COMPRESSIONS = {"blosc": BLOSC | ACTIVE_MASK, "zip": ZIP | ACTIVE_MASK, "none": ACTIVE_MASK}
 
 _VERSION = struct.pack("<3I?", 224, 10, 0, True)
@@ -31,7 +31,7 @@ _COORDINATE = struct.Struct("<3i")
 _OFFSETS = struct.Struct("<3q")
 _COMPRESSION = struct.Struct("<I")
 
-# Branches along an edge of the nodes between root and leaves, and voxels along the edge of such a node.
+# Children along an edge of the two kinds of internal nodes, and voxels along that edge.
 _UPPER, _UPPER_EDGE = 32, 4096
 _LOWER, _LOWER_EDGE = 16, 128
 
@@ -41,14 +41,14 @@ _BACKGROUND = b"\0"
 
 @dataclass(frozen=True)
 class DenseGrid:
-    """A grid to be written.
+    """A grid to write.
 
     Attributes:
-        name: of the grid.
+        name: name of the grid.
         values: (Z, Y, X) or (Z, Y, X, 3), float32.
         first: coordinates (X, Y, Z) of the first voxel.
         voxel_size: edge of a voxel, in units of the scene.
-        translation: where voxel (0, 0, 0) is in the scene.
+        translation: position of voxel (0, 0, 0) in the scene.
     """
 
     name: str
@@ -65,7 +65,7 @@ def write_vdb(
 
     Args:
         path: the file.
-        grids: what goes into it, with names that differ.
+        grids: its grids, with distinct names.
         metadata: (type, value) by name, such as {"creator": ("string", "tnst_mi")}.
         compression: one of COMPRESSIONS.
     """
@@ -85,7 +85,7 @@ def write_vdb(
 
 @dataclass(frozen=True)
 class _Leaves:
-    """The leaves of a grid that hold anything, in the order of the file: (N, 3), (N, 512) and (N, 512[, 3])."""
+    """The nonzero leaves of a grid in file order: (N, 3), (N, 512) and (N, 512[, 3])."""
 
     origins: np.ndarray
     active: np.ndarray
@@ -97,7 +97,7 @@ def _tree_type(grid: DenseGrid) -> str:
 
 
 def _leaves_of(grid: DenseGrid) -> _Leaves:
-    """Cut a dense grid into leaves, and keep those with a value that is not 0."""
+    """Cut a dense grid into leaves, and keep those with a nonzero value."""
     first = np.array(grid.first)
     before = first % LEAF_EDGE
     extents = np.array(grid.values.shape[2::-1])
@@ -118,7 +118,7 @@ def _leaves_of(grid: DenseGrid) -> _Leaves:
 
 
 def _file_order(origins: np.ndarray) -> np.ndarray:
-    """Sort leaves by their upper nodes, then their lower nodes, then their places in these, X slowest."""
+    """The permutation that sorts leaves by upper node, then lower node, then position within it, X slowest."""
     keys = [origins // _UPPER_EDGE, origins // _LOWER_EDGE, origins]
     return np.lexsort([key[:, axis] for key in reversed(keys) for axis in (2, 1, 0)])
 
@@ -152,7 +152,7 @@ def _topology(leaves: _Leaves, compression: int) -> Iterator[bytes]:
 
 
 def _groups(origins: np.ndarray, edge: int) -> Iterator[tuple[np.ndarray, slice]]:
-    """The nodes that sorted leaves belong to, each with the part of the leaves in it."""
+    """The nodes that sorted leaves belong to, each with the slice of its leaves."""
     nodes = origins // edge
     starts = np.flatnonzero(np.r_[True, (nodes[1:] != nodes[:-1]).any(axis=1)][: len(nodes)])
     for start, stop in itertools.pairwise([*starts.tolist(), len(nodes)]):
@@ -160,7 +160,7 @@ def _groups(origins: np.ndarray, edge: int) -> Iterator[tuple[np.ndarray, slice]
 
 
 def _branches(offsets: np.ndarray, count: int, edge: int, compression: int) -> bytes:
-    """A node that only leads on: which branches it has, no active tile, and an empty run of values."""
+    """An internal node with children only: its child mask, no active tile, and an empty run of values."""
     mask = np.zeros((count,) * 3, bool)
     mask[tuple((offsets // edge).T)] = True
     masks = np.packbits(mask, bitorder="little").tobytes() + b"\0" * (count**3 // 8)
@@ -168,7 +168,7 @@ def _branches(offsets: np.ndarray, count: int, edge: int, compression: int) -> b
 
 
 def _buffers(leaves: _Leaves, compression: int) -> Iterator[bytes]:
-    """The leaves' values, those of the active voxels."""
+    """The values of the leaves, active voxels only."""
     masks = np.packbits(leaves.active, axis=1, bitorder="little")
     itemsize = leaves.values.itemsize
     for mask, active, values in zip(masks, leaves.active, leaves.values, strict=True):
