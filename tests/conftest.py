@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
+# Before any test module imports torch, whose idle threads would spin and take Dr.Jit's cores; see `tnst_mi.__init__`.
+import tnst_mi
+
 ASSETS = Path(__file__).resolve().parents[2] / "shared"
 
 
 @pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """Every test runs on llvm_ad_rgb unless TNST_MI_TEST_VARIANT names another variant."""
-    import tnst_mi
-
     return tnst_mi.activate(os.environ.get("TNST_MI_TEST_VARIANT", "llvm_ad_rgb"))
 
 

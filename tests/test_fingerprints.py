@@ -11,7 +11,7 @@ What is asserted, for each of the eight runs of `fingerprints.py`:
   velocity of the middle frame.
 
 A change that is meant to change results, by however little, records them anew:
-`python tests/fingerprints.py --record`.
+`python tests/helpers/fingerprints.py --record`.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from tnst_mi.losses.terms import Match, Semantic, Style
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
@@ -207,6 +208,26 @@ def test_ctrl_c_is_obeyed_after_the_iteration(iteration: int, network: GoogLeNet
     result = optimise(smoke, recipe(octaves=1, iterations=6), network, on_iteration=press)
     assert result.interrupted and len(result.history) == iteration + 1
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_step_that_is_being_found_when_ctrl_c_is_pressed_is_taken(
+    network: GoogLeNet, smoke: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """History and fields agree: two iterations, as of a run that was to have two."""
+    gradient, calls = OctaveProblem.gradient, []
+
+    def pressed(*arguments: object) -> Evaluation:
+        calls.append(arguments)
+        if len(calls) == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        return gradient(*arguments)
+
+    monkeypatch.setattr(OctaveProblem, "gradient", pressed)
+    result = optimise(smoke, recipe(octaves=1, iterations=6), network)
+    monkeypatch.undo()
+    assert result.interrupted and len(result.history) == len(calls) == 2
+    whole = optimise(smoke, recipe(octaves=1, iterations=2), network)
+    np.testing.assert_array_equal(result.potential[0], whole.potential[0])
 
 
 def test_second_ctrl_c_interrupts_at_once() -> None:

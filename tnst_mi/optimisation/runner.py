@@ -99,7 +99,9 @@ class SequenceOptimisation:
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
         """The frames whose fields are still to be updated in iteration k."""
-        for frame in self.each(items.ready(f for f in group if items.iterations_done(f) <= k)):
+        due = items.ready(f for f in group if items.iterations_done(f) <= k)
+        # Without a window the step is only in memory: the run ends after it has been applied.
+        for frame in self.each(due) if self._plan.window > 1 else due:
             yield frame
             if len(group) == 1:
                 self._report(frame, items, k)

@@ -1,7 +1,7 @@
 """Eight small stylizations and what they gave when they were recorded, to tell whether a change of the code moves them.
 
-    python tests/fingerprints.py             # hold what they give now against the record
-    python tests/fingerprints.py --record    # record what they give now
+    python tests/helpers/fingerprints.py             # hold what they give now against the record
+    python tests/helpers/fingerprints.py --record    # record what they give now
 
 Together they cover every goal, both parameterisations, both renderers, λ = 0, ½ and 1, keyframes, an obstacle, and
 sequences with and without a window. They use public names of the package alone, so that its modules may move.
@@ -30,7 +30,7 @@ import numpy as np
 
 import tnst_mi
 
-DATA = Path(__file__).parent / "data" / "fingerprints.npz"
+DATA = Path(__file__).parents[1] / "data" / "fingerprints.npz"
 
 TOLERANCE = 1e-3
 """Of the norm of what a stylization changes: how far another machine may come from the record."""
