@@ -20,6 +20,7 @@ from tnst_mi.rendering.march.back_projection import BackProjection
 from tnst_mi.rendering.march.boundary import SceneMedium, crossing, seen_behind
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
+from tnst_mi.rendering.march.occupancy import Occupancy
 
 
 class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
@@ -132,6 +133,36 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     # The march
     # --------------------------------------------------------------------
 
+    def _march(self, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
+        """Visit the samples of every ray, nearest first; `visit(k, stencil, *state)` returns the next state.
+
+        `@dr.syntax` would read more like Mitsuba's own integrators and gives the same kernels, but takes 0.3 to 0.6 ms more
+        to trace each time, which is what a GPU waits for.
+        """
+        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
+        result = dr.while_loop(
+            state=(k, *state),
+            cond=lambda k, *_: k < lattice.count,
+            body=lambda k, *state: (k + 1, *visit(k, lattice.stencil(k), *state)),
+            label=label,
+        )
+        return result[1:]
+
+    def _march_smoke(self, medium: GridMedium, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
+        """Like `_march`, with `visit(stencil, *state)`, but skipping samples where the extinction is 0."""
+        occupancy = medium.occupancy
+        return self._march(lattice, state, lambda _, *rest: self._in_smoke(occupancy, visit, *rest), label)
+
+    def _in_smoke(self, occupancy: Occupancy, visit: Any, stencil: ClampedStencil, *state: Any) -> tuple:
+        """The state after `visit(stencil, *state)` where there may be smoke; unchanged elsewhere."""
+        return dr.if_stmt(
+            args=state,
+            cond=occupancy.at(stencil.lower),
+            true_fn=lambda *state: visit(stencil, *state),
+            false_fn=lambda *state: state,
+            label="smoke",
+        )
+
     def _extinction(self, medium: GridMedium, tensor: mi.TensorXf, stencil: ClampedStencil) -> Any:
         """Interpolated extinction: `mi.Float` for a grey medium, `mi.Color3f` for a coloured one."""
         value = stencil.value(stencil.read(tensor.array, medium.channels))
@@ -142,29 +173,30 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         value_type = mi.Float if medium.channels == 1 else mi.Color3f
         return dr.zeros(value_type, dr.width(lattice.count))
 
-    @dr.syntax
     def _radiance(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
-        σ_t, occupancy, h = dr.detach(medium.extinction), medium.occupancy, lattice.step
-        inv_gamma = opaque(1 / self.gamma)  # 1/γ: emission over extinction
-        τ = self._zeros(medium, lattice)  # optical depth from the sensor
-        L = self._zeros(medium, lattice)  # radiance, times γ
-        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
+        σ_t = dr.detach(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h = lattice.step
+        zeros = self._zeros(medium, lattice)
 
-        # --------------------- March ---------------------
-        while dr.hint(k < lattice.count, label="emission_absorption"):
-            stencil = lattice.stencil(k)
-            if dr.hint(occupancy.at(stencil.lower), label="smoke"):
+        if self.quadrature == "paper":
+
+            def emit(stencil: ClampedStencil, τ: Any, L: Any) -> tuple:
                 σ = self._extinction(medium, σ_t, stencil)
-                τ += h * σ
-                if dr.hint(self.quadrature == "paper", mode="scalar"):
-                    L += h * σ * dr.exp(-τ)
-            k += 1
+                τ = τ + h * σ
+                return τ, L + h * σ * dr.exp(-τ)
 
-        # ------------------- Quadrature ------------------
-        if dr.hint(self.quadrature != "paper", mode="scalar"):
-            L = -_expm1(-τ)  # the segments' transmittances telescope
-        if dr.hint(self.quadrature != "transmittance", mode="scalar"):
+            τ, L = self._march_smoke(medium, lattice, (zeros, zeros), emit, "emission_absorption")
             L *= inv_gamma
+        else:
+            # The segments' transmittances telescope: only the optical depth is needed.
+            def absorb(stencil: ClampedStencil, τ: Any) -> tuple:
+                return (τ + h * self._extinction(medium, σ_t, stencil),)
+
+            (τ,) = self._march_smoke(medium, lattice, (zeros,), absorb, "emission_absorption")
+            L = -_expm1(-τ)
+            if self.quadrature == "exact":
+                L *= inv_gamma
         return L if background is None else mi.Spectrum(L) + dr.exp(-τ) * background
 
     def _scatter_adjoint(self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum) -> None:
@@ -202,63 +234,65 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         with dr.resume_grad():
             dr.accum_grad(medium.extinction, mi.TensorXf(total, tuple(medium.extinction.shape)))
 
-    @dr.syntax
     def _march_adjoint(self, medium: GridMedium, lattice: Lattice, A: Any, B: Any, deposit: Any) -> None:
         """Call `deposit(k, stencil, δL ∂L/∂σ_k)` for every sample, given A = δL and B = δL · L."""
-        σ_t, occupancy = dr.detach(medium.extinction), medium.occupancy
-        h, scale, inv_gamma = lattice.step, opaque(medium.scale), opaque(1 / self.gamma)
-        paper = self.quadrature == "paper"
-        constant = (A * self._limit - B) * h * scale  # of the other quadratures: the same for every sample of a ray
-        τ = self._zeros(medium, lattice)  # optical depth from the sensor
-        T = self._zeros(medium, lattice) + 1  # transmittance
-        S = self._zeros(medium, lattice)  # radiance of the samples so far
-        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
+        σ_t = dr.detach(medium.extinction)
+        inv_gamma = opaque(1 / self.gamma)
+        h, scale = lattice.step, opaque(medium.scale)
+        label = "emission_absorption adjoint"
 
-        while dr.hint(k < lattice.count, label="emission_absorption adjoint"):
-            stencil = lattice.stencil(k)
-            if dr.hint(paper, mode="scalar"):
-                before = S
-                if dr.hint(occupancy.at(stencil.lower), label="smoke"):
-                    σ = self._extinction(medium, σ_t, stencil)
-                    τ += h * σ
-                    T = dr.exp(-τ)
-                    S = S + h * σ * T * inv_gamma  # not in place: `before` keeps its value
+        if self.quadrature == "paper":
+            occupancy = medium.occupancy
+
+            def absorb(stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
+                σ = self._extinction(medium, σ_t, stencil)
+                τ = τ + h * σ
+                T = dr.exp(-τ)
+                return τ, T, S + h * σ * T * inv_gamma
+
+            def visit(k: mi.UInt32, stencil: ClampedStencil, τ: Any, T: Any, S: Any) -> tuple:
                 # Empty space, too, has a derivative: it could emit and absorb.
+                before = S
+                τ, T, S = self._in_smoke(occupancy, absorb, stencil, τ, T, S)
                 deposit(k, stencil, (A * (T * inv_gamma + before) - B) * h * scale)
-            else:
+                return τ, T, S
+
+            zeros = self._zeros(medium, lattice)
+            self._march(lattice, (zeros, zeros + 1, zeros), visit, label)
+        else:
+            constant = (A * self._limit - B) * h * scale
+
+            def visit_alike(k: mi.UInt32, stencil: ClampedStencil) -> tuple:
                 deposit(k, stencil, constant)
-            k += 1
+                return ()
+
+            self._march(lattice, (), visit_alike, label)
 
     @property
     def _limit(self) -> mi.Float:
         """The radiance of opaque smoke."""
         return opaque(1 / self.gamma if self.quadrature != "transmittance" else 1.0)
 
-    @dr.syntax
     def _tangent(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
         """Derivative of the radiance along the tangent of the extinction tensor."""
         with dr.resume_grad():
             σ_t, σ_dot = dr.detach(medium.extinction), dr.grad(medium.extinction)
-        h, inv_gamma = lattice.step, opaque(1 / self.gamma)
-        τ = self._zeros(medium, lattice)
-        τ_dot = self._zeros(medium, lattice)
-        L_dot = self._zeros(medium, lattice)
-        k = dr.zeros(mi.UInt32, dr.width(lattice.count))
+        inv_gamma = opaque(1 / self.gamma)
+        h = lattice.step
+        zeros = self._zeros(medium, lattice)
 
-        while dr.hint(k < lattice.count, label="emission_absorption tangent"):
-            stencil = lattice.stencil(k)
+        def visit(_: mi.UInt32, stencil: ClampedStencil, τ: Any, τ_dot: Any, L_dot: Any) -> tuple:
             σ = self._extinction(medium, σ_t, stencil)
             δσ = self._extinction(medium, σ_dot, stencil)
-            τ += h * σ
-            τ_dot += h * δσ
-            L_dot += h * (δσ - σ * τ_dot) * dr.exp(-τ)
-            k += 1
+            τ, τ_dot = τ + h * σ, τ_dot + h * δσ
+            return τ, τ_dot, L_dot + h * (δσ - σ * τ_dot) * dr.exp(-τ)
 
+        τ, τ_dot, L_dot = self._march(lattice, (zeros, zeros, zeros), visit, "emission_absorption tangent")
         T = dr.exp(-τ)
-        if dr.hint(self.quadrature != "paper", mode="scalar"):
-            L_dot = T * τ_dot
-        if dr.hint(self.quadrature != "transmittance", mode="scalar"):
+        if self.quadrature == "paper":
             L_dot *= inv_gamma
+        else:
+            L_dot = T * τ_dot * (inv_gamma if self.quadrature == "exact" else 1)
         return L_dot if background is None else mi.Spectrum(L_dot) - T * τ_dot * background
 
     def to_string(self) -> str:
