@@ -136,8 +136,8 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     def _march(self, lattice: Lattice, state: tuple, visit: Any, label: str) -> tuple:
         """Visit the samples of every ray, nearest first; `visit(k, stencil, *state)` returns the next state.
 
-        `@dr.syntax` would read more like Mitsuba's own integrators and compiles to the same kernel, but its tracing takes
-        0.3 to 0.6 ms longer per loop, which matters on a GPU.
+        `@dr.syntax` would read more like Mitsuba's own integrators and compiles to the same kernel, but its tracing
+        takes 0.3 to 0.6 ms longer per loop, which matters on a GPU.
         """
         k = dr.zeros(mi.UInt32, dr.width(lattice.count))
         result = dr.while_loop(
