@@ -94,6 +94,17 @@ def test_the_map_has_the_floors_in_their_order() -> None:
     assert places == sorted(places)
 
 
+def test_files_that_the_docs_name_exist() -> None:
+    """Python files by their paths in the checkout, such as `tnst_mi/fields/grid.py`."""
+    missing = {
+        f"{page.name}: {name}"
+        for page in [ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")]
+        for name in re.findall(r"\b((?:tnst_mi|scripts|tests)/[\w/]+\.py)\b", page.read_text("utf-8"))
+        if not (ROOT / name).is_file()
+    }
+    assert missing == set()
+
+
 def test_files_are_small_and_the_root_is_tidy() -> None:
     lines = {path: len(path.read_text("utf-8").splitlines()) for path in modules()}
     assert statistics.median(count for path, count in lines.items() if path.name != "__init__.py") <= 130

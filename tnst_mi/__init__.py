@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.llvm import choose_llvm
+from tnst_mi.resources import VERSION
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 if TYPE_CHECKING:
     from tnst_mi.fields.advection import advect

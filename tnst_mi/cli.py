@@ -66,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
+        if any(isinstance(link, KeyboardInterrupt) for link in _chain(error)):
+            return _failed(arguments, "interrupted", 3)  # inside a callback of Mitsuba's or Dr.Jit's
         bad_input = next((link for link in _chain(error) if isinstance(link, InputError)), None)
         if bad_input is not None:
             return _failed(arguments, str(bad_input), 2)

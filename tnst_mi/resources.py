@@ -6,6 +6,9 @@ from pathlib import Path
 
 from tnst_mi.errors import InputError
 
+VERSION = "0.1.0"
+"""Of the package, which need not be installed to be imported."""
+
 DATA = Path(__file__).resolve().parent / "data"
 
 #: In an installed package, and in a checkout.

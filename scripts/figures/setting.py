@@ -146,4 +146,4 @@ class Setting:
             raise KeyboardInterrupt
         names = [record["name"] for record in job.record["frames"]]
         arrays = (StoredArrays(out, kind, names) for kind in ("density", "velocity"))
-        return Run(job.frames_named(names), *arrays, job.record, out)
+        return Run(job.prepared.frames_named(names), *arrays, job.record, out)

@@ -18,6 +18,7 @@ from jobs import FakeOptimiser, frames, optimiser
 from networks import random_googlenet
 
 from tnst_mi.cli import COMMANDS
+from tnst_mi.commands import doctor
 from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
@@ -292,3 +293,17 @@ def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch
     assert ran.code == 0
     assert f"{tmp_path / 'tiny.safetensors'} (not a published file)" in ran.out
     assert "405fc5acd08a3bb12de8ee5e23a96bec22f08204" in ran.out and "https://" in ran.out
+
+
+def test_an_interruption_inside_a_callback_is_one(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dr.Jit and Mitsuba raise errors of their own where Ctrl-C came while they called back."""
+
+    def interrupted(_: object) -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as cause:
+            raise RuntimeError("drjit.custom(): error while performing a custom operation") from cause
+
+    monkeypatch.setattr(doctor, "run", interrupted)
+    ran = run("doctor")
+    assert ran.code == 3 and ran.errors == ["tnst-mi: interrupted"]

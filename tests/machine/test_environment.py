@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
+import tnst_mi
 from tnst_mi.machine import environment
 
 
@@ -48,5 +49,6 @@ def test_versions_of_what_is_installed_and_what_is_not(monkeypatch: pytest.Monke
     assert set(found) == {"tnst_mi", "python", "mitsuba", "drjit", "torch", "numpy"}
     assert found["numpy"] == np.__version__ and found["drjit"] == dr.__version__
     monkeypatch.setattr(importlib.metadata, "version", version)
-    assert environment.versions()["tnst_mi"] == "not installed"
+    assert environment.versions()["tnst_mi"] == tnst_mi.__version__
+    assert f'version = "{tnst_mi.__version__}"' in (Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8")
     assert environment.versions()["torch"] == "1.2.3"

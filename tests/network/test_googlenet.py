@@ -14,7 +14,7 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.googlenet import ALIASES, LAYERS, GoogLeNet
-from tnst_mi.network.readers.network_weights import FLAVOURS
+from tnst_mi.network.readers.network_weights import FLAVOUR_NAMES
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_bvlc_features_match_the_oracle(bvlc_weights: Path, asset) -> None:
 @pytest.mark.parametrize(
     ("stride", "size"), [(2, (64, 50)), (2, (75, 93)), (1, (37, 40)), (1, (20, 12)), (2, (20, 12))]
 )
-@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("flavour", FLAVOUR_NAMES)
 def test_every_flavour_matches_the_oracle(tmp_path: Path, flavour: str, stride: int, size: tuple[int, int]) -> None:
     path = networks.random_googlenet(tmp_path / "random.safetensors", flavour, seed=1, narrow=8)
     tensors = networks.random_tensors(flavour, seed=1, narrow=8)
@@ -103,7 +103,7 @@ def test_channels_are_those_of_the_values(net: GoogLeNet) -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (20, 12), (7, 33)])
-@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("flavour", FLAVOUR_NAMES)
 def test_small_images_reach_the_classifier(tmp_path: Path, flavour: str, size: tuple[int, int]) -> None:
     network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=16), stride1=False)
     logits = network(torch.rand(2, 3, *size), ["logits"])["logits"]
@@ -263,7 +263,7 @@ def test_loading_leaves_torch_alone(narrow: Path) -> None:
     assert len(network.sha256) == 64
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("flavour", FLAVOUR_NAMES)
 def test_gradient_is_the_finite_difference(tmp_path: Path, flavour: str) -> None:
     network = GoogLeNet.load(networks.random_googlenet(tmp_path / "r.safetensors", flavour, narrow=8)).double()
     images = torch.rand(1, 3, 21, 18, dtype=torch.float64, requires_grad=True)

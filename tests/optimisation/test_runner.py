@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
 from pathlib import Path
 
 import drjit as dr
@@ -16,8 +18,10 @@ import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave
 from tnst_mi.frame import Frame
+from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
+from tnst_mi.optimisation.gradient import OctaveProblem
 from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
@@ -311,6 +315,81 @@ def test_second_ctrl_c_leaves_what_was_written(
     assert stylized(frames, recipe, network, store=FolderStore(tmp_path))[0].interrupted
     monkeypatch.undo()
     assert bits(stylized(frames, recipe, network, store=FolderStore(tmp_path))) == bits([expected])
+
+
+def pressed_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, call: int) -> None:
+    """Ctrl-C during the given call of a method, from 1."""
+    method, calls = getattr(owner, name), []
+
+    def pressed(*arguments: object, **others: object) -> object:
+        calls.append(arguments)
+        if len(calls) == call:
+            os.kill(os.getpid(), signal.SIGINT)
+        return method(*arguments, **others)
+
+    monkeypatch.setattr(owner, name, pressed)
+
+
+@pytest.mark.parametrize("window", [1, 3])
+def test_ctrl_c_between_two_octaves_loses_nothing(
+    window: int, network: GoogLeNet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the loss of the second octave gets its targets, those of the first are forgotten already."""
+    frames, recipe = moving_smoke(3 if window > 1 else 1), Recipe(**GOAL | {"window": window})
+    expected = stylized(frames, recipe, network)
+    with monkeypatch.context() as patch:
+        pressed_once(patch, Objective, "bind", 2)
+        run = optimisation(frames, recipe, network, store=FolderStore(tmp_path))
+        reached = [result for _, result in run.run()]
+    assert run.interrupted
+    if window == 1:
+        ((result,), iterations) = reached, GOAL["iterations"]
+        assert result.interrupted and len(result.history) == iterations and result.velocity.any()
+    assert bits(stylized(frames, recipe, network, store=FolderStore(tmp_path))) == bits(expected)
+
+
+def test_ctrl_c_in_the_last_iteration_is_not_lost(network: GoogLeNet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result is whole; that the run was interrupted is said, and the losses are judged."""
+    (frame,), recipe = moving_smoke(1), Recipe(**GOAL)
+    (expected,) = stylized([frame], recipe, network)
+    pressed_once(monkeypatch, OctaveProblem, "gradient", 4)
+    run = optimisation([frame], recipe, network)
+    ((_, result),) = run.run()
+    assert run.interrupted and result.interrupted
+    assert bits([result]) == bits([expected]) and result.loss_after == expected.loss_after is not None
+
+
+def test_one_visible_frame_in_a_window_can_be_resumed(
+    network: GoogLeNet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames, recipe = moving_smoke(3), Recipe(**GOAL | {"window": 3})
+    scales = [0.0, 1.0, 0.0]
+    expected = stylized(frames, recipe, network, scales=scales)
+    with monkeypatch.context() as patch:
+        pressed_once(patch, OctaveProblem, "gradient", 1)
+        list(optimisation(frames, recipe, network, FolderStore(tmp_path), scales).run())
+    done = []
+    run = optimisation(frames, recipe, network, FolderStore(tmp_path), scales)
+    results = [result for _, result in run.run(lambda progress: done.append(progress.done))]
+    assert bits(results) == bits(expected) and done == [2, 3, 4]
+
+
+def test_frames_that_are_finished_are_not_iterated_again(
+    network: GoogLeNet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Results were written of three of four frames when the run was killed in the last octave."""
+    frames, recipe, store = moving_smoke(4), Recipe(**GOAL), FolderStore(tmp_path)
+    run = optimisation(frames, recipe, network, store).run()
+    for _ in range(3):
+        next(run)
+    run.close()
+    found = []
+    gradient = OctaveProblem.gradient
+    monkeypatch.setattr(OctaveProblem, "gradient", lambda *a: (found.append(a[1].index), gradient(*a))[1])
+    for index in range(3):  # what a run that was killed early has of them
+        store.write("fields.1", index, 0, store.read("fields.1", index))
+    ((index, _),) = optimisation(frames, recipe, network, FolderStore(tmp_path)).run(finished=[0, 1, 2])
+    assert index == 3 and set(found) <= {3}
 
 
 def test_changes_too_large_for_half_precision_are_refused(network: GoogLeNet) -> None:

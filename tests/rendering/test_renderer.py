@@ -190,8 +190,9 @@ def test_views_rendered_together_are_those_rendered_alone(quadrature: str) -> No
     together = tnst_mi.render(density, VIEWS, 0.5, quadrature)
     alone = np.stack([tnst_mi.render(density, view, 0.5, quadrature) for view in VIEWS])
     assert together.shape == (len(VIEWS), *SHAPE[1:])
-    # The rays' origins differ by roundings: the rows of one view are a part of the stack of all.
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-6 * together.max())
+    # The rays' origins differ by rounding, a view being a part of the stack of all; on a GPU by more.
+    atol = 1e-6 if mi.variant().startswith("llvm") else 1e-6 * together.max()
+    np.testing.assert_allclose(together, alone, rtol=0, atol=atol)
     one = tnst_mi.render(density, VIEWS[1:2], 0.5, quadrature)
     np.testing.assert_array_equal(one, alone[1:2])
 

@@ -99,12 +99,19 @@ def test_primal_and_adjoint_share_no_random_numbers():
     assert len(set(seeds)) == 128 and all(0 <= seed < 1 << 32 for seed in seeds)
 
 
-def test_a_density_above_the_majorant_is_no_bias(density: np.ndarray):
-    grown = furnace(2048)
-    images(grown, 0.2 * density)  # loads a small majorant
-    after = images(grown, density)
-    fresh = images(furnace(2048), density)
-    assert after.mean() == pytest.approx(fresh.mean(), rel=0.01)
+def test_images_do_not_depend_on_what_was_rendered_before(density: np.ndarray):
+    """Neither under a majorant that was too small for them nor under one that is larger than theirs."""
+    fresh = images(furnace(64), 10 * density)
+    for earlier in (0.2, 100.0):
+        used = furnace(64)
+        images(used, earlier * density)
+        assert np.array_equal(images(used, 10 * density), fresh)
+
+
+def test_the_majorant_is_no_bias(density: np.ndarray):
+    """Smoke twice as dense in light that scatters half as much: the same path lengths under another majorant."""
+    thin, thick = (ScatteringRenderer(SHAPE, gamma, 1.0, furnace(2048).lighting) for gamma in (GAMMA, GAMMA / 64))
+    assert images(thin, density).mean() == pytest.approx(images(thick, 64 * density).mean(), rel=0.01)
 
 
 @pytest.mark.parametrize(

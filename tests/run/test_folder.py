@@ -143,7 +143,7 @@ def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path)
     assert (out / ".work").exists()
 
     optimiser.interrupt_at = ""
-    for _ in Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False):
+    for _ in Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
         pass
     assert optimiser.names == ["f_07", "f_08", "f_09"]
     assert not (out / ".work").exists()
@@ -157,7 +157,7 @@ def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path)
     lines = [json.loads(line)["frame"] for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert lines == ["f_07"] * 6 + ["f_08"] * 6 + ["f_09"] * 6
 
-    job = Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False)
+    job = Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False, optimiser=optimiser)
     assert list(job) == [] and len(optimiser.calls) == 2
     assert job.record["status"] == "done"
 
@@ -168,7 +168,7 @@ def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) 
     before = {name: (out / name).read_bytes() for name in files_of(out)}
 
     def resume(densities: tuple[float, ...] = (0.2, 0.4), recipe: Recipe = RECIPE) -> None:
-        Run(prepare(frames(*densities), recipe, out, resume=True), progress=False)
+        Run(prepare(frames(*densities), recipe, out, resume=True), progress=False, optimiser=optimiser)
 
     resume()
     with pytest.raises(InputError, match=r"its run had gamma = 0\.3 and the recipe now has 0\.5"):
@@ -203,10 +203,10 @@ def test_pictures_and_obstacles_belong_to_the_input(optimiser: FakeOptimiser, tm
     (frame,) = frames(0.2)
     blocked = Frame(frame.density, obstacle=frame.density > 0, name=frame.name, number=frame.number)
     with pytest.raises(InputError, match="its run had another f_07 than the input has now"):
-        Run(prepare(blocked, recipe, out, resume=True), progress=False)
+        Run(prepare(blocked, recipe, out, resume=True), progress=False, optimiser=optimiser)
     Image.fromarray(np.ones((4, 4), np.uint8)).save(picture)
     with pytest.raises(InputError, match=r"its run had another .*fire\.png than there is now"):
-        Run(prepare(frame, recipe, out, resume=True), progress=False)
+        Run(prepare(frame, recipe, out, resume=True), progress=False, optimiser=optimiser)
 
 
 def test_fps_may_change_and_lost_results_are_made_again(optimiser: FakeOptimiser, tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_fps_may_change_and_lost_results_are_made_again(optimiser: FakeOptimiser
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
     (out / "velocity" / "f_08.npz").unlink()
     faster = Recipe(style=("spirals",), gamma=GAMMA, octaves=2, iterations=3, fps=30)
-    for _ in Run(prepare(frames(0.2, 0.4), faster, out, resume=True), progress=False):
+    for _ in Run(prepare(frames(0.2, 0.4), faster, out, resume=True), progress=False, optimiser=optimiser):
         pass
     assert optimiser.names == ["f_07", "f_08", "f_08"]
     assert (out / "velocity" / "f_08.npz").exists()
@@ -232,14 +232,14 @@ def test_what_killed_runs_leave_is_cleaned_up(optimiser: FakeOptimiser, tmp_path
     (out / ".work").mkdir()
     run = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps(run | {"status": "running"}))
-    list(Run(prepare(frames(0.2, 0.4), RECIPE, out, resume=True), progress=False))
+    list(Run(prepare(frames(0.2, 0.4), RECIPE, out, resume=True), progress=False, optimiser=optimiser))
     assert files_of(out) == complete and not (out / ".work").exists()
     assert json.loads((out / "run.json").read_text()) == run
 
     for left in ({"recipe.toml"}, {"recipe.toml", "run.json"}):
         for name in files_of(out) - left:
             (out / name).unlink()
-        list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False))
+        list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False, optimiser=optimiser))
         assert "density/f_07.npz" in files_of(out)
 
 
@@ -248,7 +248,7 @@ def test_overwriting_removes_frames_that_were_not_recorded_yet(optimiser: FakeOp
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
     run = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps(run | {"frames": run["frames"][:1]}))
-    list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False))
+    list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False, optimiser=optimiser))
     assert not any("f_08" in name for name in files_of(out))
 
 
@@ -258,7 +258,7 @@ def test_overwriting_removes_the_earlier_run_and_nothing_else(optimiser: FakeOpt
     mine = [out / "notes.txt", out / "images" / "photo.jpg", out / "images" / "f_08_notes.png", out / "density/my.npz"]
     for path in mine:
         path.write_text("mine")
-    for _ in Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False):
+    for _ in Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False, optimiser=optimiser):
         pass
     assert all(path.read_text() == "mine" for path in mine)
     assert [name for name in files_of(out) if "f_08" in name] == ["images/f_08_notes.png"]
@@ -271,7 +271,7 @@ def test_only_a_run_is_overwritten(optimiser: FakeOptimiser, tmp_path: Path) -> 
     out = tmp_path / "out"
 
     def overwrite() -> None:
-        list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False))
+        list(Run(prepare(frames(0.3), RECIPE, out, overwrite=True), progress=False, optimiser=optimiser))
 
     (out / "images").mkdir(parents=True)
     (out / "images" / "photo.jpg").touch()
@@ -308,15 +308,15 @@ def test_a_run_that_was_killed_at_once_is_resumed(optimiser: FakeOptimiser, tmp_
     out = tmp_path / "out"
     RunFolder(out, RECIPE)
     (out / ".run.123.json").write_text('{"sta')
-    for _ in Run(prepare(frames(0.2), RECIPE, out, resume=True), progress=False):
+    for _ in Run(prepare(frames(0.2), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
         pass
     assert optimiser.names == ["f_07"]
 
 
 def test_potentials_are_not_kept_once_the_results_are_written(optimiser: FakeOptimiser, tmp_path: Path) -> None:
-    job = Run(prepare(frames(0.2), RECIPE, tmp_path / "out"), progress=False)
+    job = Run(prepare(frames(0.2), RECIPE, tmp_path / "out"), progress=False, optimiser=optimiser)
     assert [frame.stylized.potential for frame in job] == [(None, None)]
-    job = Run(prepare(frames(0.2), RECIPE), progress=False)
+    job = Run(prepare(frames(0.2), RECIPE), progress=False, optimiser=optimiser)
     assert [frame.stylized.potential is optimiser.POTENTIAL for frame in job] == [True]
 
 
@@ -326,7 +326,7 @@ def test_a_refused_run_leaves_the_earlier_one(optimiser: FakeOptimiser, tmp_path
     before = {name: (out / name).read_bytes() for name in files_of(out)}
     for bad in (Recipe(), Recipe(style=("spirals",), window=3)):
         with pytest.raises(InputError):
-            list(Run(prepare(frames(0.3), bad, out, overwrite=True), progress=False))
+            list(Run(prepare(frames(0.3), bad, out, overwrite=True), progress=False, optimiser=optimiser))
     assert {name: (out / name).read_bytes() for name in files_of(out)} == before
 
 
@@ -336,7 +336,7 @@ def test_a_full_disk_stops_a_run_that_can_be_resumed(optimiser: FakeOptimiser, t
     with pytest.raises(StoppedError, match="the disk is full; free some space and go on with --resume"):
         tnst_mi.stylize(frames(0.2), RECIPE, out, progress=False)
     optimiser.failure = None
-    for _ in Run(prepare(frames(0.2), RECIPE, out, resume=True), progress=False):
+    for _ in Run(prepare(frames(0.2), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
         pass
     assert files_of(out) >= {"density/f_07.npz"}
 

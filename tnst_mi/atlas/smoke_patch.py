@@ -14,7 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.driving import exposure_for, main_view
 
 #: Radius of the ball relative to each side of the grid.
 _RADIUS = 0.48
@@ -101,7 +101,7 @@ def stylized_ball(
     stylized = optimise(Frame(density), recipe, network, on_iteration=lambda progress: on_iteration())
     if stylized.interrupted:
         raise KeyboardInterrupt
-    exposure = 1.0 / float(main_view(density, recipe).max())
+    exposure = exposure_for(float(main_view(density, recipe).max()))
     image = np.clip(exposure * main_view(stylized.density, recipe), 0.0, 1.0)
     (name,) = stylized.terms_after
     return Patch(image, -stylized.terms_before[name], -stylized.terms_after[name])

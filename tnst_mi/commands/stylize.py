@@ -23,7 +23,7 @@ def run(arguments: StylizeArguments) -> int:
     return reported(Run(prepared))
 
 
-def reported(frames: Run) -> int:
+def reported(frames: Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:
     """Iterate over a run, which writes its results, and report every frame on stdout; 3 if it was interrupted."""
     out, record = frames.prepared.out, frames.record
     for frame in frames:
@@ -33,7 +33,7 @@ def reported(frames: Run) -> int:
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))
     if record["status"] == "interrupted":
-        print(f"tnst-mi: interrupted; --resume continues the run in {out} where it stopped", file=sys.stderr)
+        print(f"tnst-mi: interrupted; {remedy.format(out=out)}", file=sys.stderr)
         return 3
     return 0
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, smoke_box
-from tnst_mi.fields.kernels import opaque_int
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.scene import scene_description
@@ -75,7 +74,10 @@ class PathTracer:
         self.scene = mi.load_dict(description)
         self.parameters = mi.traverse(self.scene)
         self.integrator = self.scene.integrator()
-        self.rays = _pixel_centre_rays(self.scene.sensors()[0], views)
+        sensor = self.scene.sensors()[0]
+        sensor.set_views(views)
+        self.rays = sensor.rays.through_pixels(0, len(views))
+        dr.eval(self.rays)
 
     @property
     def largest_launch(self) -> int:
@@ -147,16 +149,3 @@ def smoke_region(density: np.ndarray) -> Region:
     if region is None:
         raise InputError("the density is 0 everywhere, expected smoke to compare renderers on")
     return region
-
-
-def _pixel_centre_rays(sensor: mi.Sensor, views: Sequence[View]) -> mi.Ray3f:
-    """The rays of `OrthographicRays.through_pixels`, whose division differs: origins may differ in the last bit."""
-    sensor.set_views(views)
-    width, height = sensor.film().size()
-    index = dr.arange(mi.UInt32, int(width) * int(height))
-    columns = mi.UInt32(opaque_int(int(width)))
-    row, column = index // columns, index % columns
-    position = mi.Point2f((mi.Float(column) + 0.5) / int(width), (mi.Float(row) + 0.5) / int(height))
-    ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0), position, mi.Point2f(0))
-    dr.eval(ray)
-    return ray

@@ -9,7 +9,6 @@ import copy
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -134,6 +133,8 @@ class BoundObjective:
         self._size = size
         self._weights = dict(zip(names, weights, strict=True))
         self._terms = dict(zip(names, terms, strict=True))
+        #: What `saved_bytes` has been found to be, once for all copies: it depends on neither weights nor scales.
+        self._measured: list[int] = []
         self._layers = list(dict.fromkeys(layer for term in terms for layer in term.layers))
 
     def __call__(self, images: Tensor) -> Tensor:
@@ -177,9 +178,14 @@ class BoundObjective:
         at_once = 1 if on_cpu else views_at_once(len(images), self.saved_bytes)
         return (slice(first, first + at_once) for first in range(0, len(images), at_once))
 
-    @cached_property
+    @property
     def saved_bytes(self) -> int:
         """Bytes that autograd saves for the backward pass of one view."""
+        if not self._measured:
+            self._measured.append(self._measure_saved_bytes())
+        return self._measured[0]
+
+    def _measure_saved_bytes(self) -> int:
         blocks: dict[int, int] = {}
 
         def record(tensor: Tensor) -> Tensor:

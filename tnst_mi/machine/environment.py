@@ -11,22 +11,24 @@ import drjit as dr
 import psutil
 
 from tnst_mi.machine.llvm import llvm_library
+from tnst_mi.resources import VERSION
 
 if sys.platform != "win32":
     import resource
 
-_PACKAGES = ("tnst_mi", "mitsuba", "drjit", "torch", "numpy")
+_PACKAGES = ("mitsuba", "drjit", "torch", "numpy")
 
 
 def versions() -> dict[str, str]:
     """Versions of Python, this package, and the packages that determine the results."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
+    found = {"tnst_mi": VERSION, "python": platform.python_version()}
+    return found | {name: _version(name) for name in _PACKAGES}
 
 
 def _version(package: str) -> str:
     try:
         return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:  # such as a checkout that is only on the path
+    except importlib.metadata.PackageNotFoundError:
         return "not installed"
 
 

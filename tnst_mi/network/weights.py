@@ -22,7 +22,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.network import shipped
 from tnst_mi.network.download import Unreachable, download, file_hash
 from tnst_mi.network.readers import flavour_of
-from tnst_mi.network.readers.network_weights import FLAVOURS
+from tnst_mi.network.readers.network_weights import FLAVOUR_NAMES
 from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS, shipped_weights
 from tnst_mi.resources import SHARED_WEIGHTS
 
@@ -110,20 +110,20 @@ def find_weights(source: str | Path | None = None, flavour: str | None = None) -
     """The weights file to use and its flavour.
 
     `source`, like $TNST_MI_WEIGHTS, is a file, a folder of files under their published names, or the str "patterns" for
-    the network that ships with the package. `flavour` is one of `FLAVOURS`. Without it, the first of them that is found
-    is used; with it, a published network that is not found is downloaded. Raises `InputError` if `source` or
+    the network that ships with the package. `flavour` is one of `FLAVOUR_NAMES`. Without it, the first of them that is
+    found is used; with it, a published network that is not found is downloaded. Raises `InputError` if `source` or
     $TNST_MI_WEIGHTS has no weights of that flavour, if a file under a published name has the wrong hash, or if a
     flavour is neither found nor downloadable.
     """
-    if flavour is not None and flavour not in FLAVOURS:
-        raise InputError(f"flavour {flavour!r}: unknown; expected one of {', '.join(FLAVOURS)}")
+    if flavour is not None and flavour not in FLAVOUR_NAMES:
+        raise InputError(f"flavour {flavour!r}: unknown; expected one of {', '.join(FLAVOUR_NAMES)}")
     if source is not None:
         return _at(source, flavour, "weights")
     if flavour == PATTERNS:
         return ChosenWeights(shipped_weights(), PATTERNS)
     if named := os.environ.get(ENVIRONMENT_VARIABLE):
         return _at(named, flavour, f"${ENVIRONMENT_VARIABLE}")
-    for wanted in FLAVOURS if flavour is None else (flavour,):
+    for wanted in FLAVOUR_NAMES if flavour is None else (flavour,):
         for folder in (cache_folder(), shared_folder()):
             for published in _published(wanted, folder):
                 return ChosenWeights(_verified(folder / published.name, published), wanted)
@@ -157,7 +157,7 @@ def list_weights() -> list[FoundWeights]:
             _require_exists(path, f"${ENVIRONMENT_VARIABLE}")
             found.append(_described(path))
     for folder in folders:
-        for flavour in FLAVOURS:
+        for flavour in FLAVOUR_NAMES:
             found.extend(_described(folder / published.name) for published in _published(flavour, folder))
     if shipped.FILE.is_file():
         found.insert(0 if named == PATTERNS else len(found), FoundWeights(PATTERNS, shipped.FILE, None))
@@ -205,7 +205,7 @@ def _at(source: str | Path, flavour: str | None, origin: str) -> ChosenWeights:
     path = Path(source).expanduser()
     _require_exists(path, origin)
     if path.is_dir():
-        for wanted in FLAVOURS if flavour is None else (flavour,):
+        for wanted in FLAVOUR_NAMES if flavour is None else (flavour,):
             for published in _published(wanted, path):
                 return ChosenWeights(_verified(path / published.name, published), wanted)
         raise InputError(

@@ -25,6 +25,10 @@ from tnst_mi.optimisation.store import Store
 class Turns(Protocol):
     """Schedules the frames."""
 
+    def groups(self, items: Items) -> Sequence[Sequence[FramePlan]]:
+        """The frames that follow each other's steps in an octave, without those that are no longer wanted."""
+        ...
+
     def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
         """The given frames, one by one."""
         ...
@@ -45,7 +49,7 @@ def algorithm_1(
     for level in levels_left(plan, store):
         items = entered(plan, level, frames, store, turns.each)
         problem = calibrated(plan, items, network, store, turns.each)
-        for group in plan.groups:
+        for group in turns.groups(items):
             for k in range(plan.recipe.iterations):
                 for f in turns.steps_due(group, items, k):
                     items.put_step(f, k, own_step(plan, f, items, problem, k))

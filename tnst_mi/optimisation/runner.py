@@ -13,7 +13,8 @@ from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
-from tnst_mi.optimisation.gradient import OctaveProblem
+from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.state import Items
@@ -58,8 +59,8 @@ class SequenceOptimisation:
             InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame or the store is
                 damaged, or a loss is not finite.
         """
-        plan, self._on_iteration = self._plan, on_iteration
-        wanted = [frame for frame in plan.frames if frame.index not in finished]
+        plan, self._on_iteration, self._finished = self._plan, on_iteration, frozenset(finished)
+        wanted = [frame for frame in plan.frames if frame.index not in self._finished]
         if not wanted:
             return
         with deferred_interrupt() as self._interrupt:
@@ -67,20 +68,22 @@ class SequenceOptimisation:
                 done = algorithm_1(plan, self._frames, self._network, self._store, self)
                 for frame in wanted:
                     self._stop_here()
-                    if frame.still:
-                        yield frame.index, self._result(frame, None, None)
-                    else:
-                        items, problem = next((i, p) for f, i, p in done if f is frame)
-                        yield frame.index, self._result(frame, items, problem)
+                    items, problem = (None, None) if frame.still else next((i, p) for f, i, p in done if f is frame)
+                    yield frame.index, self._result(frame, items, problem)
             except KeyboardInterrupt:
                 self.interrupted = True
                 if self._items is not None:
                     self._items.flush()
             if self.interrupted and len(plan.frames) == 1:
-                result = self._result(plan.frames[0], self._items, None)
-                yield 0, replace(result, interrupted=True)
+                yield 0, replace(self._as_far_as_it_got(plan.frames[0]), interrupted=True)
 
     # ---------------------------------------------------------------- turns
+
+    def groups(self, items: Items) -> Sequence[Sequence[FramePlan]]:
+        """The frames that follow each other's steps in an octave, without those that are no longer wanted."""
+        if self._plan.window > 1 or items.octave is not self._plan.octaves[-1]:
+            return self._plan.groups
+        return [[frame] for frame in self._plan.alive if frame.index not in self._finished]
 
     def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
         """The given frames, one by one; the run may end in between."""
@@ -93,18 +96,21 @@ class SequenceOptimisation:
         self._items = items
         for frame in self.each(items.ready(f for f in group if items.steps_found(f) <= k)):
             yield frame
-            # A frame's own step is nearly all the work of a windowed iteration.
-            if len(group) > 1:
+            # With a window, a frame's own step is nearly all the work of an iteration.
+            if self._plan.window > 1:
                 self._report(frame, items, k)
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
         """The frames whose fields are still to be updated in iteration k."""
         due = items.ready(f for f in group if items.iterations_done(f) <= k)
+        if self._plan.window > 1:
+            yield from self.each(due)
+            return
         # Without a window the step is only in memory: the run ends after it has been applied.
-        for frame in self.each(due) if self._plan.window > 1 else due:
+        for frame in due:
             yield frame
-            if len(group) == 1:
-                self._report(frame, items, k)
+            self._report(frame, items, k)
+            self._stop_here()
 
     def _stop_here(self) -> None:
         """End the run here if Ctrl-C was pressed."""
@@ -143,6 +149,14 @@ class SequenceOptimisation:
             result.loss_before, result.terms_before = problem.judge(frame, source.density)
             result.loss_after, result.terms_after = problem.judge(frame, result.density)
         return result
+
+    def _as_far_as_it_got(self, frame: FramePlan) -> Stylized:
+        """The result of the only frame of an interrupted run."""
+        plan, level = self._plan, reached(self._plan, self._store)
+        problem, scales = None, self._store.numbers(f"scales.{len(plan.octaves) - 1}")
+        if scales is not None:
+            problem = problem_of(plan, plan.octaves[-1], self._network).scaled(scales)
+        return self._result(frame, Items(plan, level, self._store), problem)
 
     def _history(self, name: str) -> list[dict]:
         """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""

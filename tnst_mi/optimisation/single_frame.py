@@ -12,7 +12,7 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.store import MemoryStore
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.driving import exposure_for, main_view
 
 
 def optimise(
@@ -43,7 +43,7 @@ def optimise(
     """
     brightest = float(main_view(frame.density, recipe.at(frame.number)).max())
     if exposure is None:
-        exposure = 1 / brightest if brightest > 0 else 1.0
+        exposure = exposure_for(brightest)
     scales = [step_scale if brightest > 0 else 0.0]
     plan = plan_of(recipe, [frame.name], [frame.number], scales, frame.density.shape, exposure, objective)
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)

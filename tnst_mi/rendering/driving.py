@@ -30,6 +30,11 @@ def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = N
     return _scattering(mi.variant(), shape, recipe.gamma, h, lighting)
 
 
+def exposure_for(brightest: float) -> float:
+    """Factor from rendered images to the network's [0, 1]: 1 / the brightest pixel, 1 where everything is black."""
+    return 1.0 / brightest if brightest > 0.0 else 1.0
+
+
 def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed.
 

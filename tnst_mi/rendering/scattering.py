@@ -6,6 +6,7 @@ World units, views and the smoke's box are as in `scene`; pixels are black where
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +28,9 @@ _SCALE = "smoke.interior_medium.scale"
 _MAX_DEPTH = 32
 _RUSSIAN_ROULETTE_DEPTH = 8
 
-_SLACK = 2.0
-"""Ratio of the majorant to the largest extinction when a scene is loaded. At 1 the derivatives of `prbvolpath` are
-wrong: they rely on null collisions, of which there are none where the smoke is densest."""
-
-_LEAST_SLACK = 1.1
-"""Ratio below which the scene is loaded again with a larger majorant."""
+_LEAST_SLACK = 1.5
+"""Smallest ratio of the majorant to the largest extinction. At 1 the derivatives of `prbvolpath` are wrong: they rely
+on null collisions, of which there are none where the smoke is densest."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +104,13 @@ class ScatteringRenderer(Renderer):
 
     def _show(self, density: mi.TensorXf, views: Sequence[View]) -> _LoadedScene:
         """A scene with this density and these views, and a majorant above the largest extinction."""
-        count = len(views)
-        loaded = self._scenes.get(count) or self._load(count, 1.0)
         largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
-        if _LEAST_SLACK * largest > loaded.majorant:
-            loaded = self._load(count, _SLACK * largest)
-        self._scenes[count] = loaded
+        # It follows from the density alone, and so do the paths. Powers of two: a scene serves many densities.
+        majorant = 2.0 ** math.ceil(math.log2(max(_LEAST_SLACK * largest, 1.0)))
+        count = len(views)
+        loaded = self._scenes.get(count)
+        if loaded is None or loaded.majorant != majorant:
+            loaded = self._scenes[count] = self._load(count, majorant)
         loaded.sensor.set_views(views)
         # σ_t = γ d without a copy: the medium's scale is γ.
         loaded.parameters[_SCALE] = self.gamma

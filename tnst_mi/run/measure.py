@@ -14,7 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.driving import exposure_for, main_view
 from tnst_mi.run.folder import is_file_name
 
 
@@ -87,8 +87,7 @@ def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
 
 def exposure_of(measures: Sequence[Measure]) -> float:
     """1 / the largest pixel of the main views; 1 where all of them are black."""
-    brightest = max(measure.brightest for measure in measures)
-    return 1.0 / brightest if brightest > 0.0 else 1.0
+    return exposure_for(max(measure.brightest for measure in measures))
 
 
 def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:

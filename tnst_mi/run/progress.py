@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from tnst_mi.optimisation.result import Progress
+from tnst_mi.optimisation.result import Progress
 
 
 class ProgressBar:

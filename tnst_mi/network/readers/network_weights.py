@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tnst_mi.network.shipped import PATTERNS
 
-FLAVOURS = ("bvlc", "inception5h", "torchvision", PATTERNS)
+FLAVOUR_NAMES = ("bvlc", "inception5h", "torchvision", PATTERNS)
 """The published networks in order of preference, and the one that ships with the package."""
 
 BLOCKS = tuple(f"inception_{name}" for name in ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b"))

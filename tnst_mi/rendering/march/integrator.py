@@ -49,9 +49,10 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     Emitters seen through the medium are attenuated and added. Surfaces inside the medium are an error. The sample
     positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`.
 
-    Derivatives are with respect to ``sigma_t.data``. The reverse-mode pass replays the march and stores nothing per
-    step; its result is bit-identical in every run. With one extinction channel the march is scalar, with three it is
-    done per channel.
+    Derivatives are with respect to ``sigma_t.data``. The reverse-mode pass replays the march. For parallel rays it
+    stores the adjoint of every sample, and each voxel gathers its own; for others it scatters them and stores nothing
+    per step. The result is bit-identical in every run. With one extinction channel the march is scalar, with three it
+    is done per channel.
     """
 
     def __init__(self, props: mi.Properties) -> None:
