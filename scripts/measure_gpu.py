@@ -340,9 +340,7 @@ def sequence(options: argparse.Namespace) -> Result:
         tnst_mi.stylize(frames, recipe, out=Path(folder) / "out", progress=False)
         seconds = time.perf_counter() - since
         record = json.loads((Path(folder) / "out" / "run.json").read_text())
-    found = {
-        name: record.get(name) for name in ("timings", "memory", "peak_memory", "flicker", "device") if name in record
-    }
+    found = {"peak_memory_bytes": record["peak_memory_bytes"], "flicker": record["sequence"]["flicker"]}
     return {"seconds": seconds, "by_frame_and_iteration": seconds / (len(frames) * iterations * octaves), "run": found}
 
 

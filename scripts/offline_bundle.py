@@ -44,7 +44,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PROJECT = ("tnst_mi", "scenes", "scripts", "tests", "pyproject.toml", "constraints.txt", "README.md", "LICENSE")
+PROJECT = ("tnst_mi", "scenes", "scripts", "tests", "docs/*.md", "pyproject.toml", "constraints.txt", "*.md", "LICENSE")
 
 #: The C library versions that a wheel may require, as pip names them.
 PLATFORMS = ("2_28", "2_27", "2_17", "2_34", "2_35", "2_24", "2014")

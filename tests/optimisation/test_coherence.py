@@ -10,6 +10,7 @@ from fields import blob, smooth_noise
 from tnst_mi.optimisation.coherence import step_towards
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, plan_of
+from tnst_mi.optimisation.state import Current, Inputs
 from tnst_mi.recipe.recipe import Recipe
 
 SHAPE = (10, 14, 12)
@@ -42,7 +43,7 @@ def test_change_comes_nearer_to_the_target(frame: FramePlan, fields: Fields) -> 
     for _ in range(10):
         change = stylized(fields, density, H) - density
         distances.append(np.linalg.norm((change - target).numpy()))
-        fields = fields - step_towards(target, frame, fields, density, mask, 0.01, 14, H)
+        fields = fields - step_towards(target, Current(frame, Inputs(density, mask), fields), 0.01, 14, H)
     assert (np.diff(distances) < 0).all()
     assert distances[-1] < 0.7 * distances[0]
 
@@ -51,11 +52,12 @@ def test_step_is_proportional_to_the_difference(frame: FramePlan, fields: Fields
     """Its direction is normalised; its length is that of a step of the stylization times the relative difference."""
     density = mi.TensorXf(blob(SHAPE, (5.5, 6.5, 4.5), 3))
     mask = mi.TensorXf(np.ones(SHAPE, np.float32))
+    now = Current(frame, Inputs(density, mask), fields)
     change = frame.parameterisation.density(fields, density, H) - density
     other = mi.TensorXf(smooth_noise(np.random.default_rng(2), *SHAPE))
     steps = {}
     for share in (0.1, 0.2):
-        found = step_towards(change + share * other, frame, fields, density, mask, 0.02, 14, H)
+        found = step_towards(change + share * other, now, 0.02, 14, H)
         steps[share] = {name: step.numpy() for name, step in found.items()}
 
     def size(share: float) -> float:
@@ -63,5 +65,5 @@ def test_step_is_proportional_to_the_difference(frame: FramePlan, fields: Fields
 
     for name in ("phi", "psi"):
         np.testing.assert_allclose(2 * steps[0.1][name] * size(0.1), steps[0.2][name] * size(0.2), rtol=1e-3, atol=1e-6)
-    settled = step_towards(change, frame, fields, density, mask, 0.02, 14, H)
+    settled = step_towards(change, now, 0.02, 14, H)
     assert not any(step.numpy().any() for step in settled.values())

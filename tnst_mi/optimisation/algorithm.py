@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -18,8 +18,10 @@ from tnst_mi.optimisation.gradient import OctaveProblem
 from tnst_mi.optimisation.octave import calibrated, entered, levels_left
 from tnst_mi.optimisation.parameterisation import Fields, normalised_step
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.state import Items, OwnStep
+from tnst_mi.optimisation.state import Current, Items, OwnStep
 from tnst_mi.optimisation.store import Store
+
+T = TypeVar("T")
 
 
 class Turns(Protocol):
@@ -29,15 +31,15 @@ class Turns(Protocol):
         """The frames that follow each other's steps in an octave, without those that are no longer wanted."""
         ...
 
-    def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
+    def each(self, frames: Iterable[T]) -> Iterator[T]:
         """The given frames, one by one."""
         ...
 
-    def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+    def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose own step of iteration k is still to be computed."""
         ...
 
-    def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+    def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose fields are still to be updated in iteration k."""
         ...
 
@@ -52,30 +54,29 @@ def algorithm_1(
         for group in turns.groups(items):
             for k in range(plan.recipe.iterations):
                 for f in turns.steps_due(group, items, k):
-                    items.put_step(f, k, own_step(plan, f, items, problem, k))
+                    items.put_step(f.frame, k, own_step(plan, f, level, problem, k))
                 for f in turns.fields_due(group, items, k):
-                    items.put_fields(f, k + 1, items.fields(f) - window_average(plan, f, items))
+                    items.put_fields(f.frame, k + 1, f.fields - window_average(plan, f, items))
             if items.octave is plan.octaves[-1]:
                 yield from ((f, items, problem) for f in group)
 
 
-def own_step(plan: Plan, frame: FramePlan, items: Items, problem: OctaveProblem, k: int) -> OwnStep:
+def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:
     """The step along a frame's own gradient: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
-    since = time.perf_counter()
-    inputs, octave = items.inputs(frame), items.octave
+    since, frame, density = time.perf_counter(), now.frame, now.inputs.density
     try:
-        found = problem.gradient(frame, items.fields(frame), inputs.density, frame.seed(items.level, k))
+        found = problem.gradient(frame, now.fields, density, frame.seed(level, k))
     except InputError as error:
-        raise InputError(f"{frame.name}, iteration {k + 1} of octave {items.level + 1}: {error}") from error
-    size = frame.eta * frame.parameterisation.unit_step(plan.rows, octave.cell_size)
-    step = normalised_step(found.gradient, inputs.mask, size, frame.recipe.pyramid_levels)
-    change = found.density - inputs.density if plan.recipe.coherence > 0 and plan.window > 1 else None
+        raise InputError(f"{frame.name}, iteration {k + 1} of octave {level + 1}: {error}") from error
+    size = frame.eta * frame.parameterisation.unit_step(plan.rows, problem.octave.cell_size)
+    step = normalised_step(found.gradient, now.inputs.mask, size, frame.recipe.pyramid_levels)
+    change = found.density - density if plan.recipe.coherence > 0 and plan.window > 1 else None
     return OwnStep(step, change, found.loss, found.terms, time.perf_counter() - since)
 
 
-def window_average(plan: Plan, frame: FramePlan, items: Items) -> Fields:
+def window_average(plan: Plan, now: Current, items: Items) -> Fields:
     """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9)."""
     if plan.window == 1:
-        return items.own_step(frame).step
-    average = items.averaged_step(frame)
-    return average + coherence_step(plan, frame, items) if plan.recipe.coherence > 0 else average
+        return items.own_step(now.frame).step
+    average = items.averaged_step(now.frame)
+    return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

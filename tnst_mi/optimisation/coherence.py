@@ -18,8 +18,8 @@ import mitsuba as mi
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.pyramid import root_mean_square
 from tnst_mi.optimisation.parameterisation import Fields, normalised_step
-from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.state import Items
+from tnst_mi.optimisation.plan import Plan
+from tnst_mi.optimisation.state import Current, Items
 from tnst_mi.optimisation.window import window_of, window_weights
 
 #: Number of frames whose changes are averaged: the nearest only, since changes from farther frames arrive blurred.
@@ -31,57 +31,36 @@ SIGMA = 0.7
 _FLOOR = 1e-12
 
 
-def coherence_step(plan: Plan, frame: FramePlan, items: Items) -> Fields:
-    """A step of each field that moves the change of a frame towards the average of the changes around it."""
-    weights = window_weights(WINDOW)
+def coherence_step(plan: Plan, now: Current, items: Items) -> Fields:
+    """A step of each field that brings the change of a frame nearer to the average of the changes around it."""
+    weights, frame = window_weights(WINDOW), now.frame
     total = items.windowed_sums(frame, "step", ["change"], weights)["change"]
-    # Unchanged frames have no change and do not count in the average.
+    # Frames that stay unchanged have no change to follow.
     window = [i for i in window_of(frame.index, len(plan.frames), WINDOW) if not plan.frames[i].still]
     present = sum(weights[abs(i - frame.index)] for i in window)
-    inputs = items.inputs(frame)
-    return step_towards(
-        total * opaque(1 / present),
-        frame,
-        items.fields(frame),
-        inputs.density,
-        inputs.mask,
-        frame.recipe.coherence * frame.eta,
-        plan.rows,
-        items.octave.cell_size,
-    )
+    target, eta = total * opaque(1 / present), frame.recipe.coherence * frame.eta
+    return step_towards(target, now, eta, plan.rows, items.octave.cell_size)
 
 
-def step_towards(
-    target: mi.TensorXf,
-    frame: FramePlan,
-    fields: Fields,
-    density: mi.TensorXf,
-    mask: mi.TensorXf,
-    eta: float,
-    rows: int,
-    h: float,
-) -> Fields:
-    """A step of each field that moves the density's change towards a target.
+def step_towards(target: mi.TensorXf, now: Current, eta: float, rows: int, h: float) -> Fields:
+    """A step of each field that brings the density's change nearer to a target.
 
-    Its length is that of a stylization step times the RMS of the difference relative to that of the changes.
+    It is as long as a step of the stylization, times the size of the difference relative to that of the changes.
 
     Args:
         target: c̄_t, (D, H, W).
-        frame: the plan of the frame.
-        fields: on the octave's grid.
-        density: (D, H, W), unstylized.
-        mask: (D, H, W) in [0, 1].
+        now: the frame as it stands.
         eta: step size.
         rows: H of the full grid.
         h: size of a cell in full-resolution cells.
     """
-    parameterisation = frame.parameterisation
-    stylized, pull_back = parameterisation.density_with_pullback(fields, density, h)
+    parameterisation, density = now.frame.parameterisation, now.inputs.density
+    stylized, pull_back = parameterisation.density_with_pullback(now.fields, density, h)
     change = stylized - density
     difference = change - target
     gradient = pull_back(difference)
     size = dr.maximum(root_mean_square(change), root_mean_square(target))
     ratio = root_mean_square(difference) / dr.maximum(size, opaque(_FLOOR))
     unit = eta * parameterisation.unit_step(rows, h)
-    steps = normalised_step(gradient, mask, unit, frame.recipe.pyramid_levels, SIGMA)
+    steps = normalised_step(gradient, now.inputs.mask, unit, now.frame.recipe.pyramid_levels, SIGMA)
     return Fields({name: mi.TensorXf(step.array * ratio, step.shape) for name, step in steps.items()})

@@ -56,10 +56,8 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: Store, each:
     scales = store.numbers(name)
     if scales is None:
         scales = rms_scales(
-            problem.gradient_square_sum(
-                frame, items.fields(frame), items.inputs(frame).density, frame.seed(items.level, 0)
-            )
-            for frame in each(items.ready(plan.alive))
+            problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))
+            for now in items.current(each(plan.alive))
         )
         store.write_numbers(name, scales)
     return problem.scaled(scales)

@@ -11,13 +11,13 @@ from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.algorithm import algorithm_1
+from tnst_mi.optimisation.algorithm import T, algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
-from tnst_mi.optimisation.state import Items
+from tnst_mi.optimisation.state import Current, Items
 from tnst_mi.optimisation.store import Store
 
 
@@ -85,31 +85,31 @@ class SequenceOptimisation:
             return self._plan.groups
         return [[frame] for frame in self._plan.alive if frame.index not in self._finished]
 
-    def each(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
+    def each(self, frames: Iterable[T]) -> Iterator[T]:
         """The given frames, one by one; the run may end in between."""
         for frame in frames:
             self._stop_here()
             yield frame
 
-    def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+    def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose own step of iteration k is still to be computed."""
         self._items = items
-        for frame in self.each(items.ready(f for f in group if items.steps_found(f) <= k)):
-            yield frame
+        for now in self.each(items.current(f for f in group if items.steps_found(f) <= k)):
+            yield now
             # With a window, a frame's own step is nearly all the work of an iteration.
             if self._plan.window > 1:
-                self._report(frame, items, k)
+                self._report(now.frame, items, k)
 
-    def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[FramePlan]:
+    def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose fields are still to be updated in iteration k."""
-        due = items.ready(f for f in group if items.iterations_done(f) <= k)
+        due = items.current(f for f in group if items.iterations_done(f) <= k)
         if self._plan.window > 1:
             yield from self.each(due)
             return
         # Without a window the step is only in memory: the run ends after it has been applied.
-        for frame in due:
-            yield frame
-            self._report(frame, items, k)
+        for now in due:
+            yield now
+            self._report(now.frame, items, k)
             self._stop_here()
 
     def _stop_here(self) -> None:

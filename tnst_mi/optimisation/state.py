@@ -42,6 +42,15 @@ class Inputs:
 
 
 @dataclass(frozen=True)
+class Current:
+    """A frame as it stands in an octave: its plan, its inputs, and its fields, all tensors in memory."""
+
+    frame: FramePlan
+    inputs: Inputs
+    fields: Fields
+
+
+@dataclass(frozen=True)
 class OwnStep:
     """A frame's own step, computed from its own gradient.
 
@@ -144,27 +153,23 @@ class Items:
 
     # ---------------------------------------------------------------- reading
 
-    def ready(self, frames: Iterable[FramePlan]) -> Iterator[FramePlan]:
-        """The frames one by one, each with its inputs and fields in memory; the next one is read ahead."""
+    def current(self, frames: Iterable[FramePlan]) -> Iterator[Current]:
+        """The frames one by one as they stand; the next one is read ahead."""
 
         def read(frame: FramePlan) -> tuple[FramePlan, Arrays, Arrays]:
             inputs = self._store.read(self._group("inputs"), frame.index, ["density", "mask"])
             return frame, inputs, self._store.read(self._group("fields"), frame.index)
 
-        waiting = [frame for frame in frames]
+        waiting = list(frames)
         if self._alone and all(frame.index in self._inputs for frame in waiting):
-            yield from waiting
+            yield from (Current(frame, self._inputs[frame.index], self.fields(frame)) for frame in waiting)
             return
-        for frame, inputs, fields in read_ahead(partial(read, frame) for frame in waiting):
-            self._inputs = {frame.index: Inputs(mi.TensorXf(inputs["density"]), mi.TensorXf(inputs["mask"]))}
-            self._fields = {frame.index: (self._stored_iterations(frame), _tensors(fields))}
-            yield frame
-        if not self._alone:
-            self._inputs, self._fields = {}, {}
-
-    def inputs(self, frame: FramePlan) -> Inputs:
-        """Density and mask of a frame."""
-        return self._inputs[frame.index]
+        for frame, arrays, fields in read_ahead(partial(read, frame) for frame in waiting):
+            now = Current(frame, Inputs(mi.TensorXf(arrays["density"]), mi.TensorXf(arrays["mask"])), _tensors(fields))
+            if self._alone:
+                self._inputs = {frame.index: now.inputs}
+                self._fields = {frame.index: (self._stored_iterations(frame), now.fields)}
+            yield now
 
     def fields(self, frame: FramePlan) -> Fields:
         """The current fields of a frame."""
@@ -239,13 +244,15 @@ class Items:
 
     def put_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         """Store the fields of a frame after `done` iterations."""
-        self._fields[frame.index] = done, fields
-        last = done == self.plan.recipe.iterations
-        if not self._alone or last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
+        if not self._alone:
             self._write_fields(frame, done, fields)
-        if self._alone:
-            # A step that has been applied is no longer needed.
-            self._steps[frame.index] = done, replace(self._steps[frame.index][1], step=Fields(), change=None)
+            return
+        last = done == self.plan.recipe.iterations
+        self._fields = {frame.index: (done, fields)}
+        # A step that has been applied is no longer needed.
+        self._steps = {frame.index: (done, replace(self._steps[frame.index][1], step=Fields(), change=None))}
+        if last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
+            self._write_fields(frame, done, fields)
         if last:
             self._inputs, self._fields = {}, {}
 
