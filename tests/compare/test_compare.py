@@ -157,8 +157,8 @@ def wrong_adjoint(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any, Any, A
 
     adjoint = EmissionAbsorption._scatter_adjoint
 
-    def broken(self: Any, medium: object, lattice: object, L: object, δL: object) -> None:
-        adjoint(self, medium, lattice, *change(self, L, δL))
+    def broken(self: Any, medium: object, lattice: object, L: object, δL: object, parallel: object) -> None:
+        adjoint(self, medium, lattice, *change(self, L, δL), parallel)
 
     monkeypatch.setattr(EmissionAbsorption, "_scatter_adjoint", broken)
 

@@ -38,6 +38,7 @@ class SequenceOptimisation:
         self._plan, self._frames, self._store = plan, frames, store
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
+        self._finished: frozenset[int] = frozenset()
         self._interrupt = Interrupt()
         #: Items of the current octave.
         self._items: Items | None = None

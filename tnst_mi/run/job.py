@@ -82,11 +82,7 @@ class Run(Iterator[StylizedFrame]):
         """
         return next(self._frames)
 
-    def close(self) -> None:
-        """End the run early, as Ctrl-C does between two frames."""
-        self._frames.close()
-
-    def _stylized(self) -> Generator[StylizedFrame, None, None]:
+    def _stylized(self) -> Iterator[StylizedFrame]:
         prepared = self.prepared
         finished = {record["name"] for record in self.record["frames"]}
         if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):

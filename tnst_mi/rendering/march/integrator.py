@@ -106,12 +106,11 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             medium, background = scene, None
             lattice = Lattice(medium, ray, self._sample_distance(medium))
             valid = active & (lattice.exit > lattice.entry)
-        lattice.rays = parallel
         if mode == dr.ADMode.Primal:
             L = self._radiance(medium, lattice, background)
         elif mode == dr.ADMode.Backward:
             L = state_in
-            self._scatter_adjoint(medium, lattice, L, δL)
+            self._scatter_adjoint(medium, lattice, L, δL, parallel)
         else:
             L = self._tangent(medium, lattice, background)
         return mi.Spectrum(L), valid, [], L
@@ -200,7 +199,9 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
                 L *= inv_gamma
         return L if background is None else mi.Spectrum(L) + dr.exp(-τ) * background
 
-    def _scatter_adjoint(self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum) -> None:
+    def _scatter_adjoint(
+        self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum, parallel: ParallelRays | None
+    ) -> None:
         """Accumulate δL · ∂L/∂σ_t into the gradient of the extinction tensor.
 
         paper:  ∂L/∂σ_k = h (exp(−τ_k)/γ − (L − S_k)), where S_k is the part of L from the samples before k: what sample
@@ -217,8 +218,8 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         else:
             A, B = mi.Color3f(δL), mi.Color3f(δL * L)
 
-        if lattice.rays is not None and medium.channels == 1:
-            projection = BackProjection(medium, lattice, lattice.rays)
+        if parallel is not None and medium.channels == 1:
+            projection = BackProjection(medium, lattice, parallel)
             self._march_adjoint(medium, lattice, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
             with dr.resume_grad():
                 # Removed from the AD graph, whose reference would make the in-place addition copy the array.

@@ -9,7 +9,6 @@ import mitsuba as mi
 
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.stencil import ClampedStencil
-from tnst_mi.rendering.cameras.orthographic import ParallelRays
 from tnst_mi.rendering.march.medium import GridMedium
 
 
@@ -30,7 +29,6 @@ class Lattice:
         entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
         count: number of samples of each ray.
         spacing, step: distance between samples in world units, on the host and on the device.
-        rays: set if the rays belong to one view.
         first: for each ray, the value of k − (n − 1)/2 (rounded down) at its first sample.
     """
 
@@ -69,7 +67,6 @@ class Lattice:
         self.first = dr.select(last >= first, first, 0)
         self.origin = origin + (self.first + phase) * self.increment
         self.shape, self.spacing, self._diagonal = (d, h, w), step, medium.transform.diagonal
-        self.rays: ParallelRays | None = None
 
     @property
     def longest(self) -> int:
