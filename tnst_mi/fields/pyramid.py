@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
+from tnst_mi.machine.backend import on_gpu
 
 #: Lower bound of the divisor of a band, so that an empty band stays empty.
 FLOOR = 1e-10
@@ -27,8 +28,9 @@ _AXES = (0, 1, 2)
 #: that are too long evict what they read from the cache.
 _BLUR_RUN, _REDUCE_RUN = 8, 4
 
-#: Consecutive coarse cells per thread of the interpolation; each becomes two fine cells on every axis.
-_BLOCK = 4
+#: Consecutive coarse cells per thread of the interpolation; each becomes two fine cells on every axis. A GPU has few
+#: registers for a thread: with four cells, 54 values are read and 32 written.
+_BLOCK, _BLOCK_ON_GPU = 4, 1
 
 #: No cell is written twice, so the writes of a thread need no ordering (which would take a kernel for each).
 _ONCE = dr.ReduceMode.NoConflicts
@@ -145,42 +147,48 @@ def _interpolated(values: list) -> list:
 
 
 class _Expansion:
-    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 `_BLOCK` fine cells per thread."""
+    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 n fine cells per thread, n = `_BLOCK`."""
 
     def __init__(self, coarse: mi.TensorXf, shape: tuple[int, ...]) -> None:
-        self.coarse, self.shape = coarse, shape
-        self.channels = math.prod(shape[3:])
-        blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * _BLOCK))]
-        self.threads = math.prod(blocks) * self.channels
-        rest, self.channel = Divisor(self.channels).split(dr.arange(mi.UInt32, self.threads))
+        self.values, channels = coarse.array, math.prod(shape[3:])
+        block = _BLOCK_ON_GPU if on_gpu() else _BLOCK
+        blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * block))]
+        rest, channel = Divisor(channels).split(dr.arange(mi.UInt32, math.prod(blocks) * channels))
         rest, x = Divisor(blocks[2]).split(rest)
         z, y = Divisor(blocks[1]).split(rest)
-        #: First coarse cell of the block: z, y, x.
-        self.first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * _BLOCK]
-
-    def _index(self, shape: tuple[int, ...], z: mi.Int32, y: mi.Int32, x: mi.Int32) -> mi.UInt32:
-        row = dr.fma(z, opaque_int(shape[1]), y)
-        return mi.UInt32(dr.fma(row, opaque_int(shape[2]), x)) * self.channels + self.channel
-
-    def _read(self, z: int, y: int, x: int) -> mi.Float:
-        steps, sizes = (z, y, x), self.coarse.shape
-        cell = [dr.clip(self.first[a] + steps[a], 0, opaque_int(sizes[a] - 1)) for a in _AXES]
-        return dr.gather(mi.Float, self.coarse.array, self._index(sizes, *cell))
+        first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * block]
+        #: By axis, for each coarse cell that the thread reads: its share of the storage index.
+        self.coarse: list[list[mi.Int32]] = []
+        #: By axis, for each fine cell of the thread: its share of the storage index, and whether it is in the grid.
+        self.fine: list[list[tuple[mi.Int32, mi.Bool]]] = []
+        for axis, cells in enumerate((1, 1, block)):
+            length, fine_length = opaque_int(coarse.shape[axis] - 1), opaque_int(shape[axis])
+            stride, fine_stride = (
+                opaque_int(math.prod(tuple(lengths[axis + 1 : 3])) * channels) for lengths in (coarse.shape, shape)
+            )
+            own = mi.Int32(channel) if axis == 2 else 0
+            self.coarse.append([dr.clip(first[axis] + i, 0, length) * stride + own for i in range(-1, cells + 1)])
+            positions = [2 * first[axis] + i for i in range(2 * cells)]
+            self.fine.append([(i * fine_stride + own, i < fine_length) for i in positions])
 
     def cells(self) -> Iterator[tuple[mi.Float, mi.UInt32, mi.Bool]]:
         """The fine cells of a thread: interpolated value, storage index, and whether the cell lies in the grid."""
-        lines = [
-            [_interpolated([self._read(z, y, x) for x in range(-1, _BLOCK + 1)]) for y in range(-1, 2)]
-            for z in range(-1, 2)
-        ]
-        for x in range(2 * _BLOCK):
-            planes = [_interpolated([line[x] for line in plane]) for plane in lines]
-            for y in range(2):
-                for z, value in enumerate(_interpolated([plane[y] for plane in planes])):
-                    cell = [2 * first + step for first, step in zip(self.first, (z, y, x), strict=True)]
-                    inside = (cell[0] < opaque_int(self.shape[0])) & (cell[1] < opaque_int(self.shape[1]))
-                    inside &= cell[2] < opaque_int(self.shape[2])
-                    yield value, self._index(self.shape, *cell), inside
+        depths, heights, widths = self.coarse
+        lines = []
+        for z in depths:
+            rows = [z + y for y in heights]
+            lines.append([_interpolated([self._read(row + x) for x in widths]) for row in rows])
+        depths, heights, widths = self.fine
+        columns = [[(z + y, in_z & in_y) for z, in_z in depths] for y, in_y in heights]
+        for i, (x, in_x) in enumerate(widths):
+            planes = [_interpolated([line[i] for line in plane]) for plane in lines]
+            for j, column in enumerate(columns):
+                values = _interpolated([plane[j] for plane in planes])
+                for value, (row, inside) in zip(values, column, strict=True):
+                    yield value, mi.UInt32(row + x), inside & in_x
+
+    def _read(self, index: mi.Int32) -> mi.Float:
+        return dr.gather(mi.Float, self.values, mi.UInt32(index))
 
 
 def expand(field: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:

@@ -74,18 +74,22 @@ def _share_threads() -> None:
         os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
+def on_gpu() -> bool:
+    """Whether the active variant computes on a GPU."""
+    return (mi.variant() or "").startswith("cuda")
+
+
 def torch_device() -> torch.device:
     """The torch device that shares memory with the active variant, set up for repeatable float32 results.
 
     Raises:
         InputError: the variant runs on a GPU and torch cannot use one.
     """
-    variant = mi.variant()
-    if variant is None or not variant.startswith("cuda"):
+    if not on_gpu():
         return torch.device("cpu")
     if not torch.cuda.is_available():
         raise InputError(
-            f"variant {variant}: torch {torch.__version__} finds no GPU; install a CUDA build of torch, "
+            f"variant {mi.variant()}: torch {torch.__version__} finds no GPU; install a CUDA build of torch, "
             "or use llvm_ad_rgb"
         )
     torch.backends.cudnn.deterministic = True

@@ -21,10 +21,15 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int
+from tnst_mi.machine.backend import on_gpu
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.march.medium import GridMedium
 from tnst_mi.rendering.scene import medium_description, view_distance
+
+#: Limit in bytes of the adjoint samples that a GPU stores at once, of as many views as that allows: launches of single
+#: views take the host longer than the GPU. On a CPU it is one view, whose samples fit the caches better.
+_LARGEST_SAMPLES = 1 << 30
 
 
 class Renderer(ABC):
@@ -118,17 +123,17 @@ class EmissionAbsorptionRenderer(Renderer):
     ) -> mi.TensorXf:
         """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
         rays = self._rays(views)
-        _, rows, columns = self.shape
-        pixels = dr.arange(mi.UInt32, rows * columns)
+        pixels = self.shape[1] * self.shape[2]
+        at_once = self._views_at_once(len(views))
         with dr.resume_grad():
             σ_t = self._place(density, attached=True)
             with dr.suspend_grad():
-                # One view at a time, since the adjoint of every sample of a view is stored.
-                for view in range(len(views)):
-                    pixel = pixels + mi.UInt32(opaque_int(view * rows * columns))
+                for first in range(0, len(views), at_once):
+                    count = min(at_once, len(views) - first)
+                    pixel = dr.arange(mi.UInt32, count * pixels) + mi.UInt32(opaque_int(first * pixels))
                     L, δL = (dr.gather(mi.Float, image.array, pixel) for image in (images, image_gradient))
-                    adjoint = {"state_in": L, "δL": mi.Spectrum(δL, 0, 0), "parallel": rays.parallel(view)}
-                    self._sample(dr.ADMode.Backward, rays.through_pixels(view, 1), **adjoint)
+                    adjoint = {"state_in": L, "δL": mi.Spectrum(δL, 0, 0), "parallel": rays.parallel(first, count)}
+                    self._sample(dr.ADMode.Backward, rays.through_pixels(first, count), **adjoint)
             return mi.TensorXf(dr.grad(σ_t).array, self.shape)
 
     def tangent(
@@ -142,6 +147,14 @@ class EmissionAbsorptionRenderer(Renderer):
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
                 L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
         return mi.TensorXf(L, (len(views), *self.shape[1:]))
+
+    def _views_at_once(self, count: int) -> int:
+        """Number of views whose adjoint samples are stored together."""
+        if not on_gpu():
+            return 1
+        depth, rows, columns = self.shape
+        by_view = 4 * rows * columns * math.ceil(math.hypot(depth, rows, columns))
+        return max(1, min(count, _LARGEST_SAMPLES // by_view))
 
     def _rays(self, views: Sequence[View]) -> OrthographicRays:
         _, rows, columns = self.shape

@@ -16,16 +16,16 @@ from tnst_mi.rendering.cameras.views import View, camera_frame
 
 @dataclass(frozen=True)
 class ParallelRays:
-    """Marks rays as belonging to one orthographic view, so that their samples form a regular lattice.
+    """Marks rays as those of whole orthographic views, so that the samples of each view form a regular lattice.
 
     Attributes:
-        width, height: number of evenly spaced pixels that the rays go through, row by row; at least two each.
-        direction: direction of all rays in world space, a unit vector (3,).
+        width, height: number of evenly spaced pixels that a view's rays go through, row by row; at least two each.
+        directions: by view, the direction of its rays in world space, a unit vector: (V, 3).
     """
 
     width: int
     height: int
-    direction: np.ndarray
+    directions: np.ndarray
 
 
 class OrthographicRays:
@@ -72,11 +72,12 @@ class OrthographicRays:
         y = (mi.Float(row) + 0.5) / opaque(len(self.views) * self.height)
         return self.through(mi.Point2f(x, y))
 
-    def parallel(self, view: int) -> ParallelRays | None:
-        """What the rays through the pixel centres of a view have in common; None if they form a single line."""
+    def parallel(self, first: int, count: int) -> ParallelRays | None:
+        """What the rays of `through_pixels(first, count)` have in common; None if a view's form a single line."""
         if min(self.width, self.height) < 2:
             return None
-        return ParallelRays(self.width, self.height, -_camera_frame(*self.views[view])[2])
+        towards = [_camera_frame(*view)[2] for view in self.views[first : first + count]]
+        return ParallelRays(self.width, self.height, -np.array(towards))
 
 
 #: Cached, since an iteration uses the same views several times.
