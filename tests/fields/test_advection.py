@@ -299,3 +299,26 @@ def test_bad_arguments_are_named(change: dict) -> None:
     arguments = {"field": np.zeros((3, 3, 3)), "v": np.zeros((3, 3, 3, 3))} | change
     with pytest.raises(tnst_mi.InputError, match=r"advect: .*expected"):
         tnst_mi.advect(**arguments)
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_processing_all_cells_gives_what_processing_those_that_vary_gives(
+    channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a GPU, and as on a CPU; most cells are empty."""
+    rng = np.random.default_rng(18)
+    field = smooth_noise(rng, *SHAPE, *channels)
+    field = np.maximum(field - np.quantile(field, 0.8), 0)
+    v, weights = 2.5 * smooth_noise(rng, *SHAPE, 3), smooth_noise(rng, *SHAPE, *channels)
+    found = {}
+    for everywhere in (False, True):
+        monkeypatch.setattr("tnst_mi.fields.maccormack.on_gpu", lambda everywhere=everywhere: everywhere)
+        velocity = mi.TensorXf(v)
+        dr.enable_grad(velocity)
+        result = step(mi.TensorXf(field), velocity)
+        dr.set_grad(result, mi.TensorXf(weights))
+        dr.enqueue(dr.ADMode.Backward, result)
+        dr.traverse(dr.ADMode.Backward)
+        found[everywhere] = dr.detach(result).numpy(), dr.grad(velocity).numpy()
+    for one, other in zip(found[False], found[True], strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -14,7 +14,7 @@ everything else is local to a cell. The limiter is a switch: its choice is held 
 
 Where the eight cells around x − v are equal, as in all the air around the smoke, the range has zero width: the result
 is f for any v, so the correction and the derivative with respect to v can be skipped. Once f is known, the limited step
-therefore processes only the other cells, unless the field is differentiated too.
+therefore skips these cells, unless the field is differentiated too; on a CPU it is launched for the others only.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from tnst_mi.fields.kernels import opaque, stored
 from tnst_mi.fields.potentials import PotentialVelocity
 from tnst_mi.fields.stencil import Trilinear
 from tnst_mi.fields.sums import RepeatableSum, largest_magnitude
+from tnst_mi.machine.backend import on_gpu
 
 
 def _interleave(components: list[mi.Float]) -> mi.Float:
@@ -93,7 +94,8 @@ class AdvectionStep(dr.CustomOp):
         corners = departure.read(self.field, self.channels)
         self.forward_step = _interleave(departure.value(corners))
         limited = method == "maccormack" and reverted is None
-        if limited and not field_varies:
+        # A GPU processes all cells: the number of the others would have to be read back, which stalls it.
+        if limited and not field_varies and not on_gpu():
             self.chosen = dr.compress(stored(_varied(corners)))
             if dr.width(self.chosen) == 0:
                 self.chosen, self.corrected = None, False
@@ -115,6 +117,8 @@ class AdvectionStep(dr.CustomOp):
             if limited:
                 low, high = _range([corner[c] for corner in corners])
                 keep = (value >= low) & (value <= high)
+                if self.chosen is None and not field_varies:
+                    keep &= _varied(corners)
             elif reverted is not None:
                 keep = dr.gather(mi.Float, reverted.array, slot) == 0
             dr.scatter(result, value, slot, keep, dr.ReduceMode.NoConflicts)
