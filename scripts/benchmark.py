@@ -41,11 +41,11 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
+from tnst_mi.optimisation.items.store import MemoryStore
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
-from tnst_mi.optimisation.store import MemoryStore
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 VIEWS = 9

@@ -15,7 +15,7 @@ For density samples d_k with spacing h, ordered away from the sensor:
 """
 
 WINDOW_WEIGHTS = ("uniform", "triangle", "gaussian")
-"""Shapes of the temporal window, see `tnst_mi.optimisation.window.window_weights`."""
+"""Shapes of the temporal window, see `tnst_mi.optimisation.temporal.window.window_weights`."""
 
 LOOKS = ("thin", "medium", "thick")
 """How dense the smoke appears in a beauty render; each is a Mitsuba scene in `scenes/looks`."""

@@ -12,9 +12,9 @@ import pytest
 
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation import plan
+from tnst_mi.optimisation.items.store import Store
 from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
-from tnst_mi.optimisation.store import Store
 from tnst_mi.run import job, prepare
 
 SHAPE = (4, 6, 5)

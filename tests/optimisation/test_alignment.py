@@ -11,8 +11,8 @@ from fields import blob, smooth_noise
 
 import tnst_mi
 from tnst_mi.choices import WINDOW_WEIGHTS
-from tnst_mi.optimisation.alignment import averaging_gain, transported_sums
-from tnst_mi.optimisation.window import reading_order, window_of, window_weights
+from tnst_mi.optimisation.temporal.alignment import averaging_gain, transported_sums
+from tnst_mi.optimisation.temporal.window import reading_order, window_of, window_weights
 
 SHAPE = (7, 9, 8)
 COUNT = 7

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fields import blob, smooth_noise
 
-from tnst_mi.optimisation.coherence import step_towards
+from tnst_mi.optimisation.items.state import Current, Inputs
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, plan_of
-from tnst_mi.optimisation.state import Current, Inputs
+from tnst_mi.optimisation.temporal.coherence import step_towards
 from tnst_mi.recipe.recipe import Recipe
 
 SHAPE = (10, 14, 12)

@@ -22,13 +22,13 @@ from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
 from tnst_mi.optimisation.gradient import OctaveProblem
+from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
-from tnst_mi.optimisation.store import FolderStore, MemoryStore, Store
-from tnst_mi.optimisation.window import window_of
+from tnst_mi.optimisation.temporal.window import window_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.flicker import FlickerMeter

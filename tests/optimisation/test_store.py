@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tnst_mi.errors import InputError
-from tnst_mi.optimisation.store import FolderStore, MemoryStore, Store, read_ahead
+from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 
 
 @pytest.fixture(params=["memory", "folder"])
@@ -36,11 +35,12 @@ def test_items_are_kept_by_group_and_frame(store: Store) -> None:
     assert store.generation("fields.0", 3) == -1 and store.generation("step.0", 3) == 1
 
 
-def test_half_precision_is_read_as_single(store: Store) -> None:
-    store.write("inputs.0", 0, 0, {"mask": np.float16([0, 0.1, 1])})
-    mask = store.read("inputs.0", 0)["mask"]
-    assert mask.dtype == np.float32
-    np.testing.assert_array_equal(mask, np.float16([0, 0.1, 1]).astype(np.float32))
+def test_arrays_are_read_in_the_precision_in_which_they_were_written(store: Store) -> None:
+    store.write("inputs.0", 0, 0, {"mask": np.float16([0, 0.1, 1]), "density": np.float32([0.1])})
+    item = store.read("inputs.0", 0)
+    assert (item["mask"].dtype, item["density"].dtype) == (np.float16, np.float32)
+    np.testing.assert_array_equal(item["mask"], np.float16([0, 0.1, 1]))
+    assert list(store.read("inputs.0", 0, ["density"])) == ["density"]
 
 
 def test_numbers_and_log(store: Store) -> None:
@@ -93,29 +93,3 @@ def test_damaged_items_are_named(damage: bytes | None, tmp_path: Path) -> None:
     (tmp_path / "numbers.json").write_bytes(b"{")
     with pytest.raises(InputError, match=r"numbers\.json: damaged"):
         store.numbers("scales.0")
-
-
-def test_reading_is_one_item_ahead_and_no_more() -> None:
-    begun = [threading.Event() for _ in range(4)]
-
-    def read(index: int) -> int:
-        begun[index].set()
-        return index
-
-    items = read_ahead((lambda index=index: read(index)) for index in range(4))
-    for index in range(3):
-        assert next(items) == index
-        assert begun[index + 1].wait(10), "the next one is read while this one is in use"
-        assert not any(event.is_set() for event in begun[index + 2 :])
-    assert list(items) == [3]
-    assert list(read_ahead([])) == []
-
-
-def test_errors_of_reading_ahead_arrive() -> None:
-    def fail() -> int:
-        raise InputError("damaged")
-
-    items = read_ahead([lambda: 1, fail])
-    assert next(items) == 1
-    with pytest.raises(InputError, match="damaged"):
-        next(items)

@@ -10,16 +10,16 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.coherence import coherence_step
 from tnst_mi.optimisation.gradient import OctaveProblem
+from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.own_step import OwnStep
+from tnst_mi.optimisation.items.state import Current, Items
 from tnst_mi.optimisation.octave import calibrated, entered, levels_left
 from tnst_mi.optimisation.parameterisation import Fields, normalised_step
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.state import Current, Items, OwnStep
-from tnst_mi.optimisation.store import Store
+from tnst_mi.optimisation.temporal.coherence import coherence_step
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class Turns(Protocol):
 
 
 def algorithm_1(
-    plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, turns: Turns
+    plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: DeviceStore, turns: Turns
 ) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
     """Optimise the fields of all frames; yield each, with the finest items and problem, once its fields are final."""
     for level in levels_left(plan, store):
@@ -64,19 +64,16 @@ def algorithm_1(
 def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:
     """The step along a frame's own gradient: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
     since, frame, density = time.perf_counter(), now.frame, now.inputs.density
-    try:
-        found = problem.gradient(frame, now.fields, density, frame.seed(level, k))
-    except InputError as error:
-        raise InputError(f"{frame.name}, iteration {k + 1} of octave {level + 1}: {error}") from error
+    found = problem.gradient(frame, now.fields, density, frame.seed(level, k))
     size = frame.eta * frame.parameterisation.unit_step(plan.rows, problem.octave.cell_size)
     step = normalised_step(found.gradient, now.inputs.mask, size, frame.recipe.pyramid_levels)
     change = found.density - density if plan.recipe.coherence > 0 and plan.window > 1 else None
-    return OwnStep(step, change, found.loss, found.terms, time.perf_counter() - since)
+    return OwnStep(step, change, found.loss, found.terms, since)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:
     """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9)."""
     if plan.window == 1:
-        return items.own_step(now.frame).step
+        return items.own_step(now.frame)
     average = items.averaged_step(now.frame)
     return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

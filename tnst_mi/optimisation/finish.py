@@ -8,10 +8,10 @@ import numpy as np
 
 from tnst_mi.fields.advection import advect
 from tnst_mi.frame import Frame
+from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.parameterisation import Transport
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
-from tnst_mi.optimisation.state import Items
 
 
 def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Stylized:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.losses.objective import BoundObjective
@@ -29,10 +27,13 @@ _JUDGED_REACH = 0.8
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The loss, its terms, the stylized density (D, H, W) that has it, and its gradient with respect to the fields."""
+    """The loss, its terms, the stylized density (D, H, W) that has it, and its gradient with respect to the fields.
 
-    loss: float
-    terms: dict[str, float]
+    Everything is on the device; the loss and its terms are scalar tensors.
+    """
+
+    loss: torch.Tensor
+    terms: dict[str, torch.Tensor]
     density: mi.TensorXf
     gradient: Fields
 
@@ -63,9 +64,6 @@ class OctaveProblem:
             fields: on the octave's grid.
             density: (D, H, W), unstylized, on the octave's grid.
             seed: of the views, and of the renderer where it is random.
-
-        Raises:
-            InputError: the loss is not finite.
         """
         # Two phases: the views accumulate their gradient on a copy of the density; it is then propagated back through
         # the transport once instead of once per view.
@@ -74,32 +72,24 @@ class OctaveProblem:
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
         images = self._images(seen, frame.recipe, seed)
-        terms: dict[str, torch.Tensor] = {}
+        found: dict[str, torch.Tensor] = {}
         loss_of_frame = self._loss_of(frame)
 
         @dr.wrap(source="drjit", target="torch")
         def loss_of(batch):  # noqa: ANN202
-            value, found = loss_of_frame.evaluate(batch)
-            terms.update(found)
+            value, terms = loss_of_frame.evaluate(batch)
+            found.update(terms | {"": value.detach()})
             return value
 
         loss = loss_of(images)
         dr.backward(loss)
         gradient = pull_back(dr.grad(seen))
-
-        value = float(loss.array[0])
-        if not math.isfinite(value):
-            raise InputError(
-                f"the loss is {value}, expected a finite number; "
-                f"try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
-            )
-        values = {name: float(term) for name, term in terms.items()}
+        value = found.pop("")
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
         # collector, so the young generations are collected explicitly, which is cheap.
         del loss, images, seen, pull_back, loss_of
-        terms.clear()
         gc.collect(1)
-        return Evaluation(value, values, stylized, gradient)
+        return Evaluation(value, found, stylized, gradient)
 
     def gradient_square_sum(
         self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]

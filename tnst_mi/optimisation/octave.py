@@ -10,15 +10,15 @@ from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import rms_scales
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.state import Items
-from tnst_mi.optimisation.store import Store
 
 #: Yields the given frames one by one; a run may end in between.
 Each = Callable[[Iterable[FramePlan]], Iterator[FramePlan]]
 
 
-def reached(plan: Plan, store: Store) -> int:
+def reached(plan: Plan, store: DeviceStore) -> int:
     """The octave that a run has reached: the last one that all frames have entered."""
     for level in reversed(range(len(plan.octaves))):
         items = Items(plan, level, store)
@@ -27,12 +27,12 @@ def reached(plan: Plan, store: Store) -> int:
     return 0
 
 
-def levels_left(plan: Plan, store: Store) -> range:
+def levels_left(plan: Plan, store: DeviceStore) -> range:
     """The octaves that a run still has to process; none if no frame is changed."""
     return range(reached(plan, store) if plan.alive else len(plan.octaves), len(plan.octaves))
 
 
-def entered(plan: Plan, level: int, frames: Sequence[Frame], store: Store, each: Each) -> Items:
+def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore, each: Each) -> Items:
     """The items of an octave, once every frame has entered it; those of earlier octaves are removed."""
     # Dr.Jit caches the memory blocks of the previous octave, which are too small for this one.
     dr.flush_malloc_cache()
@@ -50,14 +50,14 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: Store, each:
     return items
 
 
-def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: Store, each: Each) -> OctaveProblem:
+def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore, each: Each) -> OctaveProblem:
     """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence."""
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
-    scales = store.numbers(name)
+    scales = store.store.numbers(name)
     if scales is None:
         scales = rms_scales(
             problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))
             for now in items.current(each(plan.alive))
         )
-        store.write_numbers(name, scales)
+        store.store.write_numbers(name, scales)
     return problem.scaled(scales)

@@ -12,7 +12,7 @@ from tnst_mi.fields.grid import Octave, Shape, octaves
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
-from tnst_mi.optimisation.window import window_weights
+from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.recipe import Recipe
 
 

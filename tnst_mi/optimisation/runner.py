@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 
 import drjit as dr
@@ -14,11 +15,15 @@ from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import T, algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.state import Current, Items
+from tnst_mi.optimisation.items.store import Store
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
-from tnst_mi.optimisation.state import Current, Items
-from tnst_mi.optimisation.store import Store
+
+#: Bytes of device memory for items where the caller does not know how much is free.
+CACHE_BYTES = 1 << 28
 
 
 class SequenceOptimisation:
@@ -29,13 +34,16 @@ class SequenceOptimisation:
         frames: the frames in order, read from this sequence when they are needed.
         network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
         store: the working state, possibly that of an earlier run with the same arguments.
+        cache_bytes: bytes of device memory for items of the store, so that a window is not read again for every frame.
 
     Attributes:
         interrupted: Ctrl-C ended the run.
     """
 
-    def __init__(self, plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store) -> None:
-        self._plan, self._frames, self._store = plan, frames, store
+    def __init__(
+        self, plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, cache_bytes: int = CACHE_BYTES
+    ) -> None:
+        self._plan, self._frames, self._store = plan, frames, DeviceStore(store, cache_bytes)
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
         self._finished: frozenset[int] = frozenset()
@@ -64,7 +72,7 @@ class SequenceOptimisation:
         wanted = [frame for frame in plan.frames if frame.index not in self._finished]
         if not wanted:
             return
-        with deferred_interrupt() as self._interrupt:
+        with deferred_interrupt() as self._interrupt, closing(self._store):
             try:
                 done = algorithm_1(plan, self._frames, self._network, self._store, self)
                 for frame in wanted:
@@ -99,7 +107,10 @@ class SequenceOptimisation:
             yield now
             # With a window, a frame's own step is nearly all the work of an iteration.
             if self._plan.window > 1:
-                self._report(now.frame, items, k)
+                self._report(items)
+        if self._plan.window > 1:
+            items.settle()
+            self._report(items)
 
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose fields are still to be updated in iteration k."""
@@ -110,7 +121,7 @@ class SequenceOptimisation:
         # Without a window the step is only in memory: the run ends after it has been applied.
         for now in due:
             yield now
-            self._report(now.frame, items, k)
+            self._report(items)
             self._stop_here()
 
     def _stop_here(self) -> None:
@@ -120,19 +131,20 @@ class SequenceOptimisation:
 
     # ---------------------------------------------------------------- progress and results
 
-    def _report(self, frame: FramePlan, items: Items, k: int) -> None:
-        """Report a completed iteration of a frame."""
-        if self._on_iteration is None:
-            return
-        plan, found = self._plan, items.own_step(frame)
-        iterations, count = plan.recipe.iterations, len(plan.alive)
-        position = plan.alive.index(frame)
-        within = k * count + position if plan.window > 1 else position * iterations + k
-        octaves = len(plan.octaves)
-        done, total = items.level * count * iterations + within + 1, octaves * count * iterations
-        self._on_iteration(
-            Progress(frame.name, items.level, octaves, k, iterations, found.loss, found.terms, done, total)
-        )
+    def _report(self, items: Items) -> None:
+        """Report the iterations whose losses have been read."""
+        plan, iterations = self._plan, self._plan.recipe.iterations
+        for outcome in items.outcomes():
+            if self._on_iteration is None:
+                continue
+            frame, k, count = outcome.frame, outcome.iteration, len(plan.alive)
+            position = plan.alive.index(frame)
+            within = k * count + position if plan.window > 1 else position * iterations + k
+            octaves = len(plan.octaves)
+            done, total = items.level * count * iterations + within + 1, octaves * count * iterations
+            self._on_iteration(
+                Progress(frame.name, items.level, octaves, k, iterations, outcome.loss, outcome.terms, done, total)
+            )
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
         """The stylized frame, with its history and the losses before and after."""
@@ -154,12 +166,12 @@ class SequenceOptimisation:
     def _as_far_as_it_got(self, frame: FramePlan) -> Stylized:
         """The result of the only frame of an interrupted run."""
         plan, level = self._plan, reached(self._plan, self._store)
-        problem, scales = None, self._store.numbers(f"scales.{len(plan.octaves) - 1}")
+        problem, scales = None, self._store.store.numbers(f"scales.{len(plan.octaves) - 1}")
         if scales is not None:
             problem = problem_of(plan, plan.octaves[-1], self._network).scaled(scales)
         return self._result(frame, Items(plan, level, self._store), problem)
 
     def _history(self, name: str) -> list[dict]:
         """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self._store.entries() if e["frame"] == name}
+        entries = {(e["octave"], e["iteration"]): e for e in self._store.store.entries() if e["frame"] == name}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.items.store import MemoryStore
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
-from tnst_mi.optimisation.store import MemoryStore
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import exposure_for, main_view
 

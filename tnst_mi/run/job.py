@@ -15,10 +15,10 @@ from tnst_mi.frame import Frame
 from tnst_mi.machine import environment
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
+from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
-from tnst_mi.optimisation.store import FolderStore, MemoryStore, Store
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.folder import RunFolder, StoredArrays
 from tnst_mi.run.prepare import Prepared

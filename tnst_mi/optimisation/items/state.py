@@ -11,21 +11,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.resampling import resample_density, resample_mask, resample_velocity
 from tnst_mi.frame import Frame
-from tnst_mi.optimisation.alignment import averaging_gain, transported_sums
+from tnst_mi.optimisation.items.device_store import DeviceStore, Request
+from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.store import Arrays, Store, read_ahead
-from tnst_mi.optimisation.window import reading_order, window_of
+from tnst_mi.optimisation.temporal.alignment import averaging_gain, transported_sums
+from tnst_mi.optimisation.temporal.window import reading_order, window_of
 
 _GROUPS = ("inputs", "fields", "gain", "step")
 
@@ -43,29 +44,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Current:
-    """A frame as it stands in an octave: its plan, its inputs, and its fields, all tensors in memory."""
+    """A frame as it stands in an octave: its plan, its inputs, and its fields, all tensors on the device."""
 
     frame: FramePlan
     inputs: Inputs
     fields: Fields
-
-
-@dataclass(frozen=True)
-class OwnStep:
-    """A frame's own step, computed from its own gradient.
-
-    Attributes:
-        step: what to subtract from the fields.
-        change: d* − d, (D, H, W), of the fields that it starts from; None if nothing uses it.
-        loss, terms: of the same fields.
-        seconds: time that it took.
-    """
-
-    step: Fields
-    change: mi.TensorXf | None
-    loss: float
-    terms: dict[str, float]
-    seconds: float
 
 
 class Items:
@@ -75,20 +58,28 @@ class Items:
     through all its iterations alone: its fields are kept in memory, and written at intervals and by `flush`; its steps
     stay in memory.
 
+    The loss of a step is read only when the next step is put or something is about to be written: a GPU then need not
+    wait for the host in between. Nothing is written that follows from a loss that has not been found to be finite.
+
     Args:
         plan: of the sequence.
         level: which octave, from 0.
         store: where the items are kept.
     """
 
-    def __init__(self, plan: Plan, level: int, store: Store) -> None:
+    def __init__(self, plan: Plan, level: int, store: DeviceStore) -> None:
         self.plan, self.level, self.octave, self._store = plan, level, plan.octaves[level], store
         self._alone = plan.window == 1
         self._inputs: dict[int, Inputs] = {}
         #: By frame: iterations done, and the fields after them.
         self._fields: dict[int, tuple[int, Fields]] = {}
-        self._steps: dict[int, tuple[int, OwnStep]] = {}
-        self._written = time.perf_counter()
+        #: By frame: iterations whose own step has been computed.
+        self._found: dict[int, int] = {}
+        #: Of the frame that goes through its iterations alone.
+        self._step = Fields()
+        self._launched: Launched | None = None
+        self._outcomes: list[Outcome] = []
+        self._read = self._written = time.perf_counter()
 
     def _group(self, kind: str) -> str:
         return f"{kind}.{self.level}"
@@ -102,9 +93,15 @@ class Items:
 
     def steps_found(self, frame: FramePlan) -> int:
         """Number of iterations whose own step has been computed for a frame, including those already applied."""
-        kept = self._steps.get(frame.index)
-        found = self._store.generation(self._group("step"), frame.index) if kept is None else kept[0]
+        found = self._found.get(frame.index)
+        if found is None:
+            found = self._store.generation(self._group("step"), frame.index)
         return max(found, self.iterations_done(frame))
+
+    def outcomes(self) -> list[Outcome]:
+        """The outcomes of own steps that have been read since the last call."""
+        taken, self._outcomes = self._outcomes, []
+        return taken
 
     # ---------------------------------------------------------------- entering the octave
 
@@ -142,8 +139,8 @@ class Items:
             return
         weights = self.plan.window_weights
         total = self.windowed_sums(frame, "inputs", ["mask"], weights)["mask"]
-        mask = mi.TensorXf(self._store.read(self._group("inputs"), frame.index, ["mask"])["mask"])
-        gain = averaging_gain(mask, total, weights[0]).numpy().astype(np.float16)
+        mask = self._store.read(self._group("inputs"), frame.index, ["mask"])["mask"]
+        gain = mi.TensorXf16(averaging_gain(mask, total, weights[0]))
         self._store.write(self._group("gain"), frame.index, 0, {"gain": gain})
 
     def forget(self) -> None:
@@ -155,17 +152,16 @@ class Items:
 
     def current(self, frames: Iterable[FramePlan]) -> Iterator[Current]:
         """The frames one by one as they stand; the next one is read ahead."""
-
-        def read(frame: FramePlan) -> tuple[FramePlan, Arrays, Arrays]:
-            inputs = self._store.read(self._group("inputs"), frame.index, ["density", "mask"])
-            return frame, inputs, self._store.read(self._group("fields"), frame.index)
-
         waiting = list(frames)
         if self._alone and all(frame.index in self._inputs for frame in waiting):
             yield from (Current(frame, self._inputs[frame.index], self.fields(frame)) for frame in waiting)
             return
-        for frame, arrays, fields in read_ahead(partial(read, frame) for frame in waiting):
-            now = Current(frame, Inputs(mi.TensorXf(arrays["density"]), mi.TensorXf(arrays["mask"])), _tensors(fields))
+        requests = (
+            [(self._group("inputs"), frame.index, ("density", "mask")), self._fields_request(frame)]
+            for frame in waiting
+        )
+        for frame, (inputs, fields) in zip(waiting, self._store.read_each(requests), strict=True):
+            now = Current(frame, Inputs(inputs["density"], inputs["mask"]), Fields(fields))
             if self._alone:
                 self._inputs = {frame.index: now.inputs}
                 self._fields = {frame.index: (self._stored_iterations(frame), now.fields)}
@@ -174,17 +170,20 @@ class Items:
     def fields(self, frame: FramePlan) -> Fields:
         """The current fields of a frame."""
         kept = self._fields.get(frame.index)
-        return _tensors(self._store.read(self._group("fields"), frame.index)) if kept is None else kept[1]
+        return Fields(self._store.read(*self._fields_request(frame))) if kept is None else kept[1]
 
-    def own_step(self, frame: FramePlan) -> OwnStep:
-        """A frame's latest own step; with a window, its arrays are only in the store."""
-        return self._steps[frame.index][1]
+    def _fields_request(self, frame: FramePlan) -> Request:
+        return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)
+
+    def own_step(self, frame: FramePlan) -> Fields:
+        """The latest own step of the frame that goes through its iterations alone."""
+        return self._step
 
     def averaged_step(self, frame: FramePlan) -> Fields:
         """The steps of a frame's window, transported to it (paper Eq. 8) and averaged over smoke (Eq. 9)."""
         names = list(frame.parameterisation.channels)
         sums = self.windowed_sums(frame, "step", names, self.plan.window_weights)
-        gain = mi.TensorXf(self._store.read(self._group("gain"), frame.index)["gain"])
+        gain = self._store.read(self._group("gain"), frame.index, ["gain"])["gain"]
         return Fields({name: times(gain, total) for name, total in sums.items()})
 
     def windowed_sums(
@@ -193,27 +192,30 @@ class Items:
         """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of one kind of item, with weights by distance."""
         index = frame.index
         window = window_of(index, len(self.plan.frames), 2 * len(weights) - 1)
+        order = reading_order(index, window)
         # Past frames are transported forwards by their own u_i, future ones backwards by u_{i−1}.
-        links = [(i, i if i < index else i - 1) for i in reading_order(index, window)]
-
-        def read(i: int, link: int) -> tuple[Arrays, np.ndarray]:
-            velocity = self._store.read(self._group("inputs"), link, ["velocity"])["velocity"]
-            return self._arrays(i, kind, names), velocity
-
-        neighbours = (
-            (_tensors(fields), mi.TensorXf(velocity))
-            for fields, velocity in read_ahead(partial(read, *link) for link in links)
-        )
-        own = _tensors(self._arrays(index, kind, names))
+        velocities: list[Request] = [(self._group("inputs"), i if i < index else i - 1, ("velocity",)) for i in order]
+        wanted = [[*self._requests(i, kind, names), velocity] for i, velocity in zip(order, velocities, strict=True)]
+        results = self._store.read_each([self._requests(index, kind, names), *wanted])
+        own = self._filled(next(results), names, frame)
+        neighbours = ((self._filled(fields, names, frame), velocity["velocity"]) for *fields, velocity in results)
         return transported_sums(own, weights, window, index, neighbours, self.octave.cell_size)
 
-    def _arrays(self, index: int, kind: str, names: Sequence[str]) -> Arrays:
-        """The named arrays of an item; zeros for a frame that stays unchanged, which counts as one without smoke."""
-        frame = self.plan.frames[index]
-        if not frame.still:
-            return self._store.read(self._group(kind), index, names)
+    def _requests(self, index: int, kind: str, names: Sequence[str]) -> list[Request]:
+        """For the named arrays of an item; nothing for a frame that stays unchanged."""
+        return [] if self.plan.frames[index].still else [(self._group(kind), index, names)]
+
+    def _filled(self, read: list[dict[str, mi.TensorXf]], names: Sequence[str], frame: FramePlan) -> Fields:
+        """What was read; zeros for a frame that stays unchanged, which counts as one without smoke."""
+        if read:
+            return Fields(read[0])
         shape, channels = self.octave.shape, frame.parameterisation.channels
-        return {name: np.zeros((*shape, 3) if channels.get(name) == 3 else shape, np.float32) for name in names}
+        return Fields(
+            {
+                name: mi.TensorXf(dr.zeros(mi.TensorXf16, (*shape, 3) if channels.get(name) == 3 else shape))
+                for name in names
+            }
+        )
 
     def _stored_iterations(self, frame: FramePlan) -> int:
         return self._store.generation(self._group("fields"), frame.index)
@@ -221,26 +223,35 @@ class Items:
     # ---------------------------------------------------------------- writing
 
     def put_step(self, frame: FramePlan, iteration: int, found: OwnStep) -> None:
-        """Store a frame's own step of an iteration, and log it.
+        """Store a frame's own step of an iteration, and log it once its loss has been read.
 
         Raises:
-            InputError: it exceeds the range of half precision.
+            InputError: the loss of an earlier step was not finite, or that step exceeds the range of half precision.
         """
-        entry = {"frame": frame.name, "octave": self.level, "iteration": iteration, "loss": found.loss}
-        self._store.log(entry | {"terms": found.terms, "seconds": found.seconds})
+        self.settle()
         if self._alone:
-            self._steps = {frame.index: (iteration + 1, found)}
+            self._step = found.step
+        self._found[frame.index] = iteration + 1
+        self._launched = Launched(frame, iteration, found, stored=not self._alone)
+        if self._launched.ready:
+            self.settle()
+
+    def settle(self) -> None:
+        """Read the loss of the last own step, log the step, and write it.
+
+        Raises:
+            InputError: its loss is not finite, or it exceeds the range of half precision.
+        """
+        if self._launched is None:
             return
-        self._steps = {frame.index: (iteration + 1, replace(found, step=Fields(), change=None))}
-        arrays = found.step if found.change is None else {**found.step, "change": found.change}
-        with np.errstate(over="ignore"):
-            half = {name: tensor.numpy().astype(np.float16) for name, tensor in arrays.items()}
-        if not all(np.isfinite(array).all() for array in half.values()):
-            raise InputError(
-                f"{frame.name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
-                "scale the density to about 1 and gamma accordingly"
-            )
-        self._store.write(self._group("step"), frame.index, iteration + 1, half)
+        step, self._launched = self._launched, None
+        frame, found = step.frame, step.outcome(self.level, self._read)
+        self._read = time.perf_counter()
+        entry = {"frame": frame.name, "octave": self.level, "iteration": step.iteration, "loss": found.loss}
+        self._store.store.log(entry | {"terms": found.terms, "seconds": found.seconds})
+        self._outcomes.append(found)
+        if step.arrays:
+            self._store.write(self._group("step"), frame.index, step.iteration + 1, step.arrays)
 
     def put_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         """Store the fields of a frame after `done` iterations."""
@@ -248,26 +259,23 @@ class Items:
             self._write_fields(frame, done, fields)
             return
         last = done == self.plan.recipe.iterations
-        self._fields = {frame.index: (done, fields)}
         # A step that has been applied is no longer needed.
-        self._steps = {frame.index: (done, replace(self._steps[frame.index][1], step=Fields(), change=None))}
+        self._fields, self._step = {frame.index: (done, fields)}, Fields()
         if last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
             self._write_fields(frame, done, fields)
         if last:
             self._inputs, self._fields = {}, {}
 
     def flush(self) -> None:
-        """Write the fields that are only in memory."""
+        """Write what is only in memory, and wait until the store has everything."""
+        self.settle()
         for index, (done, fields) in self._fields.items():
             frame = self.plan.frames[index]
             if done > self._stored_iterations(frame):
                 self._write_fields(frame, done, fields)
+        self._store.finish()
 
     def _write_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
-        arrays = {name: tensor.numpy() for name, tensor in fields.items()}
-        self._store.write(self._group("fields"), frame.index, done, arrays)
+        self.settle()
+        self._store.write(self._group("fields"), frame.index, done, fields)
         self._written = time.perf_counter()
-
-
-def _tensors(arrays: Arrays) -> Fields:
-    return Fields({name: mi.TensorXf(array) for name, array in arrays.items()})

@@ -13,10 +13,9 @@ import json
 import re
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -30,8 +29,6 @@ Arrays = dict[str, np.ndarray]
 
 _ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
 
-T = TypeVar("T")
-
 
 class Store(ABC):
     """Items by group and frame; the newest generation of each is kept."""
@@ -42,7 +39,7 @@ class Store(ABC):
 
     @abstractmethod
     def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
-        """The arrays of an item, or only the named ones, with floats in single precision.
+        """The arrays of an item, or only the named ones, as they were written.
 
         Raises:
             InputError: the item's file is damaged.
@@ -88,7 +85,7 @@ class MemoryStore(Store):
     def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
         """See `Store`."""
         item = self._items[group, frame][1]
-        return {name: _single_precision(item[name]) for name in item if names is None or name in names}
+        return {name: array for name, array in item.items() if names is None or name in names}
 
     def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
         """See `Store`."""
@@ -142,7 +139,7 @@ class FolderStore(Store):
         path = self._path(group, frame, self.generation(group, frame))
         try:
             with safe_open(path, framework="numpy") as item:
-                return {n: _single_precision(item.get_tensor(n)) for n in item.keys() if names is None or n in names}
+                return {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
         except (SafetensorError, OSError, ValueError) as error:
             raise InputError(
                 f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
@@ -204,20 +201,3 @@ class FolderStore(Store):
         if earlier is not None and earlier != generation:
             self._path(group, frame, earlier).unlink(missing_ok=True)
         self._generations[group, frame] = generation
-
-
-def read_ahead(reads: Iterable[Callable[[], T]]) -> Iterator[T]:
-    """The results of the given functions, each called while the previous result is in use."""
-    with ThreadPoolExecutor(1) as reader:
-        waiting = None
-        for read in reads:
-            following = reader.submit(read)
-            if waiting is not None:
-                yield waiting.result()
-            waiting = following
-        if waiting is not None:
-            yield waiting.result()
-
-
-def _single_precision(array: np.ndarray) -> np.ndarray:
-    return np.asarray(array, np.float32) if array.dtype == np.float16 else array

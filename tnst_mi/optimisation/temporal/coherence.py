@@ -17,10 +17,10 @@ import mitsuba as mi
 
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.pyramid import root_mean_square
+from tnst_mi.optimisation.items.state import Current, Items
 from tnst_mi.optimisation.parameterisation import Fields, normalised_step
 from tnst_mi.optimisation.plan import Plan
-from tnst_mi.optimisation.state import Current, Items
-from tnst_mi.optimisation.window import window_of, window_weights
+from tnst_mi.optimisation.temporal.window import window_of, window_weights
 
 #: Number of frames whose changes are averaged: the nearest only, since changes from farther frames arrive blurred.
 WINDOW = 3

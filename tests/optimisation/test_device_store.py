@@ -1,0 +1,205 @@
+"""Items on the device: what is written is read, within the budget nothing is read twice, and the store has it all."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tnst_mi.errors import InputError
+from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore
+
+
+class Watched(MemoryStore):
+    """Counts what is read; its writes can be held back, and fail."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reads: Counter[tuple[str, int, str]] = Counter()
+        self.reading: list[tuple[str, int]] = []
+        self.writes: list[tuple[str, int, int]] = []
+        self.open = threading.Event()
+        self.open.set()
+        self.full = False
+
+    def read(self, group: str, frame: int, names: object = None) -> Arrays:
+        self.reading.append((group, frame))
+        found = super().read(group, frame, names)
+        self.reads.update((group, frame, name) for name in found)
+        return found
+
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+        assert self.open.wait(10)
+        if self.full:
+            raise OSError("no space left")
+        super().write(group, frame, generation, arrays)
+        self.writes.append((group, frame, generation))
+
+
+@pytest.fixture
+def store() -> Watched:
+    return Watched()
+
+
+@pytest.fixture
+def items(store: Watched) -> Iterator[DeviceStore]:
+    with closing(DeviceStore(store, 1000)) as items:
+        yield items
+
+
+def half(value: float, count: int = 50) -> dict[str, mi.TensorXf16]:
+    """100 bytes."""
+    return {"step": mi.TensorXf16(mi.TensorXf(np.full((count, 1, 1), value, np.float32)))}
+
+
+@pytest.mark.parametrize("budget", [0, 1000])
+@pytest.mark.parametrize("kind", [np.float16, np.float32])
+def test_what_is_written_is_read_in_single_precision(kind: type, budget: int, store: Watched) -> None:
+    values = np.linspace(0, 1, 24).reshape(2, 3, 4).astype(kind)
+    tensor = mi.TensorXf16(values) if kind is np.float16 else mi.TensorXf(values)
+    with closing(DeviceStore(store, budget)) as items:
+        items.write("inputs.0", 0, 0, {"numpy": values, "drjit": tensor})
+        found = items.read("inputs.0", 0, ["numpy", "drjit"])
+        assert items.generation("inputs.0", 0) == 0 and items.generation("inputs.0", 1) == -1
+    for name in ("numpy", "drjit"):
+        assert isinstance(found[name], mi.TensorXf)
+        np.testing.assert_array_equal(found[name].numpy(), values.astype(np.float32))
+        assert store.read("inputs.0", 0)[name].dtype == kind
+
+
+def test_items_are_read_once_while_they_fit_and_the_oldest_make_room(store: Watched, items: DeviceStore) -> None:
+    for frame in range(12):
+        store.write("step.0", frame, 1, {"step": half(frame)["step"].numpy()})
+    for frame in [*range(10), *range(10), 0]:
+        assert items.read("step.0", frame, ["step"])["step"].numpy()[0] == frame
+    assert set(store.reads.values()) == {1}
+    # Frame 1 has not been used for longest, now that 0 has been again.
+    items.read("step.0", 10, ["step"])
+    for frame in (0, 10, 2):
+        items.read("step.0", frame, ["step"])
+    assert store.reads["step.0", 1, "step"] == store.reads["step.0", 2, "step"] == 1
+    items.read("step.0", 1, ["step"])
+    assert store.reads["step.0", 1, "step"] == 2
+
+
+def test_an_item_larger_than_the_budget_is_not_kept(store: Watched, items: DeviceStore) -> None:
+    items.write("step.0", 0, 1, half(1))
+    items.write("step.0", 1, 1, half(2, 501))
+    for _ in range(2):
+        assert items.read("step.0", 1, ["step"])["step"].numpy().sum() == 2 * 501
+    assert store.reads["step.0", 1, "step"] == 2
+
+
+def test_a_new_generation_replaces_the_old_one_on_the_device(items: DeviceStore) -> None:
+    for generation in range(30):
+        items.write("step.0", 0, generation, half(generation))
+        assert items.read("step.0", 0, ["step"])["step"].numpy()[0] == generation == items.generation("step.0", 0)
+
+
+def test_what_has_not_been_written_yet_is_read_nevertheless(store: Watched) -> None:
+    with closing(DeviceStore(store, 0)) as items:
+        store.open.clear()
+        items.write("step.0", 0, 3, half(7))
+        assert items.generation("step.0", 0) == 3 and store.generation("step.0", 0) == -1
+        threading.Timer(0.2, store.open.set).start()
+        assert items.read("step.0", 0, ["step"])["step"].numpy()[0] == 7
+
+
+def test_writes_arrive_in_order_and_few_of_them_wait(store: Watched, items: DeviceStore) -> None:
+    store.open.clear()
+    done = threading.Event()
+
+    def write() -> None:
+        for frame in range(20):
+            items.write("step.0", frame, 1, {"step": np.zeros(3, np.float16)})
+        done.set()
+
+    threading.Thread(target=write).start()
+    assert not done.wait(0.2), "waiting items would fill the memory"
+    store.open.set()
+    assert done.wait(10)
+    items.finish()
+    assert store.writes == [("step.0", frame, 1) for frame in range(20)]
+
+
+def test_removing_waits_for_what_is_being_written(store: Watched, items: DeviceStore) -> None:
+    """An octave may be removed only when its successor is safe."""
+    items.write("fields.0", 0, 5, half(1))
+    store.open.clear()
+    items.write("fields.1", 0, 0, half(2))
+    threading.Timer(0.2, store.open.set).start()
+    items.remove("fields.0")
+    assert store.generation("fields.1", 0) == 0 and store.generation("fields.0", 0) == -1
+    assert items.generation("fields.0", 0) == -1
+    with pytest.raises(KeyError):
+        items.read("fields.0", 0, ["step"])
+
+
+def test_a_failed_write_is_not_forgotten(store: Watched) -> None:
+    items = DeviceStore(store, 1000)
+    store.full = True
+    items.write("step.0", 0, 1, half(1))
+    with pytest.raises(OSError, match="no space left"):
+        items.close()
+
+
+def test_damaged_items_are_named_when_they_are_read_ahead(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path)
+    for frame in range(2):
+        store.write("step.0", frame, 1, {"step": np.zeros(3, np.float16)})
+    path = tmp_path / "step.0" / "000001.000001.safetensors"
+    path.write_bytes(path.read_bytes()[:-2])
+    with closing(DeviceStore(store, 1000)) as items:
+        results = items.read_each([[("step.0", frame, ["step"])] for frame in range(2)])
+        next(results)
+        with pytest.raises(InputError, match=r"000001\.000001\.safetensors: damaged"):
+            next(results)
+
+
+def test_reading_is_one_group_ahead_and_no_more(store: Watched, items: DeviceStore) -> None:
+    for frame in range(4):
+        store.write("step.0", frame, 1, {"step": np.full((1, 1, 1), frame, np.float32)})
+    results = items.read_each([[("step.0", frame, ["step"])] for frame in range(4)])
+    for frame in range(3):
+        assert next(results)[0]["step"].numpy()[0, 0, 0] == frame
+        for _ in range(1000):
+            if ("step.0", frame + 1) in store.reading:
+                break
+            threading.Event().wait(0.01)
+        assert store.reading == [("step.0", i) for i in range(frame + 2)]
+    assert [result[0]["step"].numpy().item() for result in results] == [3]
+    assert list(items.read_each([])) == []
+
+
+@given(
+    st.integers(0, 450),
+    st.lists(
+        st.tuples(st.sampled_from(["write", "read", "remove"]), st.integers(0, 1), st.integers(0, 3)), max_size=25
+    ),
+)
+def test_it_reads_what_was_written_last_at_any_budget(budget: int, actions: list[tuple[str, int, int]]) -> None:
+    """Against a dictionary."""
+    expected: dict[tuple[int, int], float] = {}
+    store = MemoryStore()
+    with closing(DeviceStore(store, budget)) as items:
+        for number, (action, group, frame) in enumerate(actions):
+            if action == "write":
+                items.write(f"{group}", frame, number, half(number))
+                expected[group, frame] = number
+            elif action == "remove":
+                items.remove(f"{group}")
+                expected = {key: value for key, value in expected.items() if key[0] != group}
+            else:
+                wanted = [[(f"{g}", f, ["step"])] for g, f in expected]
+                found = [result[0]["step"].numpy()[0, 0, 0] for result in items.read_each(wanted)]
+                assert found == list(expected.values())
+    assert {key: store.read(f"{key[0]}", key[1])["step"][0, 0, 0] for key in expected} == expected

@@ -1,0 +1,233 @@
+"""What an iteration costs the host: what it reads from the device and the store, and how many kernels it launches."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+from crossings import count_reads
+from moving_smoke import moving_smoke
+from networks import random_googlenet
+
+from tnst_mi.errors import InputError
+from tnst_mi.machine.host_copy import HostCopy
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation import algorithm
+from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
+from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
+from tnst_mi.optimisation.plan import plan_of
+from tnst_mi.optimisation.result import Progress, Stylized
+from tnst_mi.optimisation.runner import SequenceOptimisation
+from tnst_mi.recipe.recipe import Recipe
+
+GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 1, "iterations": 4, "views": 3}
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> GoogLeNet:
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    random_googlenet(path, narrow=8)
+    return GoogLeNet.load(path)
+
+
+def run(
+    network: GoogLeNet, count: int, store: Store, report: Callable[[Progress], None] | None = None, **changes: object
+) -> list[Stylized]:
+    frames = moving_smoke(count)
+    names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
+    plan = plan_of(Recipe(**GOAL | changes), names, numbers, [1.0] * count, frames[0].density.shape, 0.2)
+    return [result for _, result in SequenceOptimisation(plan, frames, network, store).run(report)]
+
+
+def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same launches as on a GPU, and nothing is known to have arrived before it is asked for."""
+    for module in ("fields.maccormack", "fields.pyramid", "rendering.renderer"):
+        monkeypatch.setattr(f"tnst_mi.{module}.on_gpu", lambda: True)
+    monkeypatch.setattr(HostCopy, "ready", property(lambda _: False))
+
+
+@pytest.mark.parametrize(("count", "window"), [(1, 1), (3, 3)])
+def test_an_iteration_reads_nothing_but_its_loss(
+    count: int, window: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_on_a_gpu(monkeypatch)
+    by_iteration: list[Counter[str]] = []
+    with monkeypatch.context() as patch:
+        reads = count_reads(patch)
+
+        def note(_: Progress) -> None:
+            by_iteration.append(reads.copy())
+            reads.clear()
+
+        run(network, count, MemoryStore(), note, window=window)
+    assert len(by_iteration) == 4 * count
+    # The first report is after the loss has been scaled, which reads more.
+    assert sum(by_iteration[1:], Counter()) == Counter({"Tensor.numpy": 4 * count - 1})
+
+
+@contextmanager
+def exchanged_only_with_torch(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
+    """On LLVM, torch is given an array once it has been computed: that is the only waiting allowed here."""
+    exchanges: Counter[str] = Counter()
+    for name in ("torch", "__dlpack__"):
+        original = getattr(dr.ArrayBase, name)
+
+        def exchanged(self: dr.ArrayBase, *rest: object, original=original, **keywords: object) -> object:
+            exchanges["x".join(str(n) for n in self.shape)] += 1
+            with dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False):
+                return original(self, *rest, **keywords)
+
+        monkeypatch.setattr(dr.ArrayBase, name, exchanged)
+    with dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, True):
+        yield exchanges
+
+
+@pytest.mark.parametrize("coherence", [0.0, 0.5])
+def test_an_iteration_waits_for_nothing_but_torch(
+    coherence: float, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_on_a_gpu(monkeypatch)
+    exchanges: dict[str, list[Counter[str]]] = {"own_step": [], "window_average": []}
+    for name, found in exchanges.items():
+        original = getattr(algorithm, name)
+
+        def watched(*arguments: object, original=original, found=found) -> object:
+            with monkeypatch.context() as patch, exchanged_only_with_torch(patch) as exchanged:
+                result = original(*arguments)
+            found.append(exchanged)
+            return result
+
+        monkeypatch.setattr(algorithm, name, watched)
+    run(network, 3, MemoryStore(), window=3, coherence=coherence)
+    assert len(exchanges["own_step"]) == len(exchanges["window_average"]) == 12
+    # The images of three views, and the loss.
+    assert {shape for exchanged in exchanges["own_step"] for shape in exchanged} == {"3x12x10", ""}
+    assert not any(exchanges["window_average"])
+
+
+def launches(network: GoogLeNet, views: int, count: int) -> int:
+    """Dr.Jit's launches of kernels in the second iteration of a sequence, with all frames in a window."""
+    found: list[int] = []
+
+    def note(_: Progress) -> None:
+        found.append(len(dr.kernel_history([dr.KernelType.JIT])))
+        dr.kernel_history_clear()
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        run(network, count, MemoryStore(), note, views=views, window=count)
+    return sum(found[count : 2 * count])
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 38), (3, 142)])
+def test_kernels_of_an_iteration_are_few_and_do_not_depend_on_the_views(
+    count: int, most: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_on_a_gpu(monkeypatch)
+    few, many = (launches(network, views, count) for views in (2, 9))
+    assert few == many == most
+
+
+# --------------------------------------------------------------------
+# Reading the loss later
+# --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "window"), [(1, 1), (3, 1), (3, 3)])
+def test_reading_the_loss_later_changes_nothing_but_when(
+    count: int, window: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_once: list[Progress] = []
+    later: list[Progress] = []
+    one = run(network, count, MemoryStore(), at_once.append, window=window, octaves=2)
+    monkeypatch.setattr(HostCopy, "ready", property(lambda _: False))
+    other = run(network, count, MemoryStore(), later.append, window=window, octaves=2)
+    assert at_once == later
+    for a, b in zip(one, other, strict=True):
+        assert a.density.tobytes() == b.density.tobytes() and a.velocity.tobytes() == b.velocity.tobytes()
+        losses = [[(entry["octave"], entry["iteration"], entry["loss"]) for entry in r.history] for r in (a, b)]
+        assert losses[0] == losses[1] and len(losses[0]) == 8
+
+
+@pytest.mark.parametrize(("count", "window"), [(1, 1), (3, 3)])
+@pytest.mark.parametrize("ready", [True, False])
+def test_nothing_is_stored_that_follows_from_a_loss_that_is_not_finite(
+    ready: bool, count: int, window: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The third evaluation of a frame fails; the run goes on later, and ends as one in which it did not."""
+    expected = run(network, count, MemoryStore(), window=window)
+    monkeypatch.setattr(HostCopy, "ready", property(lambda _: ready))
+    calls: list[object] = []
+    gradient = OctaveProblem.gradient
+
+    def broken(*arguments: object) -> Evaluation:
+        calls.append(arguments)
+        found = gradient(*arguments)
+        return dataclasses.replace(found, loss=torch.full((), torch.nan)) if len(calls) == 2 * count + 1 else found
+
+    monkeypatch.setattr(OctaveProblem, "gradient", broken)
+    # Every fields are due to be written.
+    monkeypatch.setattr("tnst_mi.optimisation.items.state.CHECKPOINT_SECONDS", 0.0)
+    with pytest.raises(InputError, match=r"iteration 3 of octave 1: the loss is nan, .* smaller eta \(0.002\)"):
+        run(network, count, FolderStore(tmp_path), window=window)
+    monkeypatch.setattr(OctaveProblem, "gradient", gradient)
+    store = FolderStore(tmp_path)
+    assert {store.generation("fields.0", frame) for frame in range(count)} == {2}
+    resumed = run(network, count, store, window=window)
+    for a, b in zip(expected, resumed, strict=True):
+        assert a.density.tobytes() == b.density.tobytes()
+
+
+# --------------------------------------------------------------------
+# Reading from the store
+# --------------------------------------------------------------------
+
+
+class Counting(FolderStore):
+    """Counts how often each array is read."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.reads: Counter[tuple[str, int, str]] = Counter()
+
+    def read(self, group: str, frame: int, names: object = None) -> dict[str, np.ndarray]:
+        found = super().read(group, frame, names)
+        self.reads.update((group, frame, name) for name in found)
+        return found
+
+
+def reads_of_an_iteration(network: GoogLeNet, folder: Path, budget: int) -> Counter[tuple[str, int, str]]:
+    """What a sequence of nine frames with a window of five reads from the store in its third iteration, by array."""
+    frames, store = moving_smoke(9), Counting(folder)
+    names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
+    plan = plan_of(Recipe(**GOAL | {"window": 5}), names, numbers, [1.0] * 9, frames[0].density.shape, 0.2)
+    seen: list[Counter[tuple[str, int, str]]] = []
+
+    def note(progress: Progress) -> None:
+        if progress.frame == names[0]:
+            seen.append(store.reads.copy())
+
+    for _ in SequenceOptimisation(plan, frames, network, store, budget).run(note):
+        pass
+    return seen[3] - seen[2]
+
+
+def test_a_window_is_read_once_where_it_fits_on_the_device_and_nothing_where_all_does(
+    network: GoogLeNet, tmp_path: Path
+) -> None:
+    cells = int(np.prod(moving_smoke(1)[0].density.shape))
+    everything = reads_of_an_iteration(network, tmp_path / "all", 10**9)
+    assert not everything
+    # Steps (2 bytes a cell) and velocities (6) of a window, what else a frame needs, and what is read ahead.
+    window = reads_of_an_iteration(network, tmp_path / "window", (5 + 1) * 8 * cells + 2 * 14 * cells)
+    nothing = reads_of_an_iteration(network, tmp_path / "nothing", 0)
+    transported = {key for key in nothing if key[0] == "step.0" or key[2] == "velocity"}
+    assert {window[key] for key in transported} <= {0, 1}
+    assert max(nothing[key] for key in transported) == 5

@@ -1,0 +1,194 @@
+"""The items of a store as tensors on the device: kept there as long as they fit, and written behind the work.
+
+With a window, every iteration of a frame reads the steps and velocities of its neighbours, 2w + 1 times each. Kept on
+the device, in the precision in which they are stored, each is read once or not at all. What is written goes to the
+store in a thread, in the order of writing: at any moment, the store has what a run that was killed a little earlier
+would have left, so that it stays the truth for resuming.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.machine.host_copy import HostCopy
+from tnst_mi.optimisation.items.store import Arrays, Store
+
+#: What to read: group, frame, and the names of the arrays.
+Request = tuple[str, int, Collection[str]]
+
+#: An array of an item: group, frame, name.
+_Key = tuple[str, int, str]
+
+#: Tensors by name.
+_Tensors = dict[str, "mi.TensorXf"]
+
+#: Number of items that may wait to be written; their arrays are in host memory.
+_WAITING = 4
+
+
+class DeviceStore:
+    """Items on the device, backed by a store.
+
+    Args:
+        store: where the items are written, and read from when they are not on the device.
+        budget: bytes of device memory for items; those that have not been used for longest make room.
+    """
+
+    def __init__(self, store: Store, budget: int) -> None:
+        self.store, self._budget = store, budget
+        self._kept: OrderedDict[_Key, mi.TensorXf | mi.TensorXf16] = OrderedDict()
+        self._size = 0
+        #: Generations of the items written here, which the store may not have yet.
+        self._written: dict[tuple[str, int], int] = {}
+        self._writes: deque[tuple[tuple[str, int], Future[None]]] = deque()
+        self._writer = ThreadPoolExecutor(1, "item writer")
+        self._reader = ThreadPoolExecutor(1, "item reader")
+
+    def generation(self, group: str, frame: int) -> int:
+        """Generation of an item; −1 if it does not exist."""
+        written = self._written.get((group, frame))
+        return self.store.generation(group, frame) if written is None else written
+
+    # ---------------------------------------------------------------- reading
+
+    def read(self, group: str, frame: int, names: Collection[str]) -> _Tensors:
+        """The named tensors of an item, in single precision.
+
+        Raises:
+            InputError: the item's file is damaged.
+        """
+        return next(self.read_each([[(group, frame, names)]]))[0]
+
+    def read_each(self, requests: Iterable[Sequence[Request]]) -> Iterator[list[_Tensors]]:
+        """The results of one group of requests after the other; what the next ones need is loaded meanwhile."""
+        waiting: tuple[Sequence[Request], list[Future[Arrays] | None]] | None = None
+        for group in requests:
+            loading = [
+                self._reader.submit(self._load, request) if self._missing(request) else None for request in group
+            ]
+            if waiting is not None:
+                yield self._taken(*waiting)
+            waiting = group, loading
+        if waiting is not None:
+            yield self._taken(*waiting)
+
+    def _missing(self, request: Request) -> list[str]:
+        """The names of the arrays that are not on the device."""
+        group, frame, names = request
+        return [name for name in names if (group, frame, name) not in self._kept]
+
+    def _load(self, request: Request) -> Arrays:
+        """The arrays that are not on the device, from the store."""
+        group, frame, _ = request
+        for key, write in list(self._writes):
+            if key == (group, frame):
+                write.result()
+        return self.store.read(group, frame, self._missing(request))
+
+    def _taken(self, requests: Sequence[Request], loading: Sequence[Future[Arrays] | None]) -> list[_Tensors]:
+        """The requested tensors; those that were not on the device are being loaded."""
+        results = []
+        for (group, frame, names), future in zip(requests, loading, strict=True):
+            loaded = {} if future is None else future.result()
+            # Some may have made room since.
+            evicted = [name for name in self._missing((group, frame, names)) if name not in loaded]
+            if evicted:
+                loaded = loaded | self._load((group, frame, evicted))
+            found: _Tensors = {}
+            for name in names:
+                key = group, frame, name
+                tensor = self._kept[key] if key in self._kept else _on_device(loaded[name])
+                self._keep(key, tensor)
+                found[name] = mi.TensorXf(tensor)
+            results.append(found)
+        return results
+
+    # ---------------------------------------------------------------- writing
+
+    def write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | mi.TensorXf]) -> None:
+        """Write an item, replacing its earlier generation.
+
+        Args:
+            group, frame, generation: of the item; see `Store`.
+            arrays: by name, numpy or Dr.Jit, in the precision in which they are to be stored.
+
+        Raises:
+            OSError: the store failed to write an earlier item.
+        """
+        self._forget(lambda key: key[:2] == (group, frame))
+        host: dict[str, np.ndarray | HostCopy] = {}
+        for name, array in arrays.items():
+            if isinstance(array, np.ndarray):
+                host[name] = array
+                tensor = _on_device(array) if array.nbytes <= self._budget else None
+            else:
+                host[name], tensor = HostCopy(array.torch()), array
+            if tensor is not None:
+                self._keep((group, frame, name), tensor)
+        while len(self._writes) >= _WAITING:
+            self._writes.popleft()[1].result()
+        self._written[group, frame] = generation
+        write = self._writer.submit(self._write, group, frame, generation, host)
+        self._writes.append(((group, frame), write))
+
+    def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | HostCopy]) -> None:
+        self.store.write(
+            group,
+            frame,
+            generation,
+            {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()},
+        )
+
+    def finish(self) -> None:
+        """Wait until the store has everything.
+
+        Raises:
+            OSError: the store failed to write an item.
+        """
+        while self._writes:
+            self._writes.popleft()[1].result()
+
+    def remove(self, group: str) -> None:
+        """Remove all items of a group, if there are any, once the store has everything that was written."""
+        self.finish()
+        self._forget(lambda key: key[0] == group)
+        self._written = {key: written for key, written in self._written.items() if key[0] != group}
+        self.store.remove(group)
+
+    def close(self) -> None:
+        """Give the device memory back, and end the threads once the store has everything."""
+        try:
+            self.finish()
+        finally:
+            self._forget(lambda _: True)
+            self._writer.shutdown()
+            self._reader.shutdown()
+
+    # ---------------------------------------------------------------- what is kept
+
+    def _keep(self, key: _Key, tensor: mi.TensorXf | mi.TensorXf16) -> None:
+        """Keep a tensor as the one used last, if it fits at all."""
+        if key not in self._kept:
+            self._size += _bytes(tensor)
+        self._kept[key] = tensor
+        self._kept.move_to_end(key)
+        while self._size > self._budget:
+            self._size -= _bytes(self._kept.popitem(last=False)[1])
+
+    def _forget(self, chosen: Callable[[_Key], bool]) -> None:
+        for key in [key for key in self._kept if chosen(key)]:
+            self._size -= _bytes(self._kept.pop(key))
+
+
+def _on_device(array: np.ndarray) -> mi.TensorXf | mi.TensorXf16:
+    return mi.TensorXf16(array) if array.dtype == np.float16 else mi.TensorXf(array)
+
+
+def _bytes(tensor: mi.TensorXf | mi.TensorXf16) -> int:
+    return dr.width(tensor.array) * (2 if isinstance(tensor, mi.TensorXf16) else 4)
