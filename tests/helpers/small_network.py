@@ -34,6 +34,9 @@ class SmallNetwork(nn.Module):
         values = {"shallow": shallow, "deep": deep, "logits": self.classifier(deep.mean((2, 3)))}
         return {layer: values[self.resolve(layer)] for layer in layers}
 
+    def channels(self, layer: str) -> int:
+        return CHANNELS[self.resolve(layer)]
+
     def resolve(self, layer: str) -> str:
         name = {"alias_of_deep": "deep"}.get(layer, layer)
         if name not in CHANNELS:

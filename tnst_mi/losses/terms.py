@@ -46,14 +46,18 @@ class Semantic(Term):
             raise InputError(f"semantic layer {self.layer!r}: no channel is given; name at least one")
         net.check_channels(self.layer, self.channels)
         layer = net.resolve(self.layer)
-        chosen = sorted(set(self.channels))
+        rest = set(range(net.channels(self.layer))) - set(self.channels)
+        # Kept on the device, where lists would be sent anew in every evaluation.
+        chosen, others = (
+            torch.tensor(sorted(channels), dtype=torch.long, device=_parameter(net).device)
+            for channels in (set(self.channels), rest)
+        )
 
         def loss(features: Features) -> Tensor:
             values = features[layer]
-            total = -values[:, chosen].flatten(1).mean(1).sum()
-            others = [channel for channel in range(values.shape[1]) if channel not in chosen]
-            if self.damping and others:
-                total = total + self.damping * values[:, others].abs().flatten(1).mean(1).sum()
+            total = -values.index_select(1, chosen).flatten(1).mean(1).sum()
+            if self.damping and rest:
+                total = total + self.damping * values.index_select(1, others).abs().flatten(1).mean(1).sum()
             return total
 
         return BoundTerm((layer,), loss)

@@ -86,25 +86,31 @@ class DeviceStore:
     def _load(self, request: Request) -> Arrays:
         """The arrays that are not on the device, from the store."""
         group, frame, _ = request
+        self._await(group, frame)
+        return self.store.read(group, frame, self._missing(request))
+
+    def _await(self, group: str, frame: int) -> None:
+        """Wait until the store has what was written of an item."""
         for key, write in list(self._writes):
             if key == (group, frame):
                 write.result()
-        return self.store.read(group, frame, self._missing(request))
 
     def _taken(self, requests: Sequence[Request], loading: Sequence[Future[Arrays] | None]) -> list[_Tensors]:
         """The requested tensors; those that were not on the device are being loaded."""
         results = []
         for (group, frame, names), future in zip(requests, loading, strict=True):
             loaded = {} if future is None else future.result()
-            # Some may have made room since.
-            evicted = [name for name in self._missing((group, frame, names)) if name not in loaded]
+            # Taken before any is kept, since keeping one may make others go.
+            tensors = {name: self._kept.get((group, frame, name)) for name in names}
+            evicted = [name for name, tensor in tensors.items() if tensor is None and name not in loaded]
             if evicted:
-                loaded = loaded | self._load((group, frame, evicted))
+                self._await(group, frame)
+                loaded = loaded | self.store.read(group, frame, evicted)
             found: _Tensors = {}
-            for name in names:
-                key = group, frame, name
-                tensor = self._kept[key] if key in self._kept else _on_device(loaded[name])
-                self._keep(key, tensor)
+            for name, tensor in tensors.items():
+                if tensor is None:
+                    tensor = _on_device(loaded[name])
+                self._keep((group, frame, name), tensor)
                 found[name] = mi.TensorXf(tensor)
             results.append(found)
         return results
