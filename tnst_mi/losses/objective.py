@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
+from tnst_mi.losses.recorded import RecordedEvaluation
 from tnst_mi.network.googlenet import GoogLeNet
 
 #: Lower bound of a scale, so that a gradient that is zero up to rounding is not amplified.
@@ -135,6 +136,8 @@ class BoundObjective:
         self._terms = dict(zip(names, terms, strict=True))
         #: What `saved_bytes` has been found to be, once for all copies: it depends on neither weights nor scales.
         self._measured: list[int] = []
+        #: On a GPU, the recorded evaluation for each shape of images, likewise.
+        self._recorded: dict[torch.Size, RecordedEvaluation] = {}
         self._layers = list(dict.fromkeys(layer for term in terms for layer in term.layers))
 
     def __call__(self, images: Tensor) -> Tensor:
@@ -158,14 +161,36 @@ class BoundObjective:
         """The weighted sum and the raw values of the terms; if `gradient` is given, the derivative is written to it."""
         totals: dict[str, Tensor] = {}
         for part in self._parts(images):
-            losses, views = self._losses(images[part], gradient is not None)
+            if gradient is None:
+                losses, _ = self._losses(images[part], False)
+            else:
+                losses, gradient[part] = self._differentiated(images[part])
             for name, loss in losses.items():
                 totals[name] = totals.get(name, 0) + loss.detach()
-            if gradient is not None:
-                with torch.enable_grad():
-                    weighted = self._sum(losses)
-                (gradient[part],) = torch.autograd.grad(weighted, views)
         return self._sum(totals), totals
+
+    def _differentiated(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """The values of the terms, and the derivative of their weighted sum."""
+        factors = [self._weights[name] / self.scales[name] for name in self.names]
+        if not images.is_cuda:
+            return self._evaluated(images, factors)
+
+        def evaluate(images: Tensor, factors: Tensor) -> tuple[Tensor, Tensor]:
+            losses, gradient = self._evaluated(images, factors.unbind())
+            return torch.stack([losses[name].detach() for name in self.names]), gradient
+
+        if images.shape not in self._recorded:
+            self._recorded[images.shape] = RecordedEvaluation(evaluate, images, len(factors))
+        values, gradient = self._recorded[images.shape](images, factors)
+        return dict(zip(self.names, values, strict=True)), gradient
+
+    def _evaluated(self, images: Tensor, factors: Sequence[float | Tensor]) -> tuple[dict[str, Tensor], Tensor]:
+        losses, views = self._losses(images, True)
+        with torch.enable_grad():
+            weighted = [factor * losses[name] for name, factor in zip(self.names, factors, strict=True)]
+            total = torch.stack(weighted).sum()
+        (gradient,) = torch.autograd.grad(total, views)
+        return losses, gradient
 
     def _parts(self, images: Tensor) -> Iterator[slice]:
         """Slices of the views that go through the network together.

@@ -79,6 +79,13 @@ def on_gpu() -> bool:
     return (mi.variant() or "").startswith("cuda")
 
 
+def release_memory() -> None:
+    """Give back the device memory that Dr.Jit and torch hold for reuse, when other sizes are needed from now on."""
+    dr.flush_malloc_cache()
+    if on_gpu():
+        torch.cuda.empty_cache()
+
+
 def torch_device() -> torch.device:
     """The torch device that shares memory with the active variant, set up for repeatable float32 results.
 

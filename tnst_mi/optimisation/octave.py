@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import drjit as dr
-
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import rms_scales
+from tnst_mi.machine.backend import release_memory
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.items.device_store import DeviceStore
@@ -34,8 +33,8 @@ def levels_left(plan: Plan, store: DeviceStore) -> range:
 
 def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore, each: Each) -> Items:
     """The items of an octave, once every frame has entered it; those of earlier octaves are removed."""
-    # Dr.Jit caches the memory blocks of the previous octave, which are too small for this one.
-    dr.flush_malloc_cache()
+    # Memory blocks of the previous octave are too small for this one.
+    release_memory()
     items, windowed = Items(plan, level, store), plan.window > 1
     earlier = [Items(plan, before, store) for before in range(level)]
     # Neighbours are transported through unchanged frames too.

@@ -6,10 +6,8 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from contextlib import closing
 from dataclasses import replace
 
-import drjit as dr
-
 from tnst_mi.frame import Frame
-from tnst_mi.machine.backend import torch_device
+from tnst_mi.machine.backend import release_memory, torch_device
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import T, algorithm_1
@@ -149,8 +147,8 @@ class SequenceOptimisation:
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
         """The stylized frame, with its history and the losses before and after."""
         source = self._frames[frame.index]
-        # The memory blocks that Dr.Jit caches for the iterations are no longer needed.
-        dr.flush_malloc_cache()
+        # Memory blocks of the iterations are no longer needed.
+        release_memory()
         result = stylized_frame(items, frame, source)
         result.history = self._history(frame.name)
         for entry in result.history:

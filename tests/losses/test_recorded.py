@@ -1,0 +1,57 @@
+"""The recorded evaluation gives the bits of the evaluation itself, whatever its images and weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from networks import random_googlenet
+
+from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses.terms import Semantic
+from tnst_mi.network.googlenet import GoogLeNet
+
+pytestmark = pytest.mark.skipif(
+    not torch.cuda.is_available(), reason="needs a GPU: only there, evaluations are recorded"
+)
+
+
+@pytest.fixture
+def bound(tmp_path: Path) -> BoundObjective:
+    random_googlenet(tmp_path / "random.safetensors", narrow=8)
+    network = GoogLeNet.load(tmp_path / "random.safetensors").to("cuda")
+    return (Semantic("inception_3a/3x3", (2,)) + 0.5 * Semantic("conv2/3x3", (1,), damping=0.1)).bind(network, 64, 48)
+
+
+def images(seed: int, count: int) -> torch.Tensor:
+    return torch.rand((count, 64, 48), generator=torch.Generator().manual_seed(seed)).cuda()
+
+
+def test_replaying_gives_the_bits_of_the_evaluation(bound: BoundObjective) -> None:
+    for seed, count, weights in ((0, 3, (1, 1)), (1, 3, (2, 0.3)), (2, 2, (1, 1)), (3, 3, (-1, 5))):
+        weighed = bound.weighed(weights).scaled({name: 0.7 for name in bound.names})
+        losses, gradient = weighed._differentiated(images(seed, count))
+        factors = [weight / 0.7 for weight in weights]
+        expected, expected_gradient = weighed._evaluated(images(seed, count), factors)
+        assert {name: loss.item() for name, loss in losses.items()} == {n: v.item() for n, v in expected.items()}
+        assert torch.equal(gradient, expected_gradient) and gradient.any()
+    assert len(bound._recorded) == 2
+
+
+def test_results_are_not_overwritten_by_the_next(bound: BoundObjective) -> None:
+    losses, gradient = bound._differentiated(images(0, 3))
+    kept = [loss.item() for loss in losses.values()], gradient.clone()
+    bound._differentiated(images(1, 3))
+    assert [loss.item() for loss in losses.values()] == kept[0] and torch.equal(gradient, kept[1])
+
+
+def test_the_memory_of_a_recording_is_given_back_with_its_objective(bound: BoundObjective) -> None:
+    torch.cuda.synchronize()
+    before = torch.cuda.memory_allocated()
+    other = bound.scaled(bound.scales)
+    other._recorded = {}
+    other._differentiated(images(0, 3))
+    assert torch.cuda.memory_allocated() > before
+    del other
+    assert torch.cuda.memory_allocated() == before

@@ -1,0 +1,53 @@
+"""An evaluation on a GPU, recorded once as a CUDA graph and replayed: a single launch in place of hundreds.
+
+A GoogLeNet's value and derivative are about 500 kernels. Launching them takes the host about 9 ms (docs/gpu.md), more
+than a GPU needs to compute them for the small images of the coarse octaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+#: From images and the factor of each term: the values of the terms (T,), and the derivative of their weighted sum.
+Evaluation = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
+class RecordedEvaluation:
+    """A recording for images of one shape. Replaying it gives the bits of the evaluation itself.
+
+    Everything that decides which kernels run, such as the precision of products, is fixed when it is recorded. The
+    recording keeps the memory of the evaluation for as long as it lives.
+
+    Args:
+        evaluate: what to record. It must not read anything back to the host.
+        images: (N, H, W) on a GPU.
+        terms: number of terms.
+    """
+
+    def __init__(self, evaluate: Evaluation, images: Tensor, terms: int) -> None:
+        self._images, self._factors = torch.zeros_like(images), images.new_ones(terms)
+        self._known = [1.0] * terms
+        stream = torch.cuda.Stream()
+        stream.wait_stream(torch.cuda.current_stream())
+        # Libraries choose algorithms and allocate workspaces in the first evaluation, which cannot be recorded.
+        with torch.cuda.stream(stream):
+            evaluate(self._images, self._factors)
+        torch.cuda.current_stream().wait_stream(stream)
+        self._graph = torch.cuda.CUDAGraph()
+        # Other threads may be waiting for copies meanwhile.
+        with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
+            self._values, self._derivative = evaluate(self._images, self._factors)
+
+    def __call__(self, images: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
+        """The values of the terms (T,), and the derivative (N, H, W) of their sum weighted by the factors."""
+        self._images.copy_(images)
+        for i, factor in enumerate(factors):
+            # A number in a launch, where a tensor would have to be sent to the GPU.
+            if factor != self._known[i]:
+                self._factors[i].fill_(factor)
+                self._known[i] = factor
+        self._graph.replay()
+        return self._values.clone(), self._derivative.clone()
