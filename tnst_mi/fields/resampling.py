@@ -1,15 +1,28 @@
 """Resampling fields between octaves at the same physical positions.
 
 Every octave is a grid of cubic cells that shares the centre of the full grid, so cell i of n cells of size h lies at
-(i − (n − 1)/2) h on its axis. Resampling is separable: one small interpolation matrix per axis, applied in numpy. It
-runs once per octave and is not differentiated.
+(i − (n − 1)/2) h on its axis. Resampling is separable: one small interpolation matrix per axis, which torch multiplies
+with the field on the device of the active variant. It runs once per octave and is not differentiated. Fields may be
+numpy arrays or Dr.Jit tensors; the result is of the same kind.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
+from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
+from tnst_mi.fields.kernels import opaque
+from tnst_mi.machine.lazy import LazyModule
+
+if TYPE_CHECKING:
+    import torch
+else:
+    torch = LazyModule("torch")
 
 
 def _source_coordinates(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
@@ -60,58 +73,69 @@ def prefilter_matrix(n: int, h_from: float, h_to: float) -> np.ndarray:
     return np.exp(-(offset**2) / (2 * variance)) / np.exp(-(reach**2) / (2 * variance)).sum()
 
 
-def _apply(field: np.ndarray, matrices: list[np.ndarray]) -> np.ndarray:
+def _apply(field: mi.TensorXf, matrices: list[np.ndarray]) -> mi.TensorXf:
+    values = field.torch()
     for axis, matrix in enumerate(matrices):
-        moved = np.tensordot(matrix.astype(np.float32), field, axes=(1, axis))
-        field = np.moveaxis(moved, 0, axis)
-    return np.ascontiguousarray(field, np.float32)
+        weights = torch.as_tensor(matrix, dtype=torch.float32).to(values.device)
+        moved = values.movedim(axis, 0)
+        values = (weights @ moved.flatten(1)).unflatten(1, moved.shape[1:]).movedim(0, axis)
+    return mi.TensorXf(values.contiguous())
 
 
-def resample_mask(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+def _unchanged(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> bool:
+    return tuple(field.shape[:3]) == tuple(shape) and h_from == h_to
+
+
+@any_array_kind("field")
+def resample_mask(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear interpolation, clamped to ≥ 0.
 
     The field is 0 outside its grid, except along an axis of one cell, along which nothing varies. Cell sizes are in
     full-resolution cells.
     """
-    if tuple(field.shape) == tuple(shape) and h_from == h_to:
-        return np.ascontiguousarray(field, np.float32)
+    if _unchanged(field, h_from, shape, h_to):
+        return field
     matrices = [
         np.eye(1) if n == m == 1 else linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
         for n, m in zip(field.shape, shape, strict=True)
     ]
-    return np.maximum(_apply(field, matrices), 0)
+    return dr.maximum(_apply(field, matrices), 0)
 
 
-def resample_density(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+@any_array_kind("field")
+def resample_density(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a density (D, H, W) to another octave, like a mask.
 
     Smoke of one cell along an axis is one cell thick, so its density must decrease as cells grow: images then keep
     their brightness.
     """
     flat = sum(n == m == 1 for n, m in zip(field.shape, shape, strict=True))
-    return resample_mask(field, h_from, shape, h_to) * np.float32((h_from / h_to) ** flat)
+    resampled = resample_mask(field, h_from, shape, h_to)
+    return resampled * opaque((h_from / h_to) ** flat) if flat else resampled
 
 
-def resample_potential(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+@any_array_kind("field")
+def resample_potential(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a potential (D, H, W) or (D, H, W, 3) to another octave with cubic interpolation.
 
     Values outside the grid repeat the border. Potentials are stored in full-resolution cells² at every octave, so no
     scaling is needed. Cell sizes are in full-resolution cells.
     """
-    if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
-        return np.ascontiguousarray(field, np.float32)
+    if _unchanged(field, h_from, shape, h_to):
+        return field
     pairs = list(zip(field.shape[:3], shape, strict=True))
     return _apply(field, [cubic_matrix(n, h_from, m, h_to) for n, m in pairs])
 
 
-def resample_velocity(field: np.ndarray, h_from: float, shape: Shape, h_to: float) -> np.ndarray:
+@any_array_kind("field")
+def resample_velocity(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, per component.
 
     Values outside the grid repeat the border. Velocities are in full-resolution cells per frame at every octave, so no
     scaling is needed. Cell sizes are in full-resolution cells.
     """
-    if tuple(field.shape[:3]) == tuple(shape) and h_from == h_to:
-        return np.ascontiguousarray(field, np.float32)
+    if _unchanged(field, h_from, shape, h_to):
+        return field
     matrices = []
     for n, m in zip(field.shape[:3], shape, strict=True):
         matrix = linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)

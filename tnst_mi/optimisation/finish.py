@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.advection import advect
+from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.parameterisation import Transport
@@ -29,23 +30,25 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         return _unchanged(source, frame)
     full, parameterisation = items.plan.octaves[-1], frame.parameterisation
     fields = parameterisation.carried(items.fields(frame), items.octave, full)
+    unstylized = mi.TensorXf(source.density)
+    solid = None if source.obstacle is None else mi.Bool(source.obstacle.ravel())
     with dr.suspend_grad():
         if isinstance(parameterisation, Transport):
-            velocity = parameterisation.velocity(fields, full.cell_size).numpy()
+            velocity = parameterisation.velocity(fields, full.cell_size)
         else:
-            velocity = np.zeros((*source.density.shape, 3), np.float32)
-        if isinstance(parameterisation, Transport) and source.obstacle is not None:
+            velocity = dr.zeros(mi.TensorXf, (*source.density.shape, 3))
+        if isinstance(parameterisation, Transport) and solid is not None:
             # Potentials do not change inside a solid, but those around it produce velocities one cell into it.
-            velocity[source.obstacle] = 0
-            density = advect(source.density, velocity, steps=frame.recipe.steps)
+            components = dr.select(solid, mi.Vector3f(0), dr.unravel(mi.Vector3f, velocity.array))
+            velocity = mi.TensorXf(dr.ravel(components), tuple(velocity.shape))
+            density = advect(unstylized, velocity, steps=frame.recipe.steps)
         else:
-            density = parameterisation.density(fields, mi.TensorXf(source.density), full.cell_size).numpy()
-    if source.obstacle is not None:
-        density = np.where(source.obstacle, source.density, density)
-    blend = frame.recipe.blend
-    blended = (1.0 - blend) * source.density + blend * np.maximum(density, 0)
+            density = parameterisation.density(fields, unstylized, full.cell_size)
+    blend, before = opaque(frame.recipe.blend), unstylized.array
+    after = density.array if solid is None else dr.select(solid, before, density.array)
+    blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape)
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
-    return Stylized(blended.astype(np.float32), velocity, (phi, psi))
+    return Stylized(blended.numpy(), velocity.numpy(), (phi, psi))
 
 
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:

@@ -57,7 +57,7 @@ class Parameterisation(ABC):
         """Fields of one octave, resampled to the grid of another."""
         return Fields(
             {
-                name: mi.TensorXf(resample_potential(field.numpy(), source.cell_size, target.shape, target.cell_size))
+                name: resample_potential(field, source.cell_size, target.shape, target.cell_size)
                 for name, field in fields.items()
             }
         )

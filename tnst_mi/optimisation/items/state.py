@@ -110,16 +110,17 @@ class Items:
         group, grid = self._group("inputs"), self.octave
         if self._store.generation(group, frame.index) >= 0:
             return
-        mask = soft_mask(source.density, source.obstacle, self.plan.recipe.mask_strength)
+        density = mi.TensorXf(source.density)
+        mask = soft_mask(density, source.obstacle, self.plan.recipe.mask_strength)
         arrays = {
-            "density": resample_density(source.density, 1.0, grid.shape, grid.cell_size),
-            "mask": resample_mask(mask, 1.0, grid.shape, grid.cell_size).astype(np.float16),
+            "density": resample_density(density, 1.0, grid.shape, grid.cell_size),
+            "mask": mi.TensorXf16(resample_mask(mask, 1.0, grid.shape, grid.cell_size)),
         }
         if self.plan.window > 1 and frame.index + 1 < len(self.plan.frames):
             if source.velocity is None:
                 raise InputError(f"{frame.name}: has no velocity, which a window of {self.plan.window} frames needs")
-            velocity = resample_velocity(source.velocity, 1.0, grid.shape, grid.cell_size)
-            arrays["velocity"] = velocity.astype(np.float16)
+            velocity = mi.TensorXf(source.velocity)
+            arrays["velocity"] = mi.TensorXf16(resample_velocity(velocity, 1.0, grid.shape, grid.cell_size))
         self._store.write(group, frame.index, 0, arrays)
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
