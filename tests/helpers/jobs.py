@@ -35,11 +35,14 @@ class FakeOptimiser:
     failure: BaseException | None = None
     interrupted: bool = False
 
-    def __call__(self, plan: Plan, frames: Sequence[Frame], network: object, store: Store) -> FakeOptimiser:
+    def __call__(
+        self, plan: Plan, frames: Sequence[Frame], network: object, store: Store, cache_bytes: int = 0
+    ) -> FakeOptimiser:
         assert [frame.name for frame in frames] == [frame.name for frame in plan.frames]
         self.frames, self.recipe, self.store, self.interrupted = frames, plan.recipe, store, False
         scales = [frame.step_scale for frame in plan.frames]
-        self.calls.append({"recipe": plan.recipe, "exposure": plan.exposure, "step_scales": scales})
+        call = {"recipe": plan.recipe, "exposure": plan.exposure, "step_scales": scales, "cache_bytes": cache_bytes}
+        self.calls.append(call)
         return self
 
     def run(

@@ -84,6 +84,18 @@ def test_a_gpu_variant_without_a_gpu_is_an_error(monkeypatch: pytest.MonkeyPatch
         tnst_mi.activate("cuda_ad_rgb")
 
 
+def test_a_gpu_that_torch_cannot_use_is_named_once_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dr, "has_backend", lambda kind: True)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    backend._announce_idle_gpu.cache_clear()
+    assert [backend._preferred_variant() for _ in range(2)] == ["llvm_ad_rgb"] * 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"warning: there is a GPU, but torch {torch.__version__} cannot use it: the CPU computes.")
+    assert "Install a CUDA build of torch" in line and "or choose the variant llvm_ad_rgb" in line
+
+
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="the system has no CPU affinity")
 def test_all_allowed_cores_and_no_others_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
     cores = len(os.sched_getaffinity(0))

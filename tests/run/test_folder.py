@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -47,6 +48,20 @@ def test_exposure_and_step_scale_are_those_of_the_whole_run(optimiser: FakeOptim
     (call,) = optimiser.calls
     assert call["exposure"] == pytest.approx(1.0 / brightest, rel=1e-4)
     assert call["step_scales"] == pytest.approx([pixel(0.2) / brightest, 1.0, 0.0], rel=1e-4)
+
+
+def test_the_device_is_said_first_and_half_of_the_memory_that_is_left_may_hold_items(
+    optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tnst_mi.run.prepare.free_bytes", lambda: 10 * 10**9)
+    prepared = prepare(frames(0.2, 0.4), RECIPE)
+    for _ in Run(prepared):
+        pass
+    (call,) = optimiser.calls
+    assert call["cache_bytes"] == prepared.cache_bytes
+    said = float(prepared.memory.split()[2]) * 1e9
+    assert prepared.cache_bytes == pytest.approx((10e9 - said) / 2, abs=5e7)
+    assert re.match(r"device: (CPU, \d+ threads \(llvm_ad_rgb\)|.* \(cuda_ad_rgb.*\))\n", capsys.readouterr().err)
 
 
 def test_an_empty_run_has_finite_numbers(optimiser: FakeOptimiser, tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_network import HEIGHT, WIDTH, SmallNetwork, views
+from small_network import HEIGHT, WIDTH, SmallNetwork
+from small_network import views as random_views
 
 import tnst_mi
 from tnst_mi.errors import InputError
@@ -38,8 +39,9 @@ def test_a_run_takes_about_what_was_said() -> None:
     assert int(done.stdout) == pytest.approx(1e9 * said, rel=0.2)
 
 
-def test_what_would_fit_does_and_no_more() -> None:
-    need = Need((100, 150, 120), by_cell=100.0, by_pixel=2000.0)
+@pytest.mark.parametrize("views", [0, 9])
+def test_what_would_fit_does_and_no_more(views: int) -> None:
+    need = Need((100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=views)
     free = (memory.PROCESS + need.total) // 2
     shape = need.largest_that_fits(free)
     assert replace(need, shape=shape).total <= free
@@ -86,7 +88,7 @@ def test_views_in_parts_have_the_value_and_gradient_of_all(
     at_once = objective.views_at_once(count, whole.saved_bytes)
     assert -(-count // at_once) == parts
 
-    images = views(count).requires_grad_()
+    images = random_views(count).requires_grad_()
     (expected,) = torch.autograd.grad(whole(images), images)
     net.asked.clear()
     # As a device that is no CPU would have it.

@@ -250,7 +250,8 @@ class BoundObjective:
         for part in self._parts(images):
             losses, views = self._losses(images[part], True)
             for name, loss in losses.items():
-                (gradient,) = torch.autograd.grad(loss, views, retain_graph=True)
+                # The last one need not keep what is saved for the others.
+                (gradient,) = torch.autograd.grad(loss, views, retain_graph=name != self.names[-1])
                 sums[name] += gradient.double().square().sum().item()
         return {name: (square_sum, images.numel()) for name, square_sum in sums.items()}
 

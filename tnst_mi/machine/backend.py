@@ -5,6 +5,7 @@ Everything that depends on the machine is decided here, so that no other module 
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -58,7 +59,22 @@ def activate(variant: str | None = None) -> str:
 
 def _preferred_variant() -> str:
     """The GPU variant if both Dr.Jit and torch can use a GPU, else the CPU variant."""
-    return VARIANTS[0] if dr.has_backend(dr.JitBackend.CUDA) and torch.cuda.is_available() else VARIANTS[1]
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        return VARIANTS[1]
+    if torch.cuda.is_available():
+        return VARIANTS[0]
+    _announce_idle_gpu()
+    return VARIANTS[1]
+
+
+@functools.cache
+def _announce_idle_gpu() -> None:
+    """Report on stderr, once per process, that torch cannot use the GPU that Dr.Jit finds."""
+    print(
+        f"warning: there is a GPU, but torch {torch.__version__} cannot use it: the CPU computes. Install a CUDA build "
+        "of torch (https://pytorch.org/get-started/locally), or choose the variant llvm_ad_rgb",
+        file=sys.stderr,
+    )
 
 
 def _share_threads() -> None:

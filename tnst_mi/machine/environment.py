@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 import subprocess
 import sys
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import psutil
 
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.llvm import llvm_library
 from tnst_mi.resources import VERSION
 
+if TYPE_CHECKING:
+    import torch
+else:
+    torch = LazyModule("torch")
+
 if sys.platform != "win32":
     import resource
+
+#: The environment variable that tells CUDA, and so both Dr.Jit and torch, which GPUs there are.
+VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 _PACKAGES = ("mitsuba", "drjit", "torch", "numpy")
 
@@ -53,7 +64,8 @@ def gpus() -> list[dict[str, str]]:
 def device(variant: str) -> dict[str, object]:
     """The device that a variant computes on, for the run's record."""
     if variant.startswith("cuda"):
-        return {"variant": variant, "gpus": gpus()}
+        used, visible = torch.cuda.get_device_name(), os.environ.get(VISIBLE)
+        return {"variant": variant, "gpu": used, VISIBLE: visible, "gpus": gpus()}
     llvm = llvm_library()
     return {
         "variant": variant,
@@ -61,6 +73,15 @@ def device(variant: str) -> dict[str, object]:
         "threads": dr.thread_count(),
         "llvm": None if llvm is None else {"path": str(llvm.path), "version": llvm.version},
     }
+
+
+def device_line(variant: str) -> str:
+    """The same in one line, for people."""
+    if not variant.startswith("cuda"):
+        return f"CPU, {dr.thread_count()} threads ({variant})"
+    visible = os.environ.get(VISIBLE)
+    chosen = "" if visible is None else f", {VISIBLE}={visible}"
+    return f"{torch.cuda.get_device_name()} ({variant}{chosen})"
 
 
 def peak_memory() -> int | None:

@@ -50,15 +50,21 @@ def algorithm_1(
     """Optimise the fields of all frames; yield each, with the finest items and problem, once its fields are final."""
     for level in levels_left(plan, store):
         items = entered(plan, level, frames, store, turns.each)
-        problem = calibrated(plan, items, network, store, turns.each)
-        for group in turns.groups(items):
-            for k in range(plan.recipe.iterations):
-                for f in turns.steps_due(group, items, k):
-                    items.put_step(f.frame, k, own_step(plan, f, level, problem, k))
-                for f in turns.fields_due(group, items, k):
-                    items.put_fields(f.frame, k + 1, f.fields - window_average(plan, f, items))
-            if items.octave is plan.octaves[-1]:
-                yield from ((f, items, problem) for f in group)
+        yield from iterated(plan, items, calibrated(plan, items, network, store, turns.each), turns)
+
+
+def iterated(
+    plan: Plan, items: Items, problem: OctaveProblem, turns: Turns
+) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
+    """The iterations of one octave; if it is the finest, yields each frame after its last."""
+    for group in turns.groups(items):
+        for k in range(plan.recipe.iterations):
+            for f in turns.steps_due(group, items, k):
+                items.put_step(f.frame, k, own_step(plan, f, items.level, problem, k))
+            for f in turns.fields_due(group, items, k):
+                items.put_fields(f.frame, k + 1, f.fields - window_average(plan, f, items))
+        if items.octave is plan.octaves[-1]:
+            yield from ((f, items, problem) for f in group)
 
 
 def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:

@@ -27,9 +27,10 @@ from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.march.medium import GridMedium
 from tnst_mi.rendering.scene import medium_description, view_distance
 
-#: Limit in bytes of the adjoint samples that a GPU stores at once, of as many views as that allows: launches of single
-#: views take the host longer than the GPU. On a CPU it is one view, whose samples fit the caches better.
-_LARGEST_SAMPLES = 1 << 30
+#: Limit in bytes of the adjoint samples that a GPU stores at once, of as many views as that allows: where grids are
+#: small, launches of single views take the host longer than the GPU. On a CPU it is always one view, whose samples fit
+#: the caches better.
+LARGEST_SAMPLES = 1 << 28
 
 
 class Renderer(ABC):
@@ -150,11 +151,7 @@ class EmissionAbsorptionRenderer(Renderer):
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
-        if not on_gpu():
-            return 1
-        depth, rows, columns = self.shape
-        by_view = 4 * rows * columns * math.ceil(math.hypot(depth, rows, columns))
-        return max(1, min(count, _LARGEST_SAMPLES // by_view))
+        return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape))) if on_gpu() else 1
 
     def _rays(self, views: Sequence[View]) -> OrthographicRays:
         _, rows, columns = self.shape
@@ -177,6 +174,12 @@ class EmissionAbsorptionRenderer(Renderer):
         """Call the integrator for some rays directly, without a film."""
         adjoint = {"state_in": None, "δL": None} | adjoint
         return self._integrator.sample(mode, self._medium, None, rays, active=mi.Bool(True), **adjoint)[0][0]
+
+
+def view_samples(shape: Shape) -> int:
+    """Bytes of the adjoint samples of one view of a grid (D, H, W), at most."""
+    _, rows, columns = shape
+    return 4 * rows * columns * math.ceil(math.hypot(*shape))
 
 
 @functools.lru_cache(maxsize=6)

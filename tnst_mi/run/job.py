@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from tnst_mi.errors import StoppedError
@@ -68,7 +69,8 @@ class Run(Iterator[StylizedFrame]):
     """
 
     def __init__(self, prepared: Prepared, progress: bool = True, optimiser: Optimiser | None = None) -> None:
-        self.prepared, self._optimiser = prepared, optimiser or SequenceOptimisation
+        self.prepared = prepared
+        self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
         self._bar = ProgressBar(progress)
         self._frames = self._stylized()
@@ -135,8 +137,9 @@ class Run(Iterator[StylizedFrame]):
             self._conclude(folder)
 
     def _announce(self) -> None:
-        """Report the network and the memory of the run, and what in its recipe has no effect."""
+        """Report the device, the network and the memory of the run, and what in its recipe has no effect."""
         prepared, network = self.prepared, self.prepared.network
+        self._bar.say(f"device: {environment.device_line(prepared.record['device']['variant'])}")
         self._bar.say(f"network: {network.model.flavour}, {network.model.source}")
         self._bar.say(prepared.memory)
         if network.fallback:

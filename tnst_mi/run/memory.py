@@ -12,21 +12,43 @@ from tnst_mi.losses.objective import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
-
-# Measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md): the peak resident size, less what
-# the network takes up, is linear in the number of cells for each parameterisation.
+from tnst_mi.rendering.renderer import LARGEST_SAMPLES, view_samples
 
 #: Bytes of a process that has loaded Mitsuba, Dr.Jit, LLVM, torch and a GoogLeNet, and compiled its kernels.
 PROCESS = 450_000_000
 
-#: Bytes per cell of the finest grid (density, mask, images' derivatives, transport, result), and per component.
-_TRANSPORT_CELL, _TRANSPORT_COMPONENT, _DENSITY_CELL = 55, 27, 55
 
-#: Bytes per cell, and per component, that a window adds: velocity, gain, sums, and an item that is read ahead.
-_WINDOW_CELL, _WINDOW_COMPONENT = 50, 16
+@dataclass(frozen=True)
+class Costs:
+    """What a kind of device takes, in bytes.
 
-#: The network's evaluation takes more than what autograd saves: gradients, and a convolution's columns, per pixel.
-_NETWORK_FACTOR, _NETWORK_PIXEL = 1.2, 1000
+    Attributes:
+        process: what a run takes whatever its grid.
+        transport_cell, transport_component: per cell of the finest grid (density, mask, the images' derivatives,
+            transport, result), and per component of the fields.
+        density_cell: the same where density values are optimised.
+        window_cell, window_component: what a window adds: velocity, gain, sums, and an item that is read ahead.
+        network_factor, network_pixel: the network's evaluation takes more than what autograd saves: gradients and
+            workspaces as a factor, a convolution's columns per pixel.
+    """
+
+    process: int
+    transport_cell: int
+    transport_component: int
+    density_cell: int
+    window_cell: int
+    window_component: int
+    network_factor: float
+    network_pixel: int
+
+
+#: By kind of device. CPU: measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md); the peak
+#: resident size, less what the network takes, is linear in the number of cells for each parameterisation. GPU: measured
+#: with scripts/measure_gpu.py on an H100 (docs/gpu.md).
+COSTS = {
+    "cpu": Costs(PROCESS, 55, 27, 55, 50, 16, 1.2, 1000),
+    "cuda": Costs(600_000_000, 20, 40, 30, 50, 16, 1.6, 0),
+}
 
 
 @dataclass(frozen=True)
@@ -35,19 +57,25 @@ class Need:
 
     Attributes:
         shape: (D, H, W) of the finest grid.
+        fixed: whatever the grid.
         by_cell: of the grids, per cell; with the state of all frames, if that is not on disk.
         by_pixel: of the network, per pixel of an image, for all views of a batch.
+        views: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
     """
 
     shape: tuple[int, int, int]
+    fixed: int
     by_cell: float
     by_pixel: float
+    views: int = 0
 
     @property
     def total(self) -> int:
-        """The sum, including the process itself."""
+        """The sum."""
         depth, height, width = self.shape
-        return PROCESS + int(height * width * (self.by_cell * depth + self.by_pixel))
+        samples = view_samples(self.shape)
+        samples = min(self.views * samples, max(samples, LARGEST_SAMPLES))
+        return self.fixed + samples + int(height * width * (self.by_cell * depth + self.by_pixel))
 
     def largest_that_fits(self, free: int) -> tuple[int, int, int] | None:
         """The largest grid (D, H, W) of these proportions that needs no more than `free` bytes; None if none does."""
@@ -69,17 +97,18 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    components = recipe.components
-    by_cell = _TRANSPORT_CELL + _TRANSPORT_COMPONENT * components
+    costs, components, views = COSTS[torch_device().type], recipe.components, 0
+    by_cell: float = costs.transport_cell + costs.transport_component * components
     if recipe.parameterisation == "density":
-        by_cell = _DENSITY_CELL
+        by_cell = costs.density_cell
     if recipe.window > 1:
-        by_cell += _WINDOW_CELL + _WINDOW_COMPONENT * components
+        by_cell += costs.window_cell + costs.window_component * components
     if torch_device().type != "cpu":
-        saved *= views_at_once(recipe.views, saved * shape[1] * shape[2])
+        views = recipe.views
+        saved *= views_at_once(views, saved * shape[1] * shape[2])
     elif not on_disk:
         by_cell += working_bytes(shape, count, recipe) / math.prod(shape)
-    return Need(shape, by_cell, _NETWORK_FACTOR * saved + _NETWORK_PIXEL)
+    return Need(shape, costs.process, by_cell, costs.network_factor * saved + costs.network_pixel, views)
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:

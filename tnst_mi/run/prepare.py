@@ -60,6 +60,7 @@ class Prepared:
         network: judges the images.
         plan: of the optimisation.
         memory: a line that says how much of it the run takes.
+        cache_bytes: memory that a run may take besides, so that a window need not be read again for every frame.
         out: the folder of the results, or None.
         suffix: file suffix of the results, of the recipe's format or else of the input's.
         overwrite: whether a run in `out` is replaced.
@@ -72,6 +73,7 @@ class Prepared:
     network: Network
     plan: Plan
     memory: str
+    cache_bytes: int
     out: Path | None
     suffix: str
     overwrite: bool
@@ -143,7 +145,8 @@ def prepare(
     objective = objective_of(recipe)
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))
     saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
-    memory = require_memory(needed(shape, recipe, len(sequence), saved, out is not None), free_bytes())
+    need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
+    memory = require_memory(need, free)
     measures = measured(sequence, recipe)
     require_coherent(measures, recipe)
     suffix = _suffix(recipe, sequence)
@@ -180,7 +183,9 @@ def prepare(
         shape,
         record["exposure"],
     )
-    return Prepared(recipe, sequence, measures, network, plan, memory, out, suffix, overwrite, record)
+    return Prepared(
+        recipe, sequence, measures, network, plan, memory, (free - need.total) // 2, out, suffix, overwrite, record
+    )
 
 
 def _remedy(out: Path) -> str:
