@@ -7,6 +7,8 @@ parts      transport, rendering and both together, forward and backward, for one
 iteration  a whole iteration of a style recipe with 9 views, ours and PyTorch's
 scaling    transport and rendering against the number of cells, views and threads, and an iteration of a sequence
            against its window, with the fitted exponents
+sequence   an iteration of a frame of nine (64×96×64 cells, one view) with a window of 9, its state in a folder:
+           seconds, and bytes read from there
 floor      a lower bound for each part: bytes that must move, or operations that must be done, over this machine's
            bandwidth or rate
 frame      a whole frame of the paper's size: 200×300×200 cells, semantic recipe, 3 octaves × 20 iterations × 9 views
@@ -23,8 +25,9 @@ import tnst_mi  # first: it lets torch's idle threads sleep
 import argparse
 import json
 import statistics
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +38,13 @@ import torch
 from peers import torch_peer
 from peers.sides import GAMMA, Iteration, Ours, PlainDrJit, Torch, wavy_potential
 
-from tnst_mi.fields.resampling import resample_density
+from tnst_mi.fields.resampling import resample_density, resample_velocity
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
-from tnst_mi.optimisation.items.store import MemoryStore
+from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.optimisation.runner import SequenceOptimisation
@@ -170,6 +173,54 @@ def windowed(window: int, weights: str | None) -> dict[str, float]:
     return {"window": window, "seconds": float(np.median(np.diff(passed[1:]))) / turns}
 
 
+def jet(shape: tuple[int, int, int]) -> list[tnst_mi.Frame]:
+    """The nine frames of the bundled jet, resampled to a shape of the same proportions."""
+    frames = []
+    for frame in tnst_mi.load_frames(SCENES / "smokejet"):
+        finer = shape[1] / frame.density.shape[1]
+        density = resample_density(frame.density, 1.0, shape, 1 / finer)
+        velocity = finer * resample_velocity(frame.velocity, 1.0, shape, 1 / finer)
+        frames.append(tnst_mi.Frame(density, velocity=velocity, name=frame.name, number=frame.number))
+    return frames
+
+
+class CountingStore(FolderStore):
+    """Counts the bytes that are read."""
+
+    read_bytes = 0
+
+    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
+        """See `Store`."""
+        found = super().read(group, frame, names)
+        self.read_bytes += sum(array.nbytes for array in found.values())
+        return found
+
+
+def sequence(weights: str | None, shape: tuple[int, int, int] = (64, 96, 64), views: int = 1) -> dict[str, float]:
+    """Seconds and bytes read from the store by iteration of a frame, in a sequence of nine with a window of 9."""
+    frames = jet(shape)
+    recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": views, "iterations": 6, "window": 9})
+    names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
+    exposure = 1 / float(tnst_mi.render(frames[0].density, gamma=GAMMA).max())
+    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), shape, exposure)
+    with tempfile.TemporaryDirectory() as folder:
+        store = CountingStore(Path(folder))
+        passed: list[tuple[float, int]] = []
+
+        def note(progress: Progress) -> None:
+            if progress.frame == names[0]:
+                passed.append((time.perf_counter(), store.read_bytes))
+
+        # A budget that a run would find on a machine with a few GB to spare.
+        for _ in SequenceOptimisation(plan, frames, GoogLeNet.load(weights), store, 4 << 30).run(note):
+            pass
+    # The first iteration compiles kernels.
+    seconds, read = np.diff(np.array(passed[1:]), axis=0).T / len(frames)
+    found = {"seconds": float(np.median(seconds)), "bytes_read": float(np.mean(read))}
+    print(f"  {1e3 * found['seconds']:.1f} ms and {found['bytes_read'] / 1e6:.1f} MB read by iteration of a frame")
+    return found
+
+
 def memory() -> dict[str, int | None]:
     """Peak bytes held by the process, by Dr.Jit, and by torch on a GPU."""
     on_gpu = mi.variant().startswith("cuda")
@@ -260,8 +311,8 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
 def chosen(only: str) -> Iterator[str]:
     """The requested sections."""
     for name in only.split(","):
-        if name not in ("parts", "iteration", "scaling", "floor", "frame"):
-            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling, floor or frame")
+        if name not in ("parts", "iteration", "scaling", "sequence", "floor", "frame"):
+            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling, sequence, floor or frame")
         yield name
 
 
@@ -271,7 +322,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128, help="cells along x; H is 3/2 of it (default 128)")
     parser.add_argument("--repeat", type=int, default=7, help="timed calls of each part (default 7)")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
-    parser.add_argument("--only", default="parts,iteration,scaling,floor", help="default: all but frame")
+    parser.add_argument("--only", default="parts,iteration,scaling,sequence,floor", help="default: all but frame")
     parser.add_argument("--out", type=Path, help="folder for benchmark.json and scaling.png")
     arguments = parser.parse_args()
     variant = tnst_mi.activate()
@@ -283,6 +334,7 @@ def main() -> None:
             "parts": lambda: parts(arguments.size, arguments.repeat),
             "iteration": lambda: iteration(arguments.size, arguments.weights, max(1, arguments.repeat // 3)),
             "scaling": lambda: scaling(arguments.weights, arguments.repeat),
+            "sequence": lambda: sequence(arguments.weights),
             "floor": lambda: floor(arguments.size, arguments.weights, arguments.repeat),
             "frame": lambda: frame(arguments.weights),
         }[name]()

@@ -9,8 +9,11 @@ agreement    the first iteration of a semantic recipe on the bundled frame again
              L2 differences of each stage's output for the CPU's input, and end to end; whether bits repeat
 paper        a frame of the paper's size (200×300×200, 3 octaves × 20 iterations × 9 views) after a warm-up: seconds
              per octave, memory of both allocators
-kernels      an iteration of that size: milliseconds of its phases, and of Dr.Jit's kernels
-sequence     nine frames of 64×96×64 cells with a window of 9, state in a folder: seconds per frame and iteration
+kernels      an iteration of that size, and of its coarsest octave's: milliseconds of its phases; Dr.Jit's kernels with
+             their milliseconds, instructions, loads and stores
+sequence     nine frames of 64×96×64 and of 128×192×128 cells with a window of 9 and 9 views, state in a folder: seconds
+             per frame and iteration, alone and as one of three processes at a time
+memory       peak bytes of both allocators for each parameterisation at three sizes: what run/memory is made from
 large        a frame of 400×600×400 cells with one iteration in each octave
 precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and the
              cosine between the derivative and that of float32
@@ -69,7 +72,8 @@ PARTS = {
     "agreement": 60,
     "paper": 150,
     "kernels": 90,
-    "sequence": 120,
+    "sequence": 90,
+    "memory": 100,
     "large": 90,
     "precision": 60,
     "peer": 90,
@@ -196,8 +200,11 @@ def paper(options: argparse.Namespace) -> Result:
 
 
 def kernels(options: argparse.Namespace) -> Result:
-    """The phases and kernels of an iteration at the paper's size."""
-    return iteration_kernels(options, paper_shape(options), 1 if options.dry_run else 9)
+    """The phases and kernels of an iteration at the paper's size, and at that of its coarsest octave."""
+    views = 1 if options.dry_run else 9
+    fine = iteration_kernels(options, paper_shape(options), views)
+    coarse = iteration_kernels(options, (24, 36, 24) if options.dry_run else (64, 92, 64), views)
+    return {"fine": fine, "coarse": {name: coarse[name] for name in ("milliseconds", "launches")}}
 
 
 def paper_shape(options: argparse.Namespace) -> tuple[int, int, int]:
@@ -300,10 +307,25 @@ def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], 
         row["launches"] += 1
         row["milliseconds"] += float(entry.get("execution_time", 0.0))
         row["width"] = max(row["width"], int(entry.get("size", 0)))
-        if "operation_count" in entry:
-            row["operations"] = int(entry["operation_count"])
+        if "ir" in entry:
+            row |= instructions(entry["ir"].getvalue())
     longest = sorted(kernels.items(), key=lambda item: -item[1]["milliseconds"])
     return {"milliseconds": milliseconds, "launches": len(history), "longest": dict(longest[:24])}
+
+
+#: In PTX and in LLVM's language, what begins an instruction that reads or writes an array.
+_LOADS = ("ld.global", "ldu.global", "@llvm.masked.gather", "load <")
+_STORES = ("st.global", "red.", "atom.", "@llvm.masked.scatter", "store <")
+
+
+def instructions(code: str) -> dict[str, int]:
+    """Number of lines of a kernel's code, and how many of them read and write arrays."""
+    lines = [line for line in code.splitlines() if not line.lstrip().startswith("declare")]
+    return {
+        "instructions": len(lines),
+        "loads": sum(any(word in line for word in _LOADS) for line in lines),
+        "stores": sum(any(word in line for word in _STORES) for line in lines),
+    }
 
 
 def median_milliseconds(task: Callable[[], object], repeat: int = 7) -> float:
@@ -326,22 +348,66 @@ def median_milliseconds(task: Callable[[], object], repeat: int = 7) -> float:
 
 
 def sequence(options: argparse.Namespace) -> Result:
-    """Nine frames of the bundled jet with a window of 9, through `stylize`, with results and state in a folder."""
-    frames = tnst_mi.load_frames(ROOT / "scenes" / "smokejet")
-    iterations, octaves = (1, 1) if options.dry_run else (10, 2)
-    window = 3 if options.dry_run else 9
-    if options.dry_run:
-        frames = frames[:3]
-    recipe = tnst_mi.Recipe(
-        style=("flames",), octaves=octaves, iterations=iterations, window=window, weights=options.weights
-    )
+    """Nine frames with a window of 9: by iteration of a frame, alone, and as one of three processes at a time."""
+    from benchmark import sequence as measured
+
+    shapes, views = ([(16, 24, 16)], 1) if options.dry_run else ([(64, 96, 64), (128, 192, 128)], 9)
+    if options.beside:
+        return measured(options.weights, shapes[0], views)
+    found: Result = {"x".join(map(str, shape)): measured(options.weights, shape, views) for shape in shapes}
     with tempfile.TemporaryDirectory() as folder:
-        since = time.perf_counter()
-        tnst_mi.stylize(frames, recipe, out=Path(folder) / "out", progress=False)
-        seconds = time.perf_counter() - since
-        record = json.loads((Path(folder) / "out" / "run.json").read_text())
-    found = {"peak_memory_bytes": record["peak_memory_bytes"], "flicker": record["sequence"]["flicker"]}
-    return {"seconds": seconds, "by_frame_and_iteration": seconds / (len(frames) * iterations * octaves), "run": found}
+        outs = [Path(folder) / str(i) for i in range(3)]
+        for out in outs:
+            out.mkdir()
+        command = [sys.executable, __file__, *sys.argv[1:], "--beside", "--part", "sequence", "--out"]
+        processes = [subprocess.Popen([*command, str(out)], stdout=subprocess.DEVNULL) for out in outs]
+        if any(process.wait() for process in processes):
+            return found | {"failed": "one of three processes"}
+        beside = [json.loads((out / "sequence.json").read_text("utf-8"))["seconds"] for out in outs]
+    return found | {"three_at_a_time": beside}
+
+
+def memory(options: argparse.Namespace) -> Result:
+    """Peak bytes of both allocators, of a process for each parameterisation and size, beside the estimate."""
+    from benchmark import GAMMA, PAPER, bundled_density, jet
+    from benchmark import memory as peak
+
+    from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.optimisation.goals import objective_of
+    from tnst_mi.optimisation.items.store import MemoryStore
+    from tnst_mi.optimisation.plan import plan_of
+    from tnst_mi.optimisation.runner import SequenceOptimisation
+    from tnst_mi.optimisation.single_frame import optimise
+    from tnst_mi.run.memory import needed
+
+    kinds = {"scalar": {"lam": 1.0}, "vector": {"lam": 0.0}, "both": {"lam": 0.5}}
+    kinds |= {"density": {"lam": 1.0, "parameterisation": "density"}, "window": {"lam": 1.0, "window": 3}}
+    shapes = [(24, 36, 24)] if options.dry_run else [(96, 144, 96), (200, 300, 200), (280, 420, 280)]
+    if options.beside:
+        kind, number = options.beside.split(",")
+        shape = shapes[int(number)]
+        recipe = tnst_mi.Recipe.from_dict(PAPER | kinds[kind] | {"iterations": 2})
+        network = GoogLeNet.load(options.weights)
+        saved = objective_of(recipe).bind(network, *shape[1:]).saved_bytes / (shape[1] * shape[2])
+        if kind == "window":
+            frames = jet(shape)[:3]
+            plan = plan_of(recipe, [f.name for f in frames], [f.number for f in frames], [1.0] * 3, shape, GAMMA)
+            for _ in SequenceOptimisation(plan, frames, network, MemoryStore(), 0).run():
+                pass
+        else:
+            optimise(tnst_mi.Frame(bundled_density(shape)), recipe, network)
+        need = needed(shape, recipe, 1, saved, True)
+        return {"shape": shape, "estimate": need.total, "saved_by_pixel": saved, **peak()}
+    found: Result = {}
+    command = [sys.executable, __file__, *sys.argv[1:], "--part", "memory"]
+    for kind in kinds:
+        for number in range(len(shapes)):
+            with tempfile.TemporaryDirectory() as folder:
+                done = subprocess.run([*command, "--beside", f"{kind},{number}", "--out", folder], check=False)
+                if done.returncode:
+                    return found | {"failed": f"{kind}, {shapes[number]}"}
+                found[f"{kind} {number}"] = json.loads((Path(folder) / "memory.json").read_text("utf-8"))
+    return found
 
 
 def precision(options: argparse.Namespace) -> Result:
@@ -362,7 +428,6 @@ def precision(options: argparse.Namespace) -> Result:
     layouts = {"channels last": torch.channels_last, "contiguous": torch.contiguous_format}
     found: Result = {}
     for name, keys in (("semantic", PAPER), ("style", STYLE)):
-        bound = objective_of(tnst_mi.Recipe.from_dict(keys)).bind(network, *density.shape[1:])
         exact: torch.Tensor | None = None
         for kind, layout, at_once in itertools.product(("float32", "tf32", "bfloat16"), layouts, (9, 3, 1)):
             if layout != "channels last" and at_once != 9:
@@ -371,6 +436,8 @@ def precision(options: argparse.Namespace) -> Result:
             network.to(memory_format=layouts[layout])
             torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = kind == "tf32"
             cast = torch.autocast(pictures.device.type, torch.bfloat16, enabled=kind == "bfloat16")
+            # Bound anew, since a recorded evaluation keeps the precision that it was recorded with.
+            bound = objective_of(tnst_mi.Recipe.from_dict(keys)).bind(network, *density.shape[1:])
 
             def differentiate(bound: Any = bound, cast: Any = cast) -> torch.Tensor:
                 leaf = pictures.detach().requires_grad_()
@@ -496,6 +563,7 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=480.0, help="seconds for everything (default 480)")
     parser.add_argument("--dry-run", action="store_true", help="small grids on llvm_ad_rgb")
     parser.add_argument("--part", help=argparse.SUPPRESS)
+    parser.add_argument("--beside", nargs="?", const="yes", default="", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.dry_run:
         options.variant = "llvm_ad_rgb"
