@@ -294,7 +294,9 @@ def test_interrupted_run_goes_on_to_the_same_bits(window: int, stop: int, networ
     results = [result for _, result in again.run(lambda progress: done.append(progress.done), finished)]
     assert bits(results) == bits(expected[len(finished) :])
     # At most one iteration of one frame is done again; and the history is as if nothing had happened.
-    assert done == list(range(done[0], 13)) and done[0] in (stop, stop + 1)
+    # On a GPU, an iteration is reported when the next one has been launched.
+    later = mi.variant().startswith("cuda")
+    assert done == list(range(done[0], 13)) and done[0] in range(stop, stop + 2 + later)
     losses = [[entry["loss"] for entry in result.history] for result in results]
     assert losses == [[entry["loss"] for entry in result.history] for result in expected[len(finished) :]]
 
