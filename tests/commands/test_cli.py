@@ -165,14 +165,15 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[2:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
-    assert ran.errors[0] == "network: bvlc, none" and ran.errors[1].startswith("memory: about ")
+    assert (ran.code, ran.errors[3:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    said = [line.split(": ")[0] for line in ran.errors[:3]]
+    assert said == ["device", "network", "memory"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[2].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[3].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 3
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 4
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]

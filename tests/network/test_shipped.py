@@ -43,7 +43,7 @@ def test_a_run_without_other_weights_says_so_once(run: Run, smoke: Path, tmp_pat
     for out, told in (("a", [NOTICE]), ("b", [])):
         ran = run("stylize", smoke / "f_07.npz", "--out", tmp_path / out, "--style", "net", *SHORT)
         assert ran.code == 0, ran.errors
-        assert ran.errors[0] == f"network: patterns, {nothing_else}"
+        assert ran.errors[1] == f"network: patterns, {nothing_else}"
         assert [line for line in ran.errors if "ImageNet" in line] == told
         assert "ImageNet" not in ran.out
 

@@ -41,7 +41,8 @@ class HostCopy:
         return self._event is None or self._event.query()
 
     def numpy(self) -> np.ndarray:
-        """The copy."""
-        if self._event is not None:
-            self._event.synchronize()
-        return self._copy.numpy()
+        """The values. Pinned memory is scarce: they are copied once more, and it is free again with this object."""
+        if self._event is None:
+            return self._copy.numpy()
+        self._event.synchronize()
+        return self._copy.numpy().copy()
