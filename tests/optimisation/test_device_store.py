@@ -52,12 +52,12 @@ def store() -> Watched:
 
 @pytest.fixture
 def items(store: Watched) -> Iterator[DeviceStore]:
-    with closing(DeviceStore(store, 1000)) as items:
+    with closing(DeviceStore(store, 1280)) as items:
         yield items
 
 
-def half(value: float, count: int = 50) -> dict[str, mi.TensorXf16]:
-    """100 bytes."""
+def half(value: float, count: int = 64) -> dict[str, mi.TensorXf16]:
+    """128 bytes, of which ten fit."""
     return {"step": mi.TensorXf16(mi.TensorXf(np.full((count, 1, 1), value, np.float32)))}
 
 
@@ -93,10 +93,11 @@ def test_items_are_read_once_while_they_fit_and_the_oldest_make_room(store: Watc
 
 def test_an_item_larger_than_the_budget_is_not_kept(store: Watched, items: DeviceStore) -> None:
     items.write("step.0", 0, 1, half(1))
-    items.write("step.0", 1, 1, half(2, 501))
-    for _ in range(2):
-        assert items.read("step.0", 1, ["step"])["step"].numpy().sum() == 2 * 501
-    assert store.reads["step.0", 1, "step"] == 2
+    # 1026 bytes, for which 2048 are allocated.
+    items.write("step.0", 1, 1, half(2, 513))
+    for frame in (0, 1, 0, 1):
+        assert items.read("step.0", frame, ["step"])["step"].numpy()[0] == frame + 1
+    assert store.reads["step.0", 1, "step"] == 2 and store.reads["step.0", 0, "step"] == 0
 
 
 def test_a_new_generation_replaces_the_old_one_on_the_device(items: DeviceStore) -> None:
@@ -144,12 +145,50 @@ def test_removing_waits_for_what_is_being_written(store: Watched, items: DeviceS
         items.read("fields.0", 0, ["step"])
 
 
-def test_a_failed_write_is_not_forgotten(store: Watched) -> None:
-    items = DeviceStore(store, 1000)
-    store.full = True
+def test_nothing_is_written_after_what_could_not_be(store: Watched) -> None:
+    """Fields that do not fit on the disk, followed by steps that do and belong to other fields."""
+    items = DeviceStore(store, 1280)
     items.write("step.0", 0, 1, half(1))
+    items.finish()
+    store.full = True
+    items.write("fields.0", 0, 2, half(2))
+    with pytest.raises(OSError, match="no space left"):
+        items.finish()
+    store.full = False
+    with pytest.raises(OSError, match="no space left"):
+        for generation in range(2, 9):
+            items.write("step.0", 0, generation, half(generation))
     with pytest.raises(OSError, match="no space left"):
         items.close()
+    assert store.writes == [("step.0", 0, 1)]
+
+
+@pytest.mark.parametrize("waiter", ["finish", "write"])
+def test_an_item_is_waited_for_while_others_wait_for_it_too(store: Watched, waiter: str) -> None:
+    """Read ahead, in a thread, while the main thread waits for that very write."""
+    with closing(DeviceStore(store, 0)) as items:
+        items.write("fields.0", 0, 1, half(1))
+        items.finish()
+        store.open.clear()
+        items.write("fields.0", 0, 2, half(2))
+        found: list[float] = []
+        reading = threading.Thread(
+            target=lambda: found.append(store_value(items, threading.Event().wait(0.2))), daemon=True
+        )
+        reading.start()
+        threading.Timer(0.5, store.open.set).start()
+        if waiter == "finish":
+            items.finish()
+        else:
+            for frame in range(1, 8):
+                items.write("fields.0", frame, 1, half(frame))
+        reading.join(10)
+    assert found == [2.0]
+
+
+def store_value(items: DeviceStore, _: object) -> float:
+    """What read-ahead loads of the item, once the main thread waits for its writing."""
+    return float(items._load(("fields.0", 0, ["step"]))["step"][0, 0, 0])
 
 
 def test_damaged_items_are_named_when_they_are_read_ahead(tmp_path: Path) -> None:
@@ -158,7 +197,7 @@ def test_damaged_items_are_named_when_they_are_read_ahead(tmp_path: Path) -> Non
         store.write("step.0", frame, 1, {"step": np.zeros(3, np.float16)})
     path = tmp_path / "step.0" / "000001.000001.safetensors"
     path.write_bytes(path.read_bytes()[:-2])
-    with closing(DeviceStore(store, 1000)) as items:
+    with closing(DeviceStore(store, 1280)) as items:
         results = items.read_each([[("step.0", frame, ["step"])] for frame in range(2)])
         next(results)
         with pytest.raises(InputError, match=r"000001\.000001\.safetensors: damaged"):
@@ -181,12 +220,12 @@ def test_reading_is_one_group_ahead_and_no_more(store: Watched, items: DeviceSto
 
 
 def two(value: float) -> dict[str, mi.TensorXf16 | mi.TensorXf]:
-    """100 and 200 bytes."""
-    return half(value) | {"density": mi.TensorXf(np.full((50, 1, 1), -value, np.float32))}
+    """128 and 256 bytes."""
+    return half(value) | {"density": mi.TensorXf(np.full((64, 1, 1), -value, np.float32))}
 
 
 @given(
-    st.integers(0, 1300),
+    st.integers(0, 1700),
     st.lists(
         st.tuples(st.sampled_from(["write", "read", "remove"]), st.integers(0, 1), st.integers(0, 3)), max_size=25
     ),

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
-from crossings import count_reads
+import torch
+from crossings import counted_reads
 from moving_smoke import moving_smoke
 from networks import random_googlenet
 from torch import nan
@@ -19,7 +22,6 @@ from torch import nan
 from tnst_mi.errors import InputError
 from tnst_mi.machine.host_copy import HostCopy
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation import algorithm
 from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import plan_of
@@ -53,63 +55,67 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(HostCopy, "ready", property(lambda _: False))
 
 
-@pytest.mark.parametrize(("count", "window"), [(1, 1), (3, 3)])
-def test_an_iteration_reads_nothing_but_its_loss(
-    count: int, window: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("count", "window", "coherence"), [(1, 1, 0.0), (3, 3, 0.0), (3, 3, 0.5)])
+def test_an_iteration_reads_nothing_but_its_loss_and_waits_for_nothing_but_torch(
+    count: int, window: int, coherence: float, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """From the first report to the last: three iterations of each frame but for the first one's own step."""
     as_on_a_gpu(monkeypatch)
-    by_iteration: list[Counter[str]] = []
-    with monkeypatch.context() as patch:
-        reads = count_reads(patch)
+    reports, found = 4 * count, list[Counter[str]]()
+    with ExitStack() as counting:
 
-        def note(_: Progress) -> None:
-            by_iteration.append(reads.copy())
-            reads.clear()
+        def note(progress: Progress) -> None:
+            nonlocal reports
+            reports -= 1
+            if reports == 4 * count - 1:
+                # The loss has been scaled by now, which reads more.
+                found.append(counting.enter_context(counted_reads(monkeypatch)))
+            elif reports == 0:
+                counting.close()
 
-        run(network, count, MemoryStore(), note, window=window)
-    assert len(by_iteration) == 4 * count
-    # The first report is after the loss has been scaled, which reads more.
-    assert sum(by_iteration[1:], Counter()) == Counter({"Tensor.numpy": 4 * count - 1})
-
-
-@contextmanager
-def exchanged_only_with_torch(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
-    """On LLVM, torch is given an array once it has been computed: that is the only waiting allowed here."""
-    exchanges: Counter[str] = Counter()
-    for name in ("torch", "__dlpack__"):
-        original = getattr(dr.ArrayBase, name)
-
-        def exchanged(self: dr.ArrayBase, *rest: object, original=original, **keywords: object) -> object:
-            exchanges["x".join(str(n) for n in self.shape)] += 1
-            with dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False):
-                return original(self, *rest, **keywords)
-
-        monkeypatch.setattr(dr.ArrayBase, name, exchanged)
-    with dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, True):
-        yield exchanges
+        run(network, count, MemoryStore(), note, window=window, coherence=coherence)
+    assert reports == 0
+    (reads,) = found
+    exchanges = {name for name in reads if name.startswith("exchange")}
+    assert {name: n for name, n in reads.items() if name not in exchanges} == {"Tensor.numpy": 4 * count - 1}
+    # The images of three views, the loss, and what is stored; with a window also the number of values beyond its range.
+    stored = {"exchange 8x12x10"} | ({"exchange 1"} if count > 1 else set())
+    assert exchanges == {"exchange 3x12x10", "exchange "} | stored
 
 
-@pytest.mark.parametrize("coherence", [0.0, 0.5])
-def test_an_iteration_waits_for_nothing_but_torch(
-    coherence: float, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    as_on_a_gpu(monkeypatch)
-    exchanges: dict[str, list[Counter[str]]] = {"own_step": [], "window_average": []}
-    for name, found in exchanges.items():
-        original = getattr(algorithm, name)
-
-        def watched(*arguments: object, original=original, found=found) -> object:
-            with monkeypatch.context() as patch, exchanged_only_with_torch(patch) as exchanged:
-                result = original(*arguments)
-            found.append(exchanged)
-            return result
-
-        monkeypatch.setattr(algorithm, name, watched)
-    run(network, 3, MemoryStore(), window=3, coherence=coherence)
-    assert len(exchanges["own_step"]) == len(exchanges["window_average"]) == 12
-    # The images of three views, and the loss.
-    assert {shape for exchanged in exchanges["own_step"] for shape in exchanged} == {"3x12x10", ""}
-    assert not any(exchanges["window_average"])
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda tensor: tensor.numpy(),
+        lambda tensor: mi.TensorXf16(tensor).numpy(),
+        np.asarray,
+        lambda tensor: tensor[0],
+        lambda tensor: tensor.array[0],
+        lambda tensor: float(dr.sum(tensor.array)[0]),
+        lambda tensor: bool(dr.any(tensor.array > 3)),
+        lambda tensor: dr.compress(tensor.array > 3),
+        lambda tensor: mi.Vector3f(tensor.array, 1, 2).numpy(),
+        lambda tensor: mi.Vector3f(tensor.array, 1, 2).x[0],
+        lambda tensor: str(tensor.array),
+        lambda tensor: list(dr.sum(tensor.array)),
+        lambda _: torch.ones(2).cpu(),
+        lambda _: torch.ones(2).to("cpu"),
+        lambda _: torch.ones(2).numpy(),
+        lambda _: torch.ones(2).tolist(),
+        lambda _: float(torch.ones(1)),
+        lambda _: torch.ones(2).sum().item(),
+        lambda _: bool(torch.ones(1)),
+        lambda _: torch.equal(torch.ones(2), torch.ones(2)),
+        lambda _: torch.ones(3)[torch.ones(3) > 0],
+    ],
+)
+def test_reads_are_counted_or_refused(read: Callable[[mi.TensorXf], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The instrument of the test above."""
+    tensor = mi.TensorXf(dr.arange(mi.Float, 100) * 1.5 + dr.opaque(mi.Float, 1))
+    dr.eval(tensor)
+    with pytest.raises((AssertionError, RuntimeError)), counted_reads(monkeypatch) as reads:
+        read(tensor)
+        assert not reads
 
 
 def launches(network: GoogLeNet, views: int, count: int) -> int:
@@ -183,6 +189,41 @@ def test_nothing_is_stored_that_follows_from_a_loss_that_is_not_finite(
     resumed = run(network, count, store, window=window)
     for a, b in zip(expected, resumed, strict=True):
         assert a.density.tobytes() == b.density.tobytes()
+
+
+class Filling(FolderStore):
+    """A disk that is full for one write, and has room again for smaller ones."""
+
+    def __init__(self, folder: Path, room: int) -> None:
+        super().__init__(folder)
+        self.room = room
+
+    def write(self, *arguments: object) -> None:
+        self.room -= 1
+        if self.room == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().write(*arguments)
+
+
+@pytest.mark.parametrize("window", [1, 3])
+def test_a_run_whose_disk_was_full_goes_on_to_the_same_bits(
+    window: int, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Whatever item did not fit. Of what would have been written after it, nothing may be there."""
+    monkeypatch.setattr("tnst_mi.optimisation.items.state.CHECKPOINT_SECONDS", 0.0)
+    changes = {"window": window, "octaves": 2, "iterations": 2, "views": 1}
+    expected = [result.density.tobytes() for result in run(network, 3, MemoryStore(), **changes)]
+    for room in range(1, 100, 2):
+        folder = tmp_path / str(room)
+        store = Filling(folder, room)
+        try:
+            run(network, 3, store, **changes)
+        except OSError:
+            resumed = run(network, 3, FolderStore(folder), **changes)
+            assert [result.density.tobytes() for result in resumed] == expected, room
+        if store.room > 0:
+            break
+    assert room > 20
 
 
 # --------------------------------------------------------------------

@@ -25,11 +25,12 @@ def _is_torch(value: Any) -> TypeGuard[torch.Tensor]:
     return type(value).__module__.partition(".")[0] == "torch"
 
 
-def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
+def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callable], Callable]:
     """Decorator for a function of `mi.TensorXf` arguments called `names` that returns one `mi.TensorXf`.
 
     Dr.Jit tensors pass through, with their derivatives. Torch tensors enter through `dr.wrap`, so that torch's
-    autograd differentiates the function. Numpy arrays (and anything numpy converts) give a numpy array back.
+    autograd differentiates the function. Numpy arrays (and anything numpy converts) give a numpy array back. A function
+    that is not differentiable takes no tensors with derivatives, rather than dropping these in silence.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -42,6 +43,8 @@ def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = {name: bound.arguments[name] for name in names if bound.arguments[name] is not None}
+            if not differentiable and any(_carries_derivatives(value) for value in given.values()):
+                raise TypeError(f"{function.__name__} is not differentiable: detach its arguments")
             if any(_is_torch(value) for value in given.values()):
                 return _call_from_torch(function, bound.arguments, given)
             if any(dr.is_array_v(value) for value in given.values()):
@@ -52,6 +55,10 @@ def any_array_kind(*names: str) -> Callable[[Callable], Callable]:
         return wrapper
 
     return decorate
+
+
+def _carries_derivatives(value: Any) -> bool:
+    return value.requires_grad if _is_torch(value) else dr.is_array_v(value) and dr.grad_enabled(value)
 
 
 def _as_tensor(value: Any) -> mi.TensorXf:

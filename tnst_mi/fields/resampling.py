@@ -74,7 +74,7 @@ def prefilter_matrix(n: int, h_from: float, h_to: float) -> np.ndarray:
 
 
 def _apply(field: mi.TensorXf, matrices: list[np.ndarray]) -> mi.TensorXf:
-    values = field.torch()
+    values = dr.detach(field).torch()
     for axis, matrix in enumerate(matrices):
         weights = torch.as_tensor(matrix, dtype=torch.float32).to(values.device)
         moved = values.movedim(axis, 0)
@@ -86,7 +86,7 @@ def _unchanged(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> 
     return tuple(field.shape[:3]) == tuple(shape) and h_from == h_to
 
 
-@any_array_kind("field")
+@any_array_kind("field", differentiable=False)
 def resample_mask(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a mask (D, H, W) to another octave: Gaussian prefilter, then linear interpolation, clamped to ≥ 0.
 
@@ -102,7 +102,7 @@ def resample_mask(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) 
     return dr.maximum(_apply(field, matrices), 0)
 
 
-@any_array_kind("field")
+@any_array_kind("field", differentiable=False)
 def resample_density(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a density (D, H, W) to another octave, like a mask.
 
@@ -114,7 +114,7 @@ def resample_density(field: mi.TensorXf, h_from: float, shape: Shape, h_to: floa
     return resampled * opaque((h_from / h_to) ** flat) if flat else resampled
 
 
-@any_array_kind("field")
+@any_array_kind("field", differentiable=False)
 def resample_potential(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a potential (D, H, W) or (D, H, W, 3) to another octave with cubic interpolation.
 
@@ -127,7 +127,7 @@ def resample_potential(field: mi.TensorXf, h_from: float, shape: Shape, h_to: fl
     return _apply(field, [cubic_matrix(n, h_from, m, h_to) for n, m in pairs])
 
 
-@any_array_kind("field")
+@any_array_kind("field", differentiable=False)
 def resample_velocity(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
     """Resample a velocity (D, H, W, 3) to another octave: Gaussian prefilter, then linear, per component.
 

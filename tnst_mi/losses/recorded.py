@@ -7,6 +7,7 @@ than a GPU needs to compute them for the small images of the coarse octaves.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,16 +19,20 @@ Evaluation = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 class RecordedEvaluation:
     """A recording for images of one shape. Replaying it gives the bits of the evaluation itself.
 
-    Everything that decides which kernels run, such as the precision of products, is fixed when it is recorded. The
-    recording keeps the memory of the evaluation for as long as it lives.
+    Everything that decides which kernels run, such as the precision of products, is fixed when it is recorded, and so
+    is where the network's weights are. The recording keeps the memory of the evaluation for as long as it lives.
 
     Args:
         evaluate: what to record. It must not read anything back to the host.
         images: (N, H, W) on a GPU.
         terms: number of terms.
+        pool: the memory of another recording, to be used by this one too; both must not be replayed at the same time.
+
+    Attributes:
+        pool: the memory of this recording.
     """
 
-    def __init__(self, evaluate: Evaluation, images: Tensor, terms: int) -> None:
+    def __init__(self, evaluate: Evaluation, images: Tensor, terms: int, pool: Any = None) -> None:
         self._images, self._factors = torch.zeros_like(images), images.new_ones(terms)
         self._known = [1.0] * terms
         stream = torch.cuda.Stream()
@@ -38,8 +43,9 @@ class RecordedEvaluation:
         torch.cuda.current_stream().wait_stream(stream)
         self._graph = torch.cuda.CUDAGraph()
         # Other threads may be waiting for copies meanwhile.
-        with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
+        with torch.cuda.graph(self._graph, pool=pool, stream=stream, capture_error_mode="thread_local"):
             self._values, self._derivative = evaluate(self._images, self._factors)
+        self.pool: Any = self._graph.pool()
 
     def __call__(self, images: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
         """The values of the terms (T,), and the derivative (N, H, W) of their sum weighted by the factors."""

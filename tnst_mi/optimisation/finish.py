@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.errors import InputError
 from tnst_mi.fields.advection import advect
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
@@ -25,6 +26,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         items: of the octave that was reached; None if there is none.
         frame: the plan of the frame.
         source: the frame.
+
+    Raises:
+        InputError: the stylized density is not finite.
     """
     if items is None or frame.still or items.iterations_done(frame) < 0:
         return _unchanged(source, frame)
@@ -44,6 +48,11 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
             density = advect(unstylized, velocity, steps=frame.recipe.steps)
         else:
             density = parameterisation.density(fields, unstylized, full.cell_size)
+    if not dr.all(dr.isfinite(density.array)):
+        raise InputError(
+            f"{source.name}: the stylized density is not finite; try a smaller eta ({frame.recipe.eta:g}) "
+            f"or gamma ({frame.recipe.gamma:g})"
+        )
     blend, before = opaque(frame.recipe.blend), unstylized.array
     after = density.array if solid is None else dr.select(solid, before, density.array)
     blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape)

@@ -134,4 +134,4 @@ def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    return OctaveProblem(octave, plan.objective.bind(network, octave.shape[1], octave.shape[2]), plan.exposure)
+    return OctaveProblem(octave, plan.objective.bind(network, *octave.shape[1:], record=True), plan.exposure)

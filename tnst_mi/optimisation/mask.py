@@ -14,7 +14,7 @@ from tnst_mi.fields.pyramid import gaussian
 EDGE_SIGMA = 1.2
 
 
-@any_array_kind("density")
+@any_array_kind("density", differentiable=False)
 def soft_mask(density: mi.TensorXf, obstacle: np.ndarray | None = None, strength: float = 1.0) -> mi.TensorXf:
     """The blurred density, clipped to [0, 1] (paper section 4.2) and raised to a power: (D, H, W) float32.
 

@@ -147,6 +147,8 @@ class SequenceOptimisation:
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
         """The stylized frame, with its history and the losses before and after."""
         source = self._frames[frame.index]
+        # The result may share memory with items that are being written.
+        self._store.finish()
         # Memory blocks of the iterations are no longer needed.
         release_memory()
         result = stylized_frame(items, frame, source)

@@ -2,8 +2,8 @@
 
 With a window, every iteration of a frame reads the steps and velocities of its neighbours, 2w + 1 times each. Kept on
 the device, in the precision in which they are stored, each is read once or not at all. What is written goes to the
-store in a thread, in the order of writing: at any moment, the store has what a run that was killed a little earlier
-would have left, so that it stays the truth for resuming.
+store in a thread, in the order of writing, up to the first item that cannot be written: at any moment, the store has
+what a run that was killed a little earlier would have left, so that it stays the truth for resuming.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class DeviceStore:
 
     Args:
         store: where the items are written, and read from when they are not on the device.
-        budget: bytes of device memory for items; those that have not been used for longest make room.
+        budget: bytes of device memory for items; those that have not been used for longest make room, and one that
+            is larger is not kept.
     """
 
     def __init__(self, store: Store, budget: int) -> None:
@@ -47,6 +48,8 @@ class DeviceStore:
         #: Generations of the items written here, which the store may not have yet.
         self._written: dict[tuple[str, int], int] = {}
         self._writes: deque[tuple[tuple[str, int], Future[None]]] = deque()
+        #: Why an item could not be written; none is written after it.
+        self._failure: BaseException | None = None
         self._writer = ThreadPoolExecutor(1, "item writer")
         self._reader = ThreadPoolExecutor(1, "item reader")
 
@@ -132,24 +135,32 @@ class DeviceStore:
         for name, array in arrays.items():
             if isinstance(array, np.ndarray):
                 host[name] = array
-                tensor = _on_device(array) if array.nbytes <= self._budget else None
+                tensor = _on_device(array) if self._budget > 0 else None
             else:
                 host[name], tensor = HostCopy(array.torch()), array
             if tensor is not None:
                 self._keep((group, frame, name), tensor)
         while len(self._writes) >= _WAITING:
-            self._writes.popleft()[1].result()
+            self._finish_oldest()
         self._written[group, frame] = generation
         write = self._writer.submit(self._write, group, frame, generation, host)
         self._writes.append(((group, frame), write))
 
     def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | HostCopy]) -> None:
-        self.store.write(
-            group,
-            frame,
-            generation,
-            {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()},
-        )
+        if self._failure is not None:
+            # What follows an item must not be there without it.
+            raise self._failure
+        host = {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()}
+        try:
+            self.store.write(group, frame, generation, host)
+        except BaseException as error:
+            self._failure = error
+            raise
+
+    def _finish_oldest(self) -> None:
+        # Only then is it no longer waited for by those who want to read it.
+        self._writes[0][1].result()
+        self._writes.popleft()
 
     def finish(self) -> None:
         """Wait until the store has everything.
@@ -158,7 +169,7 @@ class DeviceStore:
             OSError: the store failed to write an item.
         """
         while self._writes:
-            self._writes.popleft()[1].result()
+            self._finish_oldest()
 
     def remove(self, group: str) -> None:
         """Remove all items of a group, if there are any, once the store has everything that was written."""
@@ -180,6 +191,8 @@ class DeviceStore:
 
     def _keep(self, key: _Key, tensor: mi.TensorXf | mi.TensorXf16) -> None:
         """Keep a tensor as the one used last, if it fits at all."""
+        if _bytes(tensor) > self._budget:
+            return
         if key not in self._kept:
             self._size += _bytes(tensor)
         self._kept[key] = tensor
@@ -197,4 +210,6 @@ def _on_device(array: np.ndarray) -> mi.TensorXf | mi.TensorXf16:
 
 
 def _bytes(tensor: mi.TensorXf | mi.TensorXf16) -> int:
-    return dr.width(tensor.array) * (2 if isinstance(tensor, mi.TensorXf16) else 4)
+    """What a tensor takes on the device: Dr.Jit allocates powers of two."""
+    size = dr.width(tensor.array) * (2 if isinstance(tensor, mi.TensorXf16) else 4)
+    return 1 << (size - 1).bit_length()

@@ -62,7 +62,9 @@ class Launched:
     """
 
     def __init__(self, frame: FramePlan, iteration: int, found: OwnStep, stored: bool) -> None:
-        self.frame, self.iteration, self._found = frame, iteration, found
+        self.frame, self.iteration = frame, iteration
+        # Not the step itself, whose memory is needed.
+        self._terms, self._since = list(found.terms), found.since
         self.arrays: dict[str, mi.TensorXf16] = {}
         numbers = [found.loss, *found.terms.values()]
         if stored:
@@ -88,17 +90,17 @@ class Launched:
         Raises:
             InputError: the loss is not finite, or the step exceeds the range of half precision.
         """
-        frame, found = self.frame, self._found
+        frame = self.frame
         loss, *others = self._numbers.numpy().tolist()
         if not math.isfinite(loss):
             raise InputError(
                 f"{frame.name}, iteration {self.iteration + 1} of octave {octave + 1}: the loss is {loss}, expected a "
                 f"finite number; try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
             )
-        if any(others[len(found.terms) :]):
+        if any(others[len(self._terms) :]):
             raise InputError(
                 f"{frame.name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
                 "scale the density to about 1 and gamma accordingly"
             )
-        terms = dict(zip(found.terms, others, strict=False))
-        return Outcome(frame, self.iteration, loss, terms, time.perf_counter() - max(found.since, earliest))
+        terms = dict(zip(self._terms, others, strict=False))
+        return Outcome(frame, self.iteration, loss, terms, time.perf_counter() - max(self._since, earliest))
