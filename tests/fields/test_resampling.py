@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
+import torch
 from fields import blob, smooth_noise
 
 from tnst_mi.fields.grid import octaves
@@ -78,3 +81,20 @@ def test_a_plane_of_smoke_keeps_its_brightness_and_its_mask() -> None:
     density, mask = (f(field, 1.0, coarse.shape, coarse.cell_size) for f in (resample_density, resample_mask))
     np.testing.assert_allclose(coarse.cell_size * density, mask, rtol=1e-5)
     assert mask[0, coarse.shape[1] // 2, coarse.shape[2] // 2] == pytest.approx(1, abs=1e-3)
+
+
+def test_kinds_of_arrays_and_no_derivatives() -> None:
+    """Numpy and Dr.Jit alike; derivatives, which it has none of, are refused rather than dropped."""
+    coarse = octaves(FULL, 2)[0]
+    field = blob(FULL, (20, 30, 20), 5)
+    expected = resample_density(field, 1.0, coarse.shape, coarse.cell_size)
+    assert isinstance(expected, np.ndarray) and expected.dtype == np.float32 and expected.flags.c_contiguous
+    tensor = mi.TensorXf(field)
+    found = resample_density(tensor, 1.0, coarse.shape, coarse.cell_size)
+    np.testing.assert_array_equal(found.numpy(), expected)
+    dr.enable_grad(tensor)
+    for attached in (tensor, torch.from_numpy(field).requires_grad_()):
+        with pytest.raises(TypeError, match="resample_density is not differentiable: detach its arguments"):
+            resample_density(attached, 1.0, coarse.shape, coarse.cell_size)
+    plain = resample_density(torch.from_numpy(field), 1.0, coarse.shape, coarse.cell_size)
+    np.testing.assert_array_equal(plain.detach().numpy(), expected)

@@ -64,3 +64,27 @@ def test_the_device_is_said_with_what_chose_it(monkeypatch: pytest.MonkeyPatch) 
     assert environment.device_line("cuda_ad_rgb") == "NVIDIA H100 (cuda_ad_rgb, CUDA_VISIBLE_DEVICES=3)"
     record = environment.device("cuda_ad_rgb")
     assert (record["gpu"], record["CUDA_VISIBLE_DEVICES"]) == ("NVIDIA H100", "3")
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_limits_of_containers_and_jobs_count(version: int, tmp_path: Path) -> None:
+    """A job of 8 GB in a container of 20 GB: 3 GB are used, 1 GB of these by pages of files."""
+    names = {
+        1: ("5:cpu,memory", "memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+        2: ("0:", "", "memory.max", "memory.current", "inactive_file"),
+    }
+    controllers, folder, limit, usage, files = names[version]
+    (tmp_path / "proc/self").mkdir(parents=True)
+    (tmp_path / "proc/self/cgroup").write_text(f"{controllers}:/container/job\n9:pids:/other\n")
+    for group, most, used in (("container", 20, 6), ("container/job", 8, 3)):
+        path = tmp_path / "sys/fs/cgroup" / folder / group
+        path.mkdir(parents=True)
+        (path / limit).write_text(f"{most}000000000\n")
+        (path / usage).write_text(f"{used}000000000\n")
+        (path / "memory.stat").write_text(f"anon 5\n{files} 1000000000\n")
+    assert environment._left_by_limits(tmp_path) == [6 * 10**9, 15 * 10**9]
+    if version == 2:
+        (tmp_path / "sys/fs/cgroup/container/job/memory.max").write_text("max\n")
+        assert environment._left_by_limits(tmp_path) == [15 * 10**9]
+    (tmp_path / "proc/self/cgroup").unlink()
+    assert environment._left_by_limits(tmp_path) == []

@@ -25,7 +25,9 @@ from tnst_mi.losses.terms import Match, Semantic, Style
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation import algorithm
 from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
+from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
@@ -252,6 +254,19 @@ def test_loss_that_is_not_finite_ends_the_run(network: GoogLeNet, smoke: Frame) 
     broken.convolutions["conv1/7x7_s2"].bias.data.fill_(float("nan"))
     with pytest.raises(tnst_mi.InputError, match="cloud, iteration 1 of octave 1: the loss is nan"):
         optimise(smoke, recipe(), broken)
+
+
+def test_result_that_is_not_finite_is_refused(
+    network: GoogLeNet, smoke: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step whose loss was finite, and which was not."""
+    monkeypatch.setattr(
+        algorithm, "window_average", lambda *_: Fields(phi=mi.TensorXf(np.full(SHAPE, np.nan, np.float32)))
+    )
+    with pytest.raises(
+        tnst_mi.InputError, match=r"cloud: the stylized density or velocity is not finite; try a smaller eta"
+    ):
+        optimise(smoke, recipe(octaves=1, iterations=1), network)
 
 
 def test_frame_that_renders_black_comes_back_unchanged_with_a_note(network: GoogLeNet) -> None:

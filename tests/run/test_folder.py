@@ -50,17 +50,11 @@ def test_exposure_and_step_scale_are_those_of_the_whole_run(optimiser: FakeOptim
     assert call["step_scales"] == pytest.approx([pixel(0.2) / brightest, 1.0, 0.0], rel=1e-4)
 
 
-def test_the_device_is_said_first_and_half_of_the_memory_that_is_left_may_hold_items(
-    optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("tnst_mi.run.prepare.free_bytes", lambda: 10 * 10**9)
+def test_the_device_is_said_first(optimiser: FakeOptimiser, capsys: pytest.CaptureFixture[str]) -> None:
     prepared = prepare(frames(0.2, 0.4), RECIPE)
     for _ in Run(prepared):
         pass
-    (call,) = optimiser.calls
-    assert call["cache_bytes"] == prepared.cache_bytes
-    said = float(prepared.memory.split()[2]) * 1e9
-    assert prepared.cache_bytes == pytest.approx((10e9 - said) / 2, abs=5e7)
+    assert optimiser.calls[0]["cache_bytes"] == prepared.cache_bytes > 0
     assert re.match(r"device: (CPU, \d+ threads \(llvm_ad_rgb\)|.* \(cuda_ad_rgb.*\))\n", capsys.readouterr().err)
 
 

@@ -67,6 +67,21 @@ def test_frames_that_are_kept_in_memory_count() -> None:
     assert len({needed(shape, recipe, count, 2000.0, on_disk=True).total for count in (1, 11)}) == 1
 
 
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_items_are_kept_in_a_share_of_what_is_left_and_no_more_than_there_are(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "torch_device", lambda: torch.device(device))
+    recipe, shape = tnst_mi.Recipe(style=("net",), window=5), (64, 96, 64)
+    need = needed(shape, recipe, 11, 2000.0, on_disk=True)
+    share = {"cpu": 4, "cuda": 2}[device]
+    assert memory.cache_bytes(need, need.total + 8_000_000, 11, recipe) == 8_000_000 // share
+    assert memory.cache_bytes(need, need.total + 10**12, 11, recipe) == memory.working_bytes(shape, 11, recipe)
+    alone = replace(recipe, window=1)
+    assert memory.cache_bytes(need, need.total + 10**12, 11, alone) == memory.working_bytes(shape, 1, alone)
+    assert memory.cache_bytes(need, need.total - 1, 11, recipe) == 0
+
+
 def test_saved_bytes_are_the_feature_maps_that_derivatives_need() -> None:
     net = SmallNetwork()
     bound = Semantic("shallow", (1,)).bind(net, HEIGHT, WIDTH)

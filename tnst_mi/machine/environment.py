@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -98,5 +99,35 @@ def resident_memory() -> int:
 
 
 def free_memory() -> int:
-    """The memory still available without swapping, in bytes."""
-    return psutil.virtual_memory().available
+    """The memory that this process can still use without swapping, in bytes; containers and jobs may have a limit."""
+    return min([psutil.virtual_memory().available, *_left_by_limits(Path("/"))])
+
+
+def _left_by_limits(root: Path) -> list[int]:
+    """What the limits of the control groups that the process is in leave (Linux); pages of files can be given up."""
+    left = []
+    try:
+        entries = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text("utf-8").splitlines()]
+    except OSError:
+        return []
+    for _, controllers, group in entries:
+        if controllers == "":
+            base, limit, usage, files = root / "sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"
+        elif "memory" in controllers.split(","):
+            base, limit, usage = root / "sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+            files = "total_inactive_file"
+        else:
+            continue
+        inner = base / group.lstrip("/")
+        # A container sees its own group as the root, whatever the name says.
+        for folder in (inner, *inner.parents):
+            if not folder.is_relative_to(base):
+                break
+            try:
+                most, used = ((folder / name).read_text("utf-8").strip() for name in (limit, usage))
+                statistics = dict(line.split() for line in (folder / "memory.stat").read_text("utf-8").splitlines())
+            except (OSError, ValueError):
+                continue
+            if most != "max":
+                left.append(max(0, int(most) - int(used) + int(statistics.get(files, 0))))
+    return left

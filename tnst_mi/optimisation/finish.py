@@ -28,7 +28,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         source: the frame.
 
     Raises:
-        InputError: the stylized density is not finite.
+        InputError: the stylized density or velocity is not finite.
     """
     if items is None or frame.still or items.iterations_done(frame) < 0:
         return _unchanged(source, frame)
@@ -48,9 +48,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
             density = advect(unstylized, velocity, steps=frame.recipe.steps)
         else:
             density = parameterisation.density(fields, unstylized, full.cell_size)
-    if not dr.all(dr.isfinite(density.array)):
+    if not (dr.all(dr.isfinite(density.array)) and dr.all(dr.isfinite(velocity.array))):
         raise InputError(
-            f"{source.name}: the stylized density is not finite; try a smaller eta ({frame.recipe.eta:g}) "
+            f"{source.name}: the stylized density or velocity is not finite; try a smaller eta ({frame.recipe.eta:g}) "
             f"or gamma ({frame.recipe.gamma:g})"
         )
     blend, before = opaque(frame.recipe.blend), unstylized.array

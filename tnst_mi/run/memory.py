@@ -123,6 +123,17 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 
+def cache_bytes(need: Need, free: int, count: int, recipe: Recipe) -> int:
+    """Bytes of device memory in which a run may keep items, so that a window is not read again for every frame.
+
+    At most what the items take: of `count` frames with a window, of one frame without. And of what the run leaves free,
+    at most a half on a GPU, and a quarter on a CPU, whose memory others use too.
+    """
+    share = 4 if torch_device().type == "cpu" else 2
+    items = working_bytes(need.shape, count if recipe.window > 1 else 1, recipe)
+    return max(0, min(items, (free - need.total) // share))
+
+
 def require_memory(need: Need, free: int) -> str:
     """Check that a run fits into the free memory, and return a line that says how much of it the run takes.
 

@@ -32,7 +32,7 @@ from tnst_mi.run.measure import (
     require_coherent,
     require_same_input,
 )
-from tnst_mi.run.memory import free_bytes, needed, require_memory, working_bytes
+from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -60,7 +60,7 @@ class Prepared:
         network: judges the images.
         plan: of the optimisation.
         memory: a line that says how much of it the run takes.
-        cache_bytes: memory that a run may take besides, so that a window need not be read again for every frame.
+        cache_bytes: memory that a run may take besides, see `run.memory.cache_bytes`.
         out: the folder of the results, or None.
         suffix: file suffix of the results, of the recipe's format or else of the input's.
         overwrite: whether a run in `out` is replaced.
@@ -146,7 +146,9 @@ def prepare(
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))
     saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
-    memory = require_memory(need, free)
+    memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
+    if recipe.window > 1:
+        memory += f", and up to {cache / 1e9:.1f} GB to keep what windows need"
     measures = measured(sequence, recipe)
     require_coherent(measures, recipe)
     suffix = _suffix(recipe, sequence)
@@ -183,9 +185,7 @@ def prepare(
         shape,
         record["exposure"],
     )
-    return Prepared(
-        recipe, sequence, measures, network, plan, memory, (free - need.total) // 2, out, suffix, overwrite, record
-    )
+    return Prepared(recipe, sequence, measures, network, plan, memory, cache, out, suffix, overwrite, record)
 
 
 def _remedy(out: Path) -> str:
