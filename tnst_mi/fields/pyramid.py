@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -24,16 +25,30 @@ FLOOR = 1e-10
 #: Spatial axes of (D, H, W) and (D, H, W, C) tensors: channels are never mixed.
 _AXES = (0, 1, 2)
 
-#: Consecutive results along the axis per thread, for the blur and for the reduction. Longer runs share more reads; runs
-#: that are too long evict what they read from the cache.
-_BLUR_RUN, _REDUCE_RUN = 8, 4
 
-#: Consecutive coarse cells per thread of the interpolation; each becomes two fine cells on every axis. A GPU has few
-#: registers for a thread: with four cells, 54 values are read and 32 written.
-_BLOCK, _BLOCK_ON_GPU = 4, 1
+class _PerThread(NamedTuple):
+    """How much a thread computes. More work shares more reads, but evicts what it reads from a CPU's cache, does not
+    fit a GPU's registers, and makes longer code, which takes the host longer to trace.
+
+    Attributes:
+        blur, reduction: consecutive results along the axis of the blur and of the reduction.
+        expansion: consecutive coarse cells of the interpolation; each becomes two fine cells on every axis.
+    """
+
+    blur: int
+    reduction: int
+    expansion: int
+
+
+#: Measured: with the CPU's numbers, a GPU's thread would read 54 values of the expansion and write 32.
+_ON_CPU, _ON_GPU = _PerThread(8, 4, 4), _PerThread(4, 2, 1)
 
 #: No cell is written twice, so the writes of a thread need no ordering (which would take a kernel for each).
 _ONCE = dr.ReduceMode.NoConflicts
+
+
+def _per_thread() -> _PerThread:
+    return _ON_GPU if on_gpu() else _ON_CPU
 
 
 class _Runs:
@@ -110,9 +125,10 @@ def gaussian(field: mi.TensorXf, sigma: float, boundary: str = "reflect", axes: 
 
 def _blurred(field: mi.TensorXf, axis: int, weights: list[mi.Float], boundary: str) -> mi.TensorXf:
     radius = len(weights) - 1
-    runs = _Runs(field, axis, field.shape[axis], _BLUR_RUN, boundary, radius)
-    values = [runs.read(runs.first + k) for k in range(-radius, _BLUR_RUN + radius)]
-    return runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(_BLUR_RUN)])
+    run = _per_thread().blur
+    runs = _Runs(field, axis, field.shape[axis], run, boundary, radius)
+    values = [runs.read(runs.first + k) for k in range(-radius, run + radius)]
+    return runs.write([_weighted(values[i : i + 2 * radius + 1], weights) for i in range(run)])
 
 
 def _weighted(values: list[mi.Float], weights: list[mi.Float]) -> mi.Float:
@@ -133,9 +149,10 @@ def reduce(field: mi.TensorXf) -> mi.TensorXf:
 
 def _reduced(field: mi.TensorXf, axis: int) -> mi.TensorXf:
     weights = [mi.Float(6 / 16), mi.Float(4 / 16), mi.Float(1 / 16)]
-    runs = _Runs(field, axis, (field.shape[axis] + 1) // 2, _REDUCE_RUN)
-    values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * _REDUCE_RUN + 1)]
-    return runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(_REDUCE_RUN)])
+    run = _per_thread().reduction
+    runs = _Runs(field, axis, (field.shape[axis] + 1) // 2, run)
+    values = [runs.read(2 * runs.first + k) for k in range(-2, 2 * run + 1)]
+    return runs.write([_weighted(values[2 * i : 2 * i + 5], weights) for i in range(run)])
 
 
 def _interpolated(values: list) -> list:
@@ -147,11 +164,11 @@ def _interpolated(values: list) -> list:
 
 
 class _Expansion:
-    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 n fine cells per thread, n = `_BLOCK`."""
+    """A reduced field, interpolated to a fine shape: 2 × 2 × 2 fine cells for each coarse cell of a thread."""
 
     def __init__(self, coarse: mi.TensorXf, shape: tuple[int, ...]) -> None:
         self.values, channels = coarse.array, math.prod(shape[3:])
-        block = _BLOCK_ON_GPU if on_gpu() else _BLOCK
+        block = _per_thread().expansion
         blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * block))]
         rest, channel = Divisor(channels).split(dr.arange(mi.UInt32, math.prod(blocks) * channels))
         rest, x = Divisor(blocks[2]).split(rest)

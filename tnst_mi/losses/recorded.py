@@ -6,6 +6,7 @@ than a GPU needs to compute them for the small images of the coarse octaves.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -35,7 +36,7 @@ class RecordedEvaluation:
     def __init__(self, evaluate: Evaluation, images: Tensor, terms: int, pool: Any = None) -> None:
         self._images, self._factors = torch.zeros_like(images), images.new_ones(terms)
         self._known = [1.0] * terms
-        stream = torch.cuda.Stream()
+        stream = _recording_stream(images.device)
         stream.wait_stream(torch.cuda.current_stream())
         # Libraries choose algorithms and allocate workspaces in the first evaluation, which cannot be recorded.
         with torch.cuda.stream(stream):
@@ -57,3 +58,9 @@ class RecordedEvaluation:
                 self._known[i] = factor
         self._graph.replay()
         return self._values.clone(), self._derivative.clone()
+
+
+@functools.cache
+def _recording_stream(device: torch.device) -> torch.cuda.Stream:
+    """A single one, since libraries allocate a workspace for every stream and keep it."""
+    return torch.cuda.Stream(device)
