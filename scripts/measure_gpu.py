@@ -167,12 +167,22 @@ def first_iteration(
     return found
 
 
+def weights_hash(weights: str | None) -> str:
+    """The SHA-256 of the network's weights file. In another precision, its derivatives differ by several per cent."""
+    from tnst_mi.network.googlenet import GoogLeNet
+
+    return GoogLeNet.load(weights).sha256
+
+
 def agreement(options: argparse.Namespace) -> Result:
     """Relative L2 differences from the CPU's reference, per stage and end to end; whether the bits repeat."""
     if options.reference is None:
         raise SystemExit("--reference is missing: record one on a CPU with --record")
     with np.load(options.reference) as arrays:
-        reference = {name: arrays[name] for name in arrays.files}
+        reference = {name: arrays[name] for name in arrays.files if name != "weights"}
+        weights = str(arrays["weights"])
+    if weights != weights_hash(options.weights):
+        raise SystemExit("--reference was recorded with other weights: record it with --weights and the same file")
     size = reference["potential"].shape[2]
     stages = first_iteration(options.weights, size, reference)
     alone, again = (first_iteration(options.weights, size) for _ in range(2))
@@ -569,7 +579,8 @@ def main() -> None:
         options.variant = "llvm_ad_rgb"
     if options.record is not None:
         tnst_mi.activate("llvm_ad_rgb")
-        np.savez_compressed(options.record, **first_iteration(options.weights, 24 if options.dry_run else 64))
+        found = first_iteration(options.weights, 24 if options.dry_run else 64)
+        np.savez_compressed(options.record, weights=np.array(weights_hash(options.weights)), **found)
         return
     if options.out is None:
         parser.error("--out FOLDER is missing")

@@ -8,6 +8,7 @@ import pytest
 import torch
 from networks import random_googlenet
 
+from tnst_mi.losses import objective
 from tnst_mi.losses.objective import BoundObjective
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.network.googlenet import GoogLeNet
@@ -57,3 +58,10 @@ def test_the_memory_of_a_recording_is_given_back_with_its_objective(bound: Bound
     assert torch.cuda.memory_allocated() > before
     bound._recorded.clear()
     assert torch.cuda.memory_allocated() == before
+
+
+def test_large_batches_are_not_recorded(bound: BoundObjective, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(objective, "LARGEST_RECORDED", 2 * 64 * 48)
+    for count in (2, 3):
+        bound._differentiated(images(0, count))
+    assert list(bound._recorded) == [(2, 64, 48)]

@@ -27,6 +27,10 @@ SMALLEST_SCALE = 1e-12
 #: chooses slower algorithms, which also need more memory of their own (docs/gpu.md).
 LARGEST_BATCH = 1 << 32
 
+#: Number of pixels in a batch up to which its evaluation is recorded. A GPU takes longer for larger ones than the host
+#: takes to launch them, and a recording keeps their memory.
+LARGEST_RECORDED = 1 << 18
+
 Features = Mapping[str, Tensor]
 
 
@@ -86,8 +90,8 @@ class Objective:
             net: The network, on its final device.
             height: Rows of the images.
             width: Columns of the images.
-            record: On a GPU, record the differentiated evaluation and replay it: the same bits in less time, for those
-                who evaluate it many times. Recording takes about as long as ten evaluations.
+            record: On a GPU, record the differentiated evaluation of small batches and replay it: the same bits in less
+                time, for those who evaluate it many times. Recording takes about as long as ten evaluations.
 
         Raises:
             InputError: A term names a layer, channel or class tag that the network lacks.
@@ -180,7 +184,7 @@ class BoundObjective:
     def _differentiated(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         """The values of the terms, and the derivative of their weighted sum."""
         factors = [self._weights[name] / self.scales[name] for name in self.names]
-        if self._recorded is None or not images.is_cuda:
+        if self._recorded is None or not images.is_cuda or images.numel() > LARGEST_RECORDED:
             return self._evaluated(images, factors)
 
         def evaluate(images: Tensor, factors: Tensor) -> tuple[Tensor, Tensor]:

@@ -44,10 +44,11 @@ class Costs:
 
 #: By kind of device. CPU: measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md); the peak
 #: resident size, less what the network takes, is linear in the number of cells for each parameterisation. GPU: measured
-#: with scripts/measure_gpu.py on an H100 (docs/gpu.md).
+#: with scripts/measure_gpu.py on an H100 at three sizes (docs/gpu.md), of which the dearest counts: Dr.Jit rounds each
+#: array up to a power of two.
 COSTS = {
     "cpu": Costs(PROCESS, 55, 27, 55, 50, 16, 1.2, 1000),
-    "cuda": Costs(600_000_000, 20, 40, 30, 50, 16, 1.6, 0),
+    "cuda": Costs(1_300_000_000, 60, 36, 52, 60, 24, 2.5, 0),
 }
 
 
