@@ -56,12 +56,13 @@ def test_versions_of_what_is_installed_and_what_is_not(monkeypatch: pytest.Monke
 
 
 def test_the_device_is_said_with_what_chose_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert environment.device_line("llvm_ad_rgb") == f"CPU, {dr.thread_count()} threads (llvm_ad_rgb)"
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "NVIDIA H100")
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    assert environment.device_line("llvm_ad_rgb") == f"CPU, {dr.thread_count()} threads (llvm_ad_rgb)"
     assert environment.device_line("cuda_ad_rgb") == "NVIDIA H100 (cuda_ad_rgb)"
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")
     assert environment.device_line("cuda_ad_rgb") == "NVIDIA H100 (cuda_ad_rgb, CUDA_VISIBLE_DEVICES=3)"
+    assert environment.device_line("llvm_ad_rgb").endswith(" threads (llvm_ad_rgb, CUDA_VISIBLE_DEVICES=3)")
     record = environment.device("cuda_ad_rgb")
     assert (record["gpu"], record["CUDA_VISIBLE_DEVICES"]) == ("NVIDIA H100", "3")
 

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.host_copy import HostCopy
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore
 
@@ -145,15 +146,25 @@ def test_removing_waits_for_what_is_being_written(store: Watched, items: DeviceS
         items.read("fields.0", 0, ["step"])
 
 
-def test_nothing_is_written_after_what_could_not_be(store: Watched) -> None:
+@pytest.mark.parametrize("fails", ["disk", "copy"])
+def test_nothing_is_written_after_what_could_not_be(
+    fails: str, store: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Fields that do not fit on the disk, followed by steps that do and belong to other fields."""
+
+    def copy(self: HostCopy) -> np.ndarray:
+        raise OSError("no space left, not even in memory")
+
     items = DeviceStore(store, 1280)
     items.write("step.0", 0, 1, half(1))
     items.finish()
-    store.full = True
-    items.write("fields.0", 0, 2, half(2))
-    with pytest.raises(OSError, match="no space left"):
-        items.finish()
+    with monkeypatch.context() as patch:
+        if fails == "copy":
+            patch.setattr(HostCopy, "numpy", copy)
+        store.full = fails == "disk"
+        items.write("fields.0", 0, 2, half(2))
+        with pytest.raises(OSError, match="no space left"):
+            items.finish()
     store.full = False
     with pytest.raises(OSError, match="no space left"):
         for generation in range(2, 9):

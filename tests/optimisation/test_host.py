@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -189,6 +190,68 @@ def test_nothing_is_stored_that_follows_from_a_loss_that_is_not_finite(
     resumed = run(network, count, store, window=window)
     for a, b in zip(expected, resumed, strict=True):
         assert a.density.tobytes() == b.density.tobytes()
+
+
+@pytest.mark.parametrize("finite", [True, False])
+@pytest.mark.parametrize(("count", "window"), [(1, 1), (3, 3)])
+def test_ctrl_c_while_a_loss_is_waited_for_loses_nothing_and_stores_nothing_unchecked(
+    count: int, window: int, finite: bool, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A second Ctrl-C, which is obeyed at once: on a GPU the host spends its time in that waiting."""
+    as_on_a_gpu(monkeypatch)
+    expected = run(network, count, MemoryStore(), window=window)
+    waits: list[object] = []
+    numpy, gradient = HostCopy.numpy, OctaveProblem.gradient
+    calls: list[object] = []
+
+    def interrupted(copy: HostCopy) -> np.ndarray:
+        if threading.current_thread() is threading.main_thread():
+            waits.append(copy)
+            if len(waits) == count + 1:
+                raise KeyboardInterrupt
+        return numpy(copy)
+
+    def broken(*arguments: object) -> Evaluation:
+        calls.append(arguments)
+        found = gradient(*arguments)
+        return dataclasses.replace(found, loss=found.loss * nan) if len(calls) == count + 1 and not finite else found
+
+    monkeypatch.setattr(HostCopy, "numpy", interrupted)
+    monkeypatch.setattr(OctaveProblem, "gradient", broken)
+    first: list[Progress] = []
+    if finite:
+        run(network, count, FolderStore(tmp_path), first.append, window=window)
+        assert len(first) == count + 1
+    else:
+        with pytest.raises(InputError, match="iteration 2 of octave 1: the loss is nan"):
+            run(network, count, FolderStore(tmp_path), first.append, window=window)
+    monkeypatch.setattr(OctaveProblem, "gradient", gradient)
+    store, again = FolderStore(tmp_path), list[Progress]()
+    assert max(store.generation("fields.0", frame) for frame in range(count)) <= 1 + finite
+    resumed = run(network, count, store, again.append, window=window)
+    for a, b in zip(expected, resumed, strict=True):
+        assert a.density.tobytes() == b.density.tobytes()
+        assert [entry["iteration"] for entry in b.history] == [0, 1, 2, 3]
+    if finite:
+        reported = [(progress.frame, progress.iteration) for progress in (*first, *again)]
+        assert len(reported) == len(set(reported)) == 4 * count
+
+
+def test_an_optimisation_can_be_run_again(network: GoogLeNet, tmp_path: Path) -> None:
+    """Interrupted, and once more: it goes on where it stopped."""
+    frames = moving_smoke(1)
+    plan = plan_of(Recipe(**GOAL), [frames[0].name], [5], [1.0], frames[0].density.shape, 0.2)
+    optimisation = SequenceOptimisation(plan, frames, network, FolderStore(tmp_path))
+
+    def interrupt(progress: Progress) -> None:
+        if progress.iteration == 1:
+            raise KeyboardInterrupt
+
+    ((_, half),) = optimisation.run(interrupt)
+    ((_, whole),) = optimisation.run()
+    assert half.interrupted and len(half.history) == 2
+    assert len(whole.history) == 4
+    assert whole.density.tobytes() == run(network, 1, MemoryStore())[0].density.tobytes()
 
 
 class Filling(FolderStore):

@@ -29,7 +29,8 @@ def reported(frames: Run, remedy: str = "--resume continues the run in {out} whe
     for frame in frames:
         # tqdm.write keeps the lines apart from the progress bar.
         tqdm.write(summary(frame), file=sys.stdout)
-    print(f"results   {out}")
+    if record["frames"]:
+        print(f"results   {out}")
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))
     if record["status"] == "interrupted":

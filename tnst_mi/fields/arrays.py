@@ -58,7 +58,9 @@ def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callab
 
 
 def _carries_derivatives(value: Any) -> bool:
-    return value.requires_grad if _is_torch(value) else dr.is_array_v(value) and dr.grad_enabled(value)
+    if _is_torch(value):
+        return value.requires_grad and torch.is_grad_enabled()
+    return dr.is_array_v(value) and dr.grad_enabled(value)
 
 
 def _as_tensor(value: Any) -> mi.TensorXf:

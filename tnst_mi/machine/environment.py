@@ -70,6 +70,7 @@ def device(variant: str) -> dict[str, object]:
     llvm = llvm_library()
     return {
         "variant": variant,
+        VISIBLE: os.environ.get(VISIBLE),
         "processor": platform.processor() or platform.machine(),
         "threads": dr.thread_count(),
         "llvm": None if llvm is None else {"path": str(llvm.path), "version": llvm.version},
@@ -77,12 +78,11 @@ def device(variant: str) -> dict[str, object]:
 
 
 def device_line(variant: str) -> str:
-    """The same in one line, for people."""
-    if not variant.startswith("cuda"):
-        return f"CPU, {dr.thread_count()} threads ({variant})"
+    """The same in one line, for people; the variable may be why a GPU is used or none is."""
+    name = torch.cuda.get_device_name() if variant.startswith("cuda") else f"CPU, {dr.thread_count()} threads"
     visible = os.environ.get(VISIBLE)
     chosen = "" if visible is None else f", {VISIBLE}={visible}"
-    return f"{torch.cuda.get_device_name()} ({variant}{chosen})"
+    return f"{name} ({variant}{chosen})"
 
 
 def peak_memory() -> int | None:

@@ -41,7 +41,7 @@ class HostCopy:
         return self._event is None or self._event.query()
 
     def numpy(self) -> np.ndarray:
-        """The values. Pinned memory is scarce: they are copied once more, and it is free again with this object."""
+        """The values, on a GPU in a copy of their own: pinned memory is not for keeping."""
         if self._event is None:
             return self._copy.numpy()
         self._event.synchronize()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 
 from tnst_mi.frame import Frame
@@ -41,7 +41,7 @@ class SequenceOptimisation:
     def __init__(
         self, plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, cache_bytes: int = CACHE_BYTES
     ) -> None:
-        self._plan, self._frames, self._store = plan, frames, DeviceStore(store, cache_bytes)
+        self._plan, self._frames, self._given_store, self._cache_bytes = plan, frames, store, cache_bytes
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
         self._finished: frozenset[int] = frozenset()
@@ -67,22 +67,31 @@ class SequenceOptimisation:
                 damaged, or a loss is not finite.
         """
         plan, self._on_iteration, self._finished = self._plan, on_iteration, frozenset(finished)
+        self._items, self.interrupted = None, False
         wanted = [frame for frame in plan.frames if frame.index not in self._finished]
         if not wanted:
             return
-        with deferred_interrupt() as self._interrupt, closing(self._store):
+        with (
+            deferred_interrupt() as self._interrupt,
+            closing(DeviceStore(self._given_store, self._cache_bytes)) as store,
+        ):
             try:
-                done = algorithm_1(plan, self._frames, self._network, self._store, self)
+                done = algorithm_1(plan, self._frames, self._network, store, self)
                 for frame in wanted:
                     self._stop_here()
                     items, problem = (None, None) if frame.still else next((i, p) for f, i, p in done if f is frame)
+                    # The result may share memory with items that are being written.
+                    store.finish()
                     yield frame.index, self._result(frame, items, problem)
             except KeyboardInterrupt:
                 self.interrupted = True
                 if self._items is not None:
                     self._items.flush()
+                    # Those whose losses had not been read; a callback that ended the run may do so again.
+                    with suppress(KeyboardInterrupt):
+                        self._report(self._items)
             if self.interrupted and len(plan.frames) == 1:
-                yield 0, replace(self._as_far_as_it_got(plan.frames[0]), interrupted=True)
+                yield 0, replace(self._as_far_as_it_got(plan.frames[0], store), interrupted=True)
 
     # ---------------------------------------------------------------- turns
 
@@ -147,8 +156,6 @@ class SequenceOptimisation:
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
         """The stylized frame, with its history and the losses before and after."""
         source = self._frames[frame.index]
-        # The result may share memory with items that are being written.
-        self._store.finish()
         # Memory blocks of the iterations are no longer needed.
         release_memory()
         result = stylized_frame(items, frame, source)
@@ -163,15 +170,15 @@ class SequenceOptimisation:
             result.loss_after, result.terms_after = problem.judge(frame, result.density)
         return result
 
-    def _as_far_as_it_got(self, frame: FramePlan) -> Stylized:
+    def _as_far_as_it_got(self, frame: FramePlan, store: DeviceStore) -> Stylized:
         """The result of the only frame of an interrupted run."""
-        plan, level = self._plan, reached(self._plan, self._store)
-        problem, scales = None, self._store.store.numbers(f"scales.{len(plan.octaves) - 1}")
+        plan, level = self._plan, reached(self._plan, store)
+        problem, scales = None, self._given_store.numbers(f"scales.{len(plan.octaves) - 1}")
         if scales is not None:
             problem = problem_of(plan, plan.octaves[-1], self._network).scaled(scales)
-        return self._result(frame, Items(plan, level, self._store), problem)
+        return self._result(frame, Items(plan, level, store), problem)
 
     def _history(self, name: str) -> list[dict]:
         """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self._store.store.entries() if e["frame"] == name}
+        entries = {(e["octave"], e["iteration"]): e for e in self._given_store.entries() if e["frame"] == name}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

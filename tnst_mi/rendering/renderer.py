@@ -179,7 +179,8 @@ class EmissionAbsorptionRenderer(Renderer):
 def view_samples(shape: Shape) -> int:
     """Bytes of the adjoint samples of one view of a grid (D, H, W), at most."""
     _, rows, columns = shape
-    return 4 * rows * columns * math.ceil(math.hypot(*shape))
+    # The diagonal, and up to two planes of samples more at either end.
+    return 4 * rows * columns * (math.ceil(math.hypot(*shape)) + 4)
 
 
 @functools.lru_cache(maxsize=6)

@@ -151,7 +151,7 @@ def require_memory(need: Need, free: int) -> str:
             f"memory: frames of {size} cells need about {need.total / 1e9:.1f} GB and {free / 1e9:.1f} GB are free; "
             f"{fits}: resample the frames or free some memory"
         )
-    return f"memory: about {need.total / 1e9:.1f} GB of {free / 1e9:.1f} GB"
+    return f"memory: about {need.total / 1e9:.1f} GB of {free / 1e9:.1f} GB that are free"
 
 
 def free_bytes() -> int:

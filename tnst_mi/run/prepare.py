@@ -37,6 +37,9 @@ from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
 
+#: Bytes from which on memory for items is mentioned.
+_WORTH_TELLING = 50_000_000
+
 #: Entries of its earlier record that a resumed run keeps.
 _KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
 
@@ -147,8 +150,8 @@ def prepare(
     saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
-    if recipe.window > 1:
-        memory += f", and up to {cache / 1e9:.1f} GB to keep what windows need"
+    if cache >= _WORTH_TELLING:
+        memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
     measures = measured(sequence, recipe)
     require_coherent(measures, recipe)
     suffix = _suffix(recipe, sequence)

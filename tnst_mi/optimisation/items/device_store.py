@@ -29,7 +29,7 @@ _Key = tuple[str, int, str]
 _Tensors = dict[str, "mi.TensorXf"]
 
 #: Number of items that may wait to be written; their arrays are in host memory.
-_WAITING = 4
+_WAITING = 2
 
 
 class DeviceStore:
@@ -142,16 +142,16 @@ class DeviceStore:
                 self._keep((group, frame, name), tensor)
         while len(self._writes) >= _WAITING:
             self._finish_oldest()
-        self._written[group, frame] = generation
         write = self._writer.submit(self._write, group, frame, generation, host)
         self._writes.append(((group, frame), write))
+        self._written[group, frame] = generation
 
     def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | HostCopy]) -> None:
         if self._failure is not None:
             # What follows an item must not be there without it.
             raise self._failure
-        host = {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()}
         try:
+            host = {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()}
             self.store.write(group, frame, generation, host)
         except BaseException as error:
             self._failure = error

@@ -10,6 +10,7 @@ step.o      the step of one iteration along the frame's own gradient, and the ch
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -78,7 +79,7 @@ class Items:
         #: Of the frame that goes through its iterations alone.
         self._step = Fields()
         self._launched: Launched | None = None
-        self._outcomes: list[Outcome] = []
+        self._outcomes: deque[Outcome] = deque()
         self._read = self._written = time.perf_counter()
 
     def _group(self, kind: str) -> str:
@@ -98,10 +99,10 @@ class Items:
             found = self._store.generation(self._group("step"), frame.index)
         return max(found, self.iterations_done(frame))
 
-    def outcomes(self) -> list[Outcome]:
-        """The outcomes of own steps that have been read since the last call."""
-        taken, self._outcomes = self._outcomes, []
-        return taken
+    def outcomes(self) -> Iterator[Outcome]:
+        """The outcomes of own steps that have been read and not yet taken from here."""
+        while self._outcomes:
+            yield self._outcomes.popleft()
 
     # ---------------------------------------------------------------- entering the octave
 
@@ -191,6 +192,7 @@ class Items:
         self, frame: FramePlan, kind: str, names: Sequence[str], weights: np.ndarray
     ) -> dict[str, mi.TensorXf]:
         """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of one kind of item, with weights by distance."""
+        self.settle()
         index = frame.index
         window = window_of(index, len(self.plan.frames), 2 * len(weights) - 1)
         order = reading_order(index, window)
@@ -245,14 +247,21 @@ class Items:
         """
         if self._launched is None:
             return
-        step, self._launched = self._launched, None
-        frame, found = step.frame, step.outcome(self.level, self._read)
-        self._read = time.perf_counter()
+        step = self._launched
+        try:
+            found = step.outcome(self.level, self._read)
+        except InputError:
+            # What follows from it must not be written, whoever asks for it.
+            self._launched, self._fields = None, {}
+            raise
+        frame = step.frame
         entry = {"frame": frame.name, "octave": self.level, "iteration": step.iteration, "loss": found.loss}
         self._store.store.log(entry | {"terms": found.terms, "seconds": found.seconds})
-        self._outcomes.append(found)
         if step.arrays:
             self._store.write(self._group("step"), frame.index, step.iteration + 1, step.arrays)
+        # Only now: where Ctrl-C interrupts the waiting above, `flush` has to settle the step.
+        self._launched, self._read = None, time.perf_counter()
+        self._outcomes.append(found)
 
     def put_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         """Store the fields of a frame after `done` iterations."""
