@@ -176,8 +176,6 @@ def weights_hash(weights: str | None) -> str:
 
 def agreement(options: argparse.Namespace) -> Result:
     """Relative L2 differences from the CPU's reference, per stage and end to end; whether the bits repeat."""
-    if options.reference is None:
-        raise SystemExit("--reference is missing: record one on a CPU with --record")
     with np.load(options.reference) as arrays:
         reference = {name: arrays[name] for name in arrays.files if name != "weights"}
         weights = str(arrays["weights"])
@@ -371,7 +369,7 @@ def sequence(options: argparse.Namespace) -> Result:
             out.mkdir()
         command = [sys.executable, __file__, *sys.argv[1:], "--beside", "--part", "sequence", "--out"]
         processes = [subprocess.Popen([*command, str(out)], stdout=subprocess.DEVNULL) for out in outs]
-        if any(process.wait() for process in processes):
+        if any([process.wait() for process in processes]):
             return found | {"failed": "one of three processes"}
         beside = [json.loads((out / "sequence.json").read_text("utf-8"))["seconds"] for out in outs]
     return found | {"three_at_a_time": beside}
@@ -387,7 +385,6 @@ def memory(options: argparse.Namespace) -> Result:
     from tnst_mi.optimisation.items.store import MemoryStore
     from tnst_mi.optimisation.plan import plan_of
     from tnst_mi.optimisation.runner import SequenceOptimisation
-    from tnst_mi.optimisation.single_frame import optimise
     from tnst_mi.run.memory import needed
 
     kinds = {"scalar": {"lam": 1.0}, "vector": {"lam": 0.0}, "both": {"lam": 0.5}}
@@ -399,13 +396,11 @@ def memory(options: argparse.Namespace) -> Result:
         recipe = tnst_mi.Recipe.from_dict(PAPER | kinds[kind] | {"iterations": 2})
         network = GoogLeNet.load(options.weights)
         saved = objective_of(recipe).bind(network, *shape[1:]).saved_bytes / (shape[1] * shape[2])
-        if kind == "window":
-            frames = jet(shape)[:3]
-            plan = plan_of(recipe, [f.name for f in frames], [f.number for f in frames], [1.0] * 3, shape, GAMMA)
-            for _ in SequenceOptimisation(plan, frames, network, MemoryStore(), 0).run():
-                pass
-        else:
-            optimise(tnst_mi.Frame(bundled_density(shape)), recipe, network)
+        frames = jet(shape)[:3] if kind == "window" else [tnst_mi.Frame(bundled_density(shape), name="smoke")]
+        names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
+        plan = plan_of(recipe, names, numbers, [1.0] * len(frames), shape, GAMMA)
+        for _ in SequenceOptimisation(plan, frames, network, MemoryStore(), 0).run():
+            pass
         need = needed(shape, recipe, 1, saved, True)
         return {"shape": shape, "estimate": need.total, "saved_by_pixel": saved, **peak()}
     found: Result = {}
@@ -533,8 +528,11 @@ def tests(options: argparse.Namespace) -> Result:
 
 def run_part(name: str, options: argparse.Namespace) -> None:
     """Run a part in this process; its result goes to a file."""
-    tnst_mi.activate(options.variant)
-    torch_device()  # switches TF32 off
+    try:
+        tnst_mi.activate(options.variant)
+        torch_device()  # switches TF32 off
+    except tnst_mi.InputError as error:
+        raise SystemExit(f"measure_gpu: {error}, or --dry-run") from None
     result = globals()[name](options)
     (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", "utf-8")
 
@@ -584,6 +582,8 @@ def main() -> None:
         return
     if options.out is None:
         parser.error("--out FOLDER is missing")
+    if "agreement" in options.parts.split(",") and options.reference is None and options.part is None:
+        parser.error("agreement needs --reference FILE: record one on a CPU with --record, or give --parts without it")
     options.out.mkdir(parents=True, exist_ok=True)
     if options.part is not None:
         run_part(options.part, options)

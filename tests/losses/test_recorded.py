@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from networks import random_googlenet
 
 from tnst_mi.losses import objective
 from tnst_mi.losses.objective import BoundObjective
-from tnst_mi.losses.terms import Semantic
+from tnst_mi.losses.pictures import GreyImage
+from tnst_mi.losses.terms import Content, Match, Semantic, Style
 from tnst_mi.network.googlenet import GoogLeNet
 
 pytestmark = pytest.mark.skipif(
@@ -18,13 +20,22 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+ONCE, OTHERS = (1.0,) * 5, (2.0, 0.3, -1.0, 5.0, 0.7)
+
+
 @pytest.fixture
 def bound(tmp_path: Path) -> BoundObjective:
     random_googlenet(tmp_path / "random.safetensors", narrow=8)
     network = GoogLeNet.load(tmp_path / "random.safetensors").to("cuda")
-    return (Semantic("inception_3a/3x3", (2,)) + 0.5 * Semantic("conv2/3x3", (1,), damping=0.1)).bind(
-        network, 64, 48, record=True
+    picture = GreyImage("picture", np.random.default_rng(1).random((64, 48)).astype(np.float32))
+    objective = (
+        Semantic("inception_3a/3x3", (2,))
+        + Semantic("conv2/3x3", (1,), damping=0.1)
+        + Style(picture, {"conv2/3x3": 1.0, "inception_3b/output": 0.5})
+        + Content(picture, "inception_3a/3x3")
+        + Match("inception_3a/3x3", np.ones((1, 1, 1), np.float32))
     )
+    return objective.bind(network, 64, 48, record=True)
 
 
 def images(seed: int, count: int) -> torch.Tensor:
@@ -32,7 +43,7 @@ def images(seed: int, count: int) -> torch.Tensor:
 
 
 def test_replaying_gives_the_bits_of_the_evaluation(bound: BoundObjective) -> None:
-    for seed, count, weights in ((0, 3, (1, 1)), (1, 3, (2, 0.3)), (2, 2, (1, 1)), (3, 3, (-1, 5))):
+    for seed, count, weights in ((0, 3, ONCE), (1, 3, OTHERS), (2, 2, ONCE), (3, 3, OTHERS)):
         weighed = bound.weighed(weights).scaled({name: 0.7 for name in bound.names})
         losses, gradient = weighed._differentiated(images(seed, count))
         factors = [weight / 0.7 for weight in weights]
