@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
+import subprocess
+import sys
 from pathlib import Path
 
 import drjit as dr
@@ -36,6 +38,14 @@ def test_memory_is_told_in_bytes() -> None:
     held[:: 1 << 12] = b"1" * len(held[:: 1 << 12])
     assert environment.resident_memory() >= max(resident, 200 << 20)
     assert peak is None or environment.peak_memory() >= max(peak, 200 << 20)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it is what getrusage tells")
+def test_the_peak_is_that_of_the_process_and_not_of_the_one_that_started_it() -> None:
+    held = np.ones(100 << 20, np.uint8)
+    program = "from tnst_mi.machine import environment as e; print(e.peak_memory(), e.resident_memory())"
+    peak, now = map(int, subprocess.check_output([sys.executable, "-c", program], text=True).split())
+    assert now <= peak < now + held.nbytes // 2
 
 
 def test_versions_of_what_is_installed_and_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
