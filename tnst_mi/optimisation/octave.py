@@ -52,11 +52,11 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore,
 def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore, each: Each) -> OctaveProblem:
     """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence."""
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
-    scales = store.store.numbers(name)
+    scales = store.backing.numbers(name)
     if scales is None:
         scales = rms_scales(
             problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))
             for now in items.current(each(plan.alive))
         )
-        store.store.write_numbers(name, scales)
+        store.backing.write_numbers(name, scales)
     return problem.scaled(scales)

@@ -41,7 +41,7 @@ class SequenceOptimisation:
     def __init__(
         self, plan: Plan, frames: Sequence[Frame], network: GoogLeNet, store: Store, cache_bytes: int = CACHE_BYTES
     ) -> None:
-        self._plan, self._frames, self._given_store, self._cache_bytes = plan, frames, store, cache_bytes
+        self._plan, self._frames, self._store, self._cache_bytes = plan, frames, store, cache_bytes
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
         self._finished: frozenset[int] = frozenset()
@@ -73,7 +73,7 @@ class SequenceOptimisation:
             return
         with (
             deferred_interrupt() as self._interrupt,
-            closing(DeviceStore(self._given_store, self._cache_bytes)) as store,
+            closing(DeviceStore(self._store, self._cache_bytes)) as store,
         ):
             try:
                 done = algorithm_1(plan, self._frames, self._network, store, self)
@@ -173,12 +173,12 @@ class SequenceOptimisation:
     def _as_far_as_it_got(self, frame: FramePlan, store: DeviceStore) -> Stylized:
         """The result of the only frame of an interrupted run."""
         plan, level = self._plan, reached(self._plan, store)
-        problem, scales = None, self._given_store.numbers(f"scales.{len(plan.octaves) - 1}")
+        problem, scales = None, self._store.numbers(f"scales.{len(plan.octaves) - 1}")
         if scales is not None:
             problem = problem_of(plan, plan.octaves[-1], self._network).scaled(scales)
         return self._result(frame, Items(plan, level, store), problem)
 
     def _history(self, name: str) -> list[dict]:
         """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self._given_store.entries() if e["frame"] == name}
+        entries = {(e["octave"], e["iteration"]): e for e in self._store.entries() if e["frame"] == name}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

@@ -36,13 +36,13 @@ class DeviceStore:
     """Items on the device, backed by a store.
 
     Args:
-        store: where the items are written, and read from when they are not on the device.
+        backing: where the items are written, and read from when they are not on the device.
         budget: bytes of device memory for items; those that have not been used for longest make room, and one that
             is larger is not kept.
     """
 
-    def __init__(self, store: Store, budget: int) -> None:
-        self.store, self._budget = store, budget
+    def __init__(self, backing: Store, budget: int) -> None:
+        self.backing, self._budget = backing, budget
         self._kept: OrderedDict[_Key, mi.TensorXf | mi.TensorXf16] = OrderedDict()
         self._size = 0
         #: Generations of the items written here, which the store may not have yet.
@@ -56,7 +56,7 @@ class DeviceStore:
     def generation(self, group: str, frame: int) -> int:
         """Generation of an item; −1 if it does not exist."""
         written = self._written.get((group, frame))
-        return self.store.generation(group, frame) if written is None else written
+        return self.backing.generation(group, frame) if written is None else written
 
     # ---------------------------------------------------------------- reading
 
@@ -90,7 +90,7 @@ class DeviceStore:
         """The arrays that are not on the device, from the store."""
         group, frame, _ = request
         self._await(group, frame)
-        return self.store.read(group, frame, self._missing(request))
+        return self.backing.read(group, frame, self._missing(request))
 
     def _await(self, group: str, frame: int) -> None:
         """Wait until the store has what was written of an item."""
@@ -108,7 +108,7 @@ class DeviceStore:
             evicted = [name for name, tensor in tensors.items() if tensor is None and name not in loaded]
             if evicted:
                 self._await(group, frame)
-                loaded = loaded | self.store.read(group, frame, evicted)
+                loaded = loaded | self.backing.read(group, frame, evicted)
             found: _Tensors = {}
             for name, tensor in tensors.items():
                 if tensor is None:
@@ -120,39 +120,32 @@ class DeviceStore:
 
     # ---------------------------------------------------------------- writing
 
-    def write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | mi.TensorXf]) -> None:
+    def write(self, group: str, frame: int, generation: int, arrays: Mapping[str, mi.TensorXf | mi.TensorXf16]) -> None:
         """Write an item, replacing its earlier generation.
 
         Args:
             group, frame, generation: of the item; see `Store`.
-            arrays: by name, numpy or Dr.Jit, in the precision in which they are to be stored.
+            arrays: by name, in the precision in which they are to be stored.
 
         Raises:
             OSError: the store failed to write an earlier item.
         """
         self._forget(lambda key: key[:2] == (group, frame))
-        host: dict[str, np.ndarray | HostCopy] = {}
         for name, array in arrays.items():
-            if isinstance(array, np.ndarray):
-                host[name] = array
-                tensor = _on_device(array) if self._budget > 0 else None
-            else:
-                host[name], tensor = HostCopy(array.torch()), array
-            if tensor is not None:
-                self._keep((group, frame, name), tensor)
+            self._keep((group, frame, name), array)
+        host = {name: HostCopy(array.torch()) for name, array in arrays.items()}
         while len(self._writes) >= _WAITING:
             self._finish_oldest()
         write = self._writer.submit(self._write, group, frame, generation, host)
         self._writes.append(((group, frame), write))
         self._written[group, frame] = generation
 
-    def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, np.ndarray | HostCopy]) -> None:
+    def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, HostCopy]) -> None:
         if self._failure is not None:
             # What follows an item must not be there without it.
             raise self._failure
         try:
-            host = {name: array.numpy() if isinstance(array, HostCopy) else array for name, array in arrays.items()}
-            self.store.write(group, frame, generation, host)
+            self.backing.write(group, frame, generation, {name: copy.numpy() for name, copy in arrays.items()})
         except BaseException as error:
             self._failure = error
             raise
@@ -176,7 +169,7 @@ class DeviceStore:
         self.finish()
         self._forget(lambda key: key[0] == group)
         self._written = {key: written for key, written in self._written.items() if key[0] != group}
-        self.store.remove(group)
+        self.backing.remove(group)
 
     def close(self) -> None:
         """Give the device memory back, and end the threads once the store has everything."""

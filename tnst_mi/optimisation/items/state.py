@@ -256,7 +256,7 @@ class Items:
             raise
         frame = step.frame
         entry = {"frame": frame.name, "octave": self.level, "iteration": step.iteration, "loss": found.loss}
-        self._store.store.log(entry | {"terms": found.terms, "seconds": found.seconds})
+        self._store.backing.log(entry | {"terms": found.terms, "seconds": found.seconds})
         if step.arrays:
             self._store.write(self._group("step"), frame.index, step.iteration + 1, step.arrays)
         # Only now: where Ctrl-C interrupts the waiting above, `flush` has to settle the step.
