@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 import torch
 from fields import blob, smooth_noise
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tnst_mi.fields.grid import octaves
-from tnst_mi.fields.resampling import cubic_matrix, resample_density, resample_mask, resample_potential
+from tnst_mi.fields.resampling import (
+    cubic_matrix,
+    resample_density,
+    resample_mask,
+    resample_potential,
+    resample_velocity,
+)
 
 FULL = (40, 64, 48)
 
@@ -98,3 +106,18 @@ def test_kinds_of_arrays_and_no_derivatives() -> None:
             resample_density(attached, 1.0, coarse.shape, coarse.cell_size)
     plain = resample_density(torch.from_numpy(field), 1.0, coarse.shape, coarse.cell_size)
     np.testing.assert_array_equal(plain.detach().numpy(), expected)
+
+
+@given(
+    st.tuples(*[st.integers(1, 60)] * 3),
+    st.integers(1, 4),
+    st.tuples(*[st.floats(-9, 9, width=32)] * 3),
+)
+def test_velocities_of_any_proportions_repeat_the_border(
+    shape: tuple[int, int, int], count: int, v: tuple[float, float, float]
+) -> None:
+    """A uniform one stays what it is, also in cells of a coarse octave that lie outside the full grid."""
+    field = np.broadcast_to(np.float32(v), (*shape, 3))
+    for octave in octaves(shape, count):
+        found = resample_velocity(field, 1.0, octave.shape, octave.cell_size)
+        np.testing.assert_allclose(found, np.broadcast_to(np.float32(v), found.shape), rtol=1e-5, atol=1e-30)

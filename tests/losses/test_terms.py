@@ -173,10 +173,37 @@ def test_a_layer_named_twice_counts_twice(net: SmallNetwork) -> None:
     assert twice == pytest.approx(value(Style(picture(), {"deep": 1.5}), net, views()), rel=1e-12)
 
 
+def test_a_picture_without_structure_where_it_is_used_is_no_style(net: SmallNetwork) -> None:
+    """Its corners have some, which the crop to the smoke's aspect leaves out."""
+    grey = np.full((20, 80), 0.5, np.float32)
+    grey[:, :8] = np.linspace(0, 1, 8)
+    with pytest.raises(InputError, match=r"plain\.png: one grey all over where it is used .*, which is no style"):
+        Style(GreyImage("plain.png", grey), {"deep": 1.0}).bind(net, HEIGHT, WIDTH)
+    Style(GreyImage("left.png", grey[:, :20]), {"deep": 1.0}).bind(net, HEIGHT, WIDTH)
+
+
+def test_a_layer_that_does_not_respond_to_a_picture_is_named(net: SmallNetwork) -> None:
+    class Silent(SmallNetwork):
+        def forward(self, x: torch.Tensor, layers: list[str]) -> dict[str, torch.Tensor]:
+            return {layer: torch.zeros_like(values) for layer, values in super().forward(x, layers).items()}
+
+    silent = Silent()
+    with pytest.raises(InputError, match="picture: no channel of style layer 'deep' responds to it; use another layer"):
+        Style(picture(), {"deep": 1.0}).bind(silent, HEIGHT, WIDTH)
+
+
+def test_pictures_with_values_that_are_not_finite_are_refused() -> None:
+    grey = np.full((4, 5), 0.5, np.float32)
+    grey[1, 2:4] = np.nan, np.inf
+    for planes in ((grey, None), (np.zeros((4, 5), np.float32), grey)):
+        with pytest.raises(InputError, match=r"odd: 2 of 20 pixels are not finite, expected values in \[0, 1\]"):
+            GreyImage("odd", *planes)
+
+
 def test_a_picture_that_is_transparent_where_it_is_used_is_refused(net: SmallNetwork) -> None:
     """Opaque only at its left edge, which the crop to the smoke's aspect leaves out."""
     alpha = np.zeros((20, 80), np.float32)
     alpha[:, :8] = 1
-    image = GreyImage("edge.png", np.full((20, 80), 0.5, np.float32), alpha)
+    image = GreyImage("edge.png", np.tile(np.linspace(0, 1, 80, dtype=np.float32), (20, 1)), alpha)
     with pytest.raises(InputError, match=r"edge\.png: transparent where it is used"):
         Style(image, {"deep": 1.0}).bind(net, HEIGHT, WIDTH)

@@ -269,6 +269,16 @@ def test_result_that_is_not_finite_is_refused(
         optimise(smoke, recipe(octaves=1, iterations=1), network)
 
 
+def test_network_that_does_not_respond_is_told(network: GoogLeNet, smoke: Frame) -> None:
+    """A channel that looks at nothing."""
+    dead = copy.deepcopy(network)
+    dead.convolutions["inception_3a/3x3"].weight.data[2] = 0
+    result = optimise(smoke, recipe(octaves=1), dead)
+    assert "cloud: left unchanged, since nothing that the loss looks at responds to it: choose other" in result.note
+    np.testing.assert_array_equal(result.density, smoke.density)
+    assert optimise(smoke, recipe(octaves=1), network).note is None
+
+
 def test_frame_that_renders_black_comes_back_unchanged_with_a_note(network: GoogLeNet) -> None:
     """Dense smoke under the paper's sum: no light gets out."""
     density = np.full(SHAPE, 1e6, np.float32)

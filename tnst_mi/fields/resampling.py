@@ -51,9 +51,14 @@ def cubic_matrix(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarr
     return matrix
 
 
-def linear_matrix(n_from: int, h_from: float, n_to: int, h_to: float) -> np.ndarray:
-    """Linear interpolation along one axis, shape (n_to, n_from); the field is 0 outside the source cells' centres."""
+def linear_matrix(n_from: int, h_from: float, n_to: int, h_to: float, repeat: bool = False) -> np.ndarray:
+    """Linear interpolation along one axis, shape (n_to, n_from).
+
+    Outside the source cells' centres the field is 0, or repeats the end cell.
+    """
     x = _source_coordinates(n_from, h_from, n_to, h_to)
+    if repeat:
+        x = np.clip(x, 0, n_from - 1)
     return np.maximum(0.0, 1.0 - np.abs(x[:, None] - np.arange(n_from)[None, :]))
 
 
@@ -138,7 +143,8 @@ def resample_velocity(field: mi.TensorXf, h_from: float, shape: Shape, h_to: flo
         return field
     matrices = []
     for n, m in zip(field.shape[:3], shape, strict=True):
-        matrix = linear_matrix(n, h_from, m, h_to) @ prefilter_matrix(n, h_from, h_to)
+        # Cells of a coarse octave may lie outside the full grid: the octave has the cell size of the vertical axis.
+        matrix = linear_matrix(n, h_from, m, h_to, repeat=True) @ prefilter_matrix(n, h_from, h_to)
         # Normalised to compensate for the zeros outside: near the border, an average over the cells inside.
         matrices.append(matrix / matrix.sum(axis=1, keepdims=True))
     return _apply(field, matrices)

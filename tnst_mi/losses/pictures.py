@@ -24,11 +24,27 @@ class GreyImage:
         name: The name in logs and errors, e.g. the file name.
         grey: (H, W) float32 in [0, 1], row 0 at the top.
         alpha: (H, W) float32 in [0, 1], 1 where the picture counts; None means everywhere.
+
+    Raises:
+        InputError: A value is not finite.
     """
 
     name: str
     grey: np.ndarray
     alpha: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for plane in (self.grey, self.alpha):
+            if plane is not None and not np.isfinite(plane).all():
+                bad = int((~np.isfinite(plane)).sum())
+                raise InputError(f"{self.name}: {bad} of {plane.size} pixels are not finite, expected values in [0, 1]")
+
+    @property
+    def flat(self) -> bool:
+        """Whether the picture has the same grey, to 8 bits, wherever it counts."""
+        grey = self.grey if self.alpha is None else self.grey[self.alpha > 0]
+        return not grey.size or float(np.ptp(grey)) < 1 / 255
 
     def fitted(self, height: int, width: int) -> GreyImage:
         """Return the largest centred crop of aspect width:height, resized to (height, width)."""

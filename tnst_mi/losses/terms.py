@@ -158,6 +158,11 @@ class Style(Term):
             # A layer may occur twice, under its name and under an alias.
             weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
         picture = self.picture.fitted(height, width)
+        if picture.flat and (picture.alpha is None or picture.alpha.any()):
+            raise InputError(
+                f"{picture.name}: one grey all over where it is used (its centre, with the aspect {width}:{height}), "
+                "which is no style; use a picture with structure there"
+            )
         grams = {}
         for layer, values in _picture_features(net, picture, list(weights)).items():
             if values.ndim != 4:
@@ -166,6 +171,11 @@ class Style(Term):
                 rows, columns = values.shape[2:]
                 values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)
             grams[layer] = mean_gram(values)
+            if not grams[layer].any() and (picture.alpha is None or picture.alpha.any()):
+                raise InputError(
+                    f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
+                    "the network's weights"
+                )
             if not grams[layer].any():
                 raise InputError(
                     f"{picture.name}: transparent where it is used (its centre, with the aspect {width}:{height}); "

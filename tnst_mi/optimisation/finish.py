@@ -57,7 +57,14 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     after = density.array if solid is None else dr.select(solid, before, density.array)
     blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape)
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
-    return Stylized(blended.numpy(), velocity.numpy(), (phi, psi))
+    result = Stylized(blended.numpy(), velocity.numpy(), (phi, psi))
+    begun = items.level > 0 or items.iterations_done(frame) > 0
+    if begun and not any(dr.any(field.array != 0) for field in fields.values()):
+        result.note = (
+            f"{source.name}: left unchanged, since nothing that the loss looks at responds to it: choose other layers "
+            "or channels, or check the network's weights"
+        )
+    return result
 
 
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:
