@@ -12,6 +12,7 @@ import mitsuba as mi
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
+from tnst_mi.fields.kernels import require_indexable
 from tnst_mi.fields.maccormack import AdvectionStep, GivenVelocity
 from tnst_mi.fields.potentials import PotentialVelocity
 
@@ -89,7 +90,7 @@ def advect(
         The transported field, in the shape and array kind of the input. Differentiable with respect to the field and v.
 
     Raises:
-        InputError: the method or boundary is unknown, or the shapes do not match.
+        InputError: the method or boundary is unknown, the shapes do not match, or the grid is too large to be indexed.
 
     Example:
         >>> import numpy as np
@@ -113,6 +114,7 @@ def advect(
         raise InputError(f"advect: h {h} given, expected a cell size > 0")
     if steps != "auto" and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise InputError(f"advect: steps {steps!r} given, expected a whole number >= 1 or 'auto'")
+    require_indexable(3 * math.prod(tuple(v.shape)[:3]), "advect: a field")
     count = substeps(v, h) if steps == "auto" else steps
     for _ in range(count):
         field = step(field, v, method, h * count, outside)

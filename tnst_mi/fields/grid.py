@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.kernels import Divisor, gather, opaque_int
+from tnst_mi.fields.kernels import Divisor, gather, opaque_int, require_indexable
 
 #: (D, H, W): number of cells along z, y and x.
 Shape = tuple[int, int, int]
@@ -59,7 +59,8 @@ class Cells:
     def of(cls, shape: Shape, chosen: mi.UInt32 | None = None) -> Cells:
         """The cells of a (D, H, W) grid with the storage indices `chosen`, or all of them."""
         d, h, w = shape
-        row, x = Divisor(w).split(dr.arange(mi.UInt32, d * h * w) if chosen is None else chosen)
+        require_indexable(d * h * w, "a grid")
+        row, x = Divisor(w).split_first(d * h * w) if chosen is None else Divisor(w).split(chosen)
         z, y = Divisor(h).split(row)
         size = mi.Vector3i(*(opaque_int(n) for n in (w, h, d)))
         return cls(shape, size, mi.Int32(x), mi.Int32(y), mi.Int32(z), chosen)

@@ -7,6 +7,8 @@ import functools
 import drjit as dr
 import mitsuba as mi
 
+from tnst_mi.errors import InputError
+
 
 def opaque(value: float) -> mi.Float:
     """A number that changes between calls, kept out of the generated code so that no kernel is recompiled."""
@@ -24,6 +26,20 @@ def _opaque(kind: type, value: float) -> mi.Float | mi.Int32:
     return dr.opaque(kind, value)
 
 
+#: Arrays have fewer values than this; see `Divisor`.
+LARGEST_COUNT = 1 << 30
+
+
+def require_indexable(count: int, what: str = "an array") -> None:
+    """Check that an array of `count` values can be indexed.
+
+    Raises:
+        InputError: it is too large.
+    """
+    if count >= LARGEST_COUNT:
+        raise InputError(f"{what} of {count} values, expected fewer than {LARGEST_COUNT}: resample to a coarser grid")
+
+
 class Divisor:
     """Division of indices below 2^30 by a size that is not part of the generated code.
 
@@ -36,6 +52,15 @@ class Divisor:
         factor = 2 ** (31 + bits) // (2 * size) + 1
         self.size = opaque_int(size)
         self.factor, self.shift = _opaque(mi.UInt32, factor), _opaque(mi.UInt32, bits - 1)
+
+    def split_first(self, count: int) -> tuple[mi.UInt32, mi.UInt32]:
+        """Quotient and remainder of the indices from 0 to `count` − 1.
+
+        Raises:
+            InputError: there are too many.
+        """
+        require_indexable(count)
+        return self.split(dr.arange(mi.UInt32, count))
 
     def split(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
         """Quotient and remainder."""

@@ -9,6 +9,7 @@ would carry the smoke out of the grid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ import mitsuba as mi
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Cells, Shape
-from tnst_mi.fields.kernels import opaque, stored
+from tnst_mi.fields.kernels import opaque, require_indexable, stored
 
 
 class _AxisDifference:
@@ -169,7 +170,8 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         the array kind of the input.
 
     Raises:
-        InputError: both potentials are absent, their shapes disagree, or λ or h is out of range.
+        InputError: both potentials are absent, their shapes disagree, the grid is too large to be indexed, or λ or h is
+            out of range.
 
     Example:
         >>> import numpy as np
@@ -192,5 +194,6 @@ def velocity(phi: mi.TensorXf | None, psi: mi.TensorXf | None, lam: float, h: fl
         raise InputError(f"velocity: {found} given, expected (D, H, W) and (D, H, W, 3) on the same grid")
     if not 0.0 <= lam <= 1.0 or not h > 0.0:
         raise InputError(f"velocity: lam {lam} and h {h} given, expected 0 <= lam <= 1 and h > 0")
+    require_indexable(3 * math.prod(shape), "velocity: a field")
     velocity_of = PotentialVelocity(phi, psi, float(lam), float(h))
     return dr.custom(_Velocity, velocity_of.potentials, velocity_of.source)

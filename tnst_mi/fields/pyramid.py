@@ -16,7 +16,7 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
+from tnst_mi.fields.kernels import Divisor, opaque, opaque_int, require_indexable
 from tnst_mi.machine.backend import on_gpu
 
 #: Lower bound of the divisor of a band, so that an empty band stays empty.
@@ -68,10 +68,11 @@ class _Runs:
         shape = list(field.shape)
         self.source, self.source_length, shape[axis] = field.array, shape[axis], length
         self.shape, self.boundary, self.margin = tuple(shape), boundary, margin
+        require_indexable(max(dr.width(field.array), math.prod(shape)))
         self.result = dr.empty(mi.Float, math.prod(shape))
 
         inner, runs = math.prod(shape[axis + 1 :]), -(-length // run)
-        row, offset = Divisor(inner).split(dr.arange(mi.UInt32, math.prod(shape[:axis]) * runs * inner))
+        row, offset = Divisor(inner).split_first(math.prod(shape[:axis]) * runs * inner)
         outer, number = Divisor(runs).split(row)
         #: Position of the thread's first result along the axis.
         self.first = mi.Int32(number) * run
@@ -170,7 +171,7 @@ class _Expansion:
         self.values, channels = coarse.array, math.prod(shape[3:])
         block = _per_thread().expansion
         blocks = [-(-n // 2) for n in shape[:2]] + [-(-shape[2] // (2 * block))]
-        rest, channel = Divisor(channels).split(dr.arange(mi.UInt32, math.prod(blocks) * channels))
+        rest, channel = Divisor(channels).split_first(math.prod(blocks) * channels)
         rest, x = Divisor(blocks[2]).split(rest)
         z, y = Divisor(blocks[1]).split(rest)
         first = [mi.Int32(z), mi.Int32(y), mi.Int32(x) * block]

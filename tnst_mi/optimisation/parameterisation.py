@@ -120,7 +120,7 @@ def times(weight: mi.TensorXf, field: mi.TensorXf) -> mi.TensorXf:
     """A field (D, H, W) or (D, H, W, 3) with every component multiplied by a scalar field (D, H, W)."""
     if len(field.shape) == 3:
         return weight * field
-    cell, _ = Divisor(field.shape[3]).split(dr.arange(mi.UInt32, dr.width(field.array)))
+    cell, _ = Divisor(field.shape[3]).split_first(dr.width(field.array))
     product = stored(dr.gather(mi.Float, weight.array, cell) * field.array)
     dr.eval(product)
     return mi.TensorXf(product, field.shape)

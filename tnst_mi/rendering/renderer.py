@@ -20,7 +20,7 @@ from tnst_mi.choices import QUADRATURES
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
-from tnst_mi.fields.kernels import opaque_int
+from tnst_mi.fields.kernels import opaque_int, require_indexable
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import View
@@ -221,7 +221,7 @@ def render(
         density.
 
     Raises:
-        InputError: the shape or range of an argument is not as stated.
+        InputError: the shape or range of an argument is not as stated, or an array is too large to be indexed.
 
     Example:
         >>> import torch
@@ -248,5 +248,7 @@ def render(
     if not (0 < gamma < math.inf and 0 < h < math.inf):
         raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
     views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
+    require_indexable(math.prod(density.shape), "render: a density")
+    require_indexable(len(views) * math.prod(tuple(density.shape)[1:]), "render: images")
     images = EmissionAbsorptionRenderer(tuple(density.shape), float(gamma), quadrature, float(h)).render(density, views)
     return images if angles.ndim == 2 else mi.TensorXf(images.array, tuple(density.shape)[1:])

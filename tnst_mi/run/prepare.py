@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.kernels import require_indexable
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
@@ -142,6 +143,7 @@ def prepare(
     sequence = sequence_of(frames, recipe)
     # Reading the first frame finds most bad inputs before the network is loaded.
     shape = sequence[0].density.shape
+    require_indexable(3 * math.prod(shape), f"{sequence[0].name}: its velocity is an array")
     variant = activate(recipe.variant)
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)

@@ -65,8 +65,7 @@ class OrthographicRays:
 
     def through_pixels(self, first: int, count: int) -> mi.Ray3f:
         """Rays through the pixel centres of `count` views, starting at number `first`, row by row."""
-        pixel = dr.arange(mi.UInt32, count * self.height * self.width)
-        row, column = Divisor(self.width).split(pixel)
+        row, column = Divisor(self.width).split_first(count * self.height * self.width)
         row += mi.UInt32(opaque_int(first * self.height))
         x = (mi.Float(column) + 0.5) / opaque(self.width)
         y = (mi.Float(row) + 0.5) / opaque(len(self.views) * self.height)

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.grid import Cells
-from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
+from tnst_mi.fields.kernels import Divisor, opaque, opaque_int, require_indexable
 from tnst_mi.fields.stencil import larger, smaller
 from tnst_mi.rendering.cameras.orthographic import ParallelRays
 from tnst_mi.rendering.march.lattice import Lattice
@@ -45,13 +45,14 @@ class BackProjection:
         before = np.ceil(extents / (2 * lattice.spacing)).astype(int) + 1
         planes = 2 * before + 1
         pixels = rays.width * rays.height
+        require_indexable(pixels * int(planes.sum()), "the samples of the rays: an array")
         self.pixels = opaque_int(pixels)
         #: By view: the last plane of its lattice, and where its values begin.
         self.last_plane = mi.Float((planes - 1).astype(np.float32))
         self.start = mi.Int32((pixels * (np.cumsum(planes) - planes)).astype(np.int32))
         #: Samples that no ray visits stay 0.
         self.values = dr.zeros(mi.Float, pixels * int(planes.sum()))
-        view, pixel = Divisor(pixels).split(dr.arange(mi.UInt32, pixels * self.views))
+        view, pixel = Divisor(pixels).split_first(pixels * self.views)
         planes_before = dr.gather(mi.Float, mi.Float(before.astype(np.float32)), view)
         #: By ray: where the value of its first sample is stored.
         self.first = mi.Int32(lattice.first + planes_before) * self.pixels
