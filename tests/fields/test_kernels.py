@@ -60,7 +60,5 @@ def test_samples_of_rays_that_indices_cannot_reach_are_refused(monkeypatch: pyte
     dr.enable_grad(leaf)
     image = tnst_mi.render(leaf, (20, 10))
     monkeypatch.setattr(kernels, "LARGEST_COUNT", 200)
-    with pytest.raises(
-        tnst_mi.InputError, match="the samples of the rays: an array of 330 values"
-    ):
+    with pytest.raises(tnst_mi.InputError, match="the samples of the rays: an array of 330 values"):
         dr.backward(dr.sum(image, axis=None))

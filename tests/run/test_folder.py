@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import re
@@ -56,6 +57,34 @@ def test_the_device_is_said_first(optimiser: FakeOptimiser, capsys: pytest.Captu
         pass
     assert optimiser.calls[0]["cache_bytes"] == prepared.cache_bytes > 0
     assert re.match(r"device: (CPU, \d+ threads \(llvm_ad_rgb\)|.* \(cuda_ad_rgb.*\))\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("gamma", "others", "warned"),
+    [
+        (14.0, {}, False),
+        (16.0, {}, True),
+        (16.0, {"quadrature": "exact"}, False),
+        ({7: 0.1, 8: 16.0}, {}, True),
+        ({7: 16.0, 8: 0.1}, {}, False),
+    ],
+)
+def test_cells_too_thick_for_the_inclusive_sum_are_told(
+    gamma: float | dict[int, float],
+    others: dict[str, str],
+    warned: bool,
+    optimiser: FakeOptimiser,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A cell's own emission is seen through its own γ d: at 3, exp(−3) = 5% of it. The second frame is the densest."""
+    recipe = dataclasses.replace(RECIPE, gamma=gamma, **others)
+    for _ in Run(prepare(frames(0.1, 0.2), recipe)):
+        pass
+    lines = [line for line in capsys.readouterr().err.splitlines() if "inclusive sum" in line]
+    assert len(lines) == warned
+    if warned:
+        assert lines[0].startswith("warning: gamma times the density of a cell is up to 3.2: ")
+        assert 'quadrature = "exact" does not' in lines[0]
 
 
 def test_an_empty_run_has_finite_numbers(optimiser: FakeOptimiser, tmp_path: Path) -> None:

@@ -26,6 +26,9 @@ from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
 
+#: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
+_THICK = 3.0
+
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -146,6 +149,15 @@ class Run(Iterator[StylizedFrame]):
             announce_fallback()
         if prepared.recipe.coherence > 0 and prepared.plan.window == 1:
             self._bar.say(f"warning: coherence = {prepared.recipe.coherence:g} has no effect without a window")
+        # Frames that are black altogether are named below.
+        seen = [measure for measure in prepared.measures if measure.brightest > 0.0]
+        thickness = max((prepared.recipe.at(m.number).gamma * m.densest for m in seen), default=0.0)
+        inclusive = prepared.recipe.integrator == "emission_absorption" and prepared.recipe.quadrature == "paper"
+        if inclusive and thickness > _THICK:
+            self._bar.say(
+                f"warning: gamma times the density of a cell is up to {thickness:.3g}: the paper's inclusive sum hides "
+                'such cells from the network, quadrature = "exact" does not; or lower gamma'
+            )
         for measure in prepared.measures:
             if measure.brightest == 0.0 and measure.mass > 0.0:
                 gamma = prepared.recipe.at(measure.number).gamma

@@ -21,13 +21,14 @@ from tnst_mi.run.folder import is_file_name
 @dataclass(frozen=True)
 class Measure:
     """Measurements of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
-    of its density, the SHA-256 of its arrays, and whether it has a velocity."""
+    and the largest value of its density, the SHA-256 of its arrays, and whether it has a velocity."""
 
     name: str
     number: int | None
     brightest: float
     pixel_sum: float
     mass: float
+    densest: float
     sha256: str
     moves: bool
 
@@ -52,6 +53,7 @@ def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
                 float(image.max()),
                 float(image.sum()),
                 frame.mass,
+                float(frame.density.max()),
                 digest.hexdigest(),
                 frame.velocity is not None,
             )
