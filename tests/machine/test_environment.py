@@ -43,8 +43,8 @@ def test_memory_is_told_in_bytes() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it is what getrusage tells")
 def test_the_peak_is_that_of_the_process_and_not_of_the_one_that_started_it() -> None:
     held = np.ones(100 << 20, np.uint8)
-    program = "from tnst_mi.machine import environment as e; print(e.peak_memory(), e.resident_memory())"
-    peak, now = map(int, subprocess.check_output([sys.executable, "-c", program], text=True).split())
+    program = "from tnst_mi.machine import environment as e; print(e.resident_memory(), e.peak_memory())"
+    now, peak = map(int, subprocess.check_output([sys.executable, "-c", program], text=True).split())
     assert now <= peak < now + held.nbytes // 2
 
 
