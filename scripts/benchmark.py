@@ -44,10 +44,10 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
-from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore
+from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
-from tnst_mi.optimisation.runner import SequenceOptimisation
+from tnst_mi.optimisation.runner import CACHE_BYTES, SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
@@ -156,21 +156,33 @@ def windowed(window: int, weights: str | None) -> dict[str, float]:
     rising[..., 1] = 0.4
     frames = [tnst_mi.Frame(density, velocity=rising, name=f"frame_{i}", number=i) for i in range(9)]
     recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": 1, "iterations": 8, "window": window})
-    names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
-    exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
-    passed: list[float] = []
-
-    def note(progress: Progress) -> None:
-        if progress.frame == names[0]:
-            passed.append(time.perf_counter())
-
-    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), density.shape, exposure)
-    run = SequenceOptimisation(plan, frames, GoogLeNet.load(weights), MemoryStore())
-    for _ in run.run(note):
-        pass
+    passed = iterated(frames, recipe, weights, MemoryStore(), time.perf_counter)
     # With a window, all frames are processed before the first is due again; without, the first continues alone.
     turns = len(frames) if window > 1 else 1
     return {"window": window, "seconds": float(np.median(np.diff(passed[1:]))) / turns}
+
+
+def iterated(
+    frames: list[tnst_mi.Frame],
+    recipe: tnst_mi.Recipe,
+    weights: str | None,
+    store: Store,
+    read: Callable[[], Any],
+    cache_bytes: int = CACHE_BYTES,
+) -> list[Any]:
+    """Stylize a sequence; what `read` gave after every iteration of the first frame."""
+    names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
+    exposure = 1 / float(tnst_mi.render(frames[0].density, gamma=GAMMA).max())
+    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), frames[0].density.shape, exposure)
+    passed = []
+
+    def note(progress: Progress) -> None:
+        if progress.frame == names[0]:
+            passed.append(read())
+
+    for _ in SequenceOptimisation(plan, frames, GoogLeNet.load(weights), store, cache_bytes).run(note):
+        pass
+    return passed
 
 
 def jet(shape: tuple[int, int, int]) -> list[tnst_mi.Frame]:
@@ -200,20 +212,10 @@ def sequence(weights: str | None, shape: tuple[int, int, int] = (64, 96, 64), vi
     """Seconds and bytes read from the store by iteration of a frame, in a sequence of nine with a window of 9."""
     frames = jet(shape)
     recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": views, "iterations": 6, "window": 9})
-    names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
-    exposure = 1 / float(tnst_mi.render(frames[0].density, gamma=GAMMA).max())
-    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), shape, exposure)
     with tempfile.TemporaryDirectory() as folder:
         store = CountingStore(Path(folder))
-        passed: list[tuple[float, int]] = []
-
-        def note(progress: Progress) -> None:
-            if progress.frame == names[0]:
-                passed.append((time.perf_counter(), store.read_bytes))
-
         # A budget that a run would find on a machine with a few GB to spare.
-        for _ in SequenceOptimisation(plan, frames, GoogLeNet.load(weights), store, 4 << 30).run(note):
-            pass
+        passed = iterated(frames, recipe, weights, store, lambda: (time.perf_counter(), store.read_bytes), 4 << 30)
     # The first iteration compiles kernels.
     seconds, read = np.diff(np.array(passed[1:]), axis=0).T / len(frames)
     found = {"seconds": float(np.median(seconds)), "bytes_read": float(np.mean(read))}

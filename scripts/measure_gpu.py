@@ -433,6 +433,7 @@ def precision(options: argparse.Namespace) -> Result:
     layouts = {"channels last": torch.channels_last, "contiguous": torch.contiguous_format}
     found: Result = {}
     for name, keys in (("semantic", PAPER), ("style", STYLE)):
+        bound = objective_of(tnst_mi.Recipe.from_dict(keys)).bind(network, *density.shape[1:])
         exact: torch.Tensor | None = None
         for kind, layout, at_once in itertools.product(("float32", "tf32", "bfloat16"), layouts, (9, 3, 1)):
             if layout != "channels last" and at_once != 9:
@@ -441,8 +442,6 @@ def precision(options: argparse.Namespace) -> Result:
             network.to(memory_format=layouts[layout])
             torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = kind == "tf32"
             cast = torch.autocast(pictures.device.type, torch.bfloat16, enabled=kind == "bfloat16")
-            # Bound anew, since a recorded evaluation keeps the precision that it was recorded with.
-            bound = objective_of(tnst_mi.Recipe.from_dict(keys)).bind(network, *density.shape[1:])
 
             def differentiate(bound: Any = bound, cast: Any = cast) -> torch.Tensor:
                 leaf = pictures.detach().requires_grad_()

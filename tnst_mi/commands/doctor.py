@@ -141,7 +141,7 @@ def _variant() -> Requirement:
 
 def _optix() -> Requirement:
     """OptiX, which path tracing on a GPU needs; checked once a variant is active."""
-    if not (mi.variant() or "").startswith("cuda"):
+    if not backend.on_gpu():
         return Requirement("OptiX", "not needed: no GPU computes")
     if optix.optix_answers():
         return Requirement("OptiX", f"answers; needed by {_OPTIX_USES}")

@@ -158,10 +158,11 @@ class Style(Term):
             # A layer may occur twice, under its name and under an alias.
             weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
         picture = self.picture.fitted(height, width)
-        if picture.flat and (picture.alpha is None or picture.alpha.any()):
+        where = f"where it is used (its centre, with the aspect {width}:{height})"
+        _require_opaque(picture.alpha, picture.name, where)
+        if picture.flat:
             raise InputError(
-                f"{picture.name}: one grey all over where it is used (its centre, with the aspect {width}:{height}), "
-                "which is no style; use a picture with structure there"
+                f"{picture.name}: one grey all over {where}, which is no style; use a picture with structure there"
             )
         grams = {}
         for layer, values in _picture_features(net, picture, list(weights)).items():
@@ -169,17 +170,14 @@ class Style(Term):
                 raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
-                values = values * torch.as_tensor(resized(picture.alpha, rows, columns)).to(values)
+                alpha = resized(picture.alpha, rows, columns)
+                _require_opaque(alpha, picture.name, where)
+                values = values * torch.as_tensor(alpha).to(values)
             grams[layer] = mean_gram(values)
-            if not grams[layer].any() and (picture.alpha is None or picture.alpha.any()):
+            if not grams[layer].any():
                 raise InputError(
                     f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
                     "the network's weights"
-                )
-            if not grams[layer].any():
-                raise InputError(
-                    f"{picture.name}: transparent where it is used (its centre, with the aspect {width}:{height}); "
-                    "use a picture that is opaque there"
                 )
         scales = {layer: weights[layer] / gram.square().sum() for layer, gram in grams.items()}
 
@@ -190,6 +188,12 @@ class Style(Term):
             return torch.stack(distances).sum()
 
         return BoundTerm(tuple(grams), loss)
+
+
+def _require_opaque(alpha: np.ndarray | None, name: str, where: str) -> None:
+    """Raise `InputError` if nothing of a picture is seen."""
+    if alpha is not None and not alpha.any():
+        raise InputError(f"{name}: transparent {where}; use a picture that is opaque there")
 
 
 def mean_gram(values: Tensor) -> Tensor:

@@ -8,9 +8,8 @@ from __future__ import annotations
 import ctypes
 import sys
 
-import mitsuba as mi
-
 from tnst_mi.errors import InputError
+from tnst_mi.machine.backend import on_gpu
 
 LIBRARY = "libnvoptix.so.1"
 
@@ -37,8 +36,7 @@ def require_optix(what: str) -> None:
     Raises:
         InputError: the variant runs on a GPU, and OptiX cannot be loaded.
     """
-    variant = mi.variant()
-    if variant is not None and variant.startswith("cuda") and not optix_answers():
+    if on_gpu() and not optix_answers():
         raise InputError(
             f"{what}: traces paths, which on a GPU needs OptiX, and {LIBRARY} cannot be loaded; {REMEDY}, "
             "or compute on the CPU: CUDA_VISIBLE_DEVICES=-1"

@@ -80,6 +80,6 @@ def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: in
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:
     """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9)."""
     if plan.window == 1:
-        return items.own_step(now.frame)
+        return items.own_step
     average = items.averaged_step(now.frame)
     return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

@@ -23,6 +23,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.fields.grid import Shape
+from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View, camera_frame
 from tnst_mi.rendering.looks import look_file
@@ -198,7 +199,7 @@ class Denoiser:
 
 def find_denoiser(size: tuple[int, int]) -> Denoiser | None:
     """The denoiser, or None if the variant or the driver lacks OptiX, or the driver lacks the denoiser's weights."""
-    if not mi.variant().startswith("cuda") or not hasattr(mi, "OptixDenoiser") or not _denoiser_answers():
+    if not on_gpu() or not hasattr(mi, "OptixDenoiser") or not _denoiser_answers():
         return None
     return Denoiser(size)
 

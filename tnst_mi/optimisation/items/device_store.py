@@ -1,7 +1,7 @@
 """The items of a store as tensors on the device: kept there as long as they fit, and written behind the work.
 
-With a window, every iteration of a frame reads the steps and velocities of its neighbours, 2w + 1 times each. Kept on
-the device, in the precision in which they are stored, each is read once or not at all. What is written goes to the
+With a window, the step and the velocity of a frame are needed by all 2w + 1 frames in whose windows it is. Kept on the
+device, in the precision in which they are stored, each is read once or not at all. What is written goes to the
 store in a thread, in the order of writing, up to the first item that cannot be written: at any moment, the store has
 what a run that was killed a little earlier would have left, so that it stays the truth for resuming.
 """

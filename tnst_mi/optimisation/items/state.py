@@ -76,8 +76,8 @@ class Items:
         self._fields: dict[int, tuple[int, Fields]] = {}
         #: By frame: iterations whose own step has been computed.
         self._found: dict[int, int] = {}
-        #: Of the frame that goes through its iterations alone.
-        self._step = Fields()
+        #: Without a window, the latest step of the frame that goes through its iterations.
+        self.own_step = Fields()
         self._launched: Launched | None = None
         self._outcomes: deque[Outcome] = deque()
         self._read = self._written = time.perf_counter()
@@ -177,10 +177,6 @@ class Items:
     def _fields_request(self, frame: FramePlan) -> Request:
         return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)
 
-    def own_step(self, frame: FramePlan) -> Fields:
-        """The latest own step of the frame that goes through its iterations alone."""
-        return self._step
-
     def averaged_step(self, frame: FramePlan) -> Fields:
         """The steps of a frame's window, transported to it (paper Eq. 8) and averaged over smoke (Eq. 9)."""
         names = list(frame.parameterisation.channels)
@@ -233,7 +229,7 @@ class Items:
         """
         self.settle()
         if self._alone:
-            self._step = found.step
+            self.own_step = found.step
         self._found[frame.index] = iteration + 1
         self._launched = Launched(frame, iteration, found, stored=not self._alone)
         if self._launched.ready:
@@ -270,7 +266,7 @@ class Items:
             return
         last = done == self.plan.recipe.iterations
         # A step that has been applied is no longer needed.
-        self._fields, self._step = {frame.index: (done, fields)}, Fields()
+        self._fields, self.own_step = {frame.index: (done, fields)}, Fields()
         if last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
             self._write_fields(frame, done, fields)
         if last:
