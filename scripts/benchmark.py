@@ -173,7 +173,7 @@ def iterated(
     """Stylize a sequence; what `read` gave after every iteration of the first frame."""
     names, numbers = zip(*((frame.name, frame.number) for frame in frames), strict=True)
     exposure = 1 / float(tnst_mi.render(frames[0].density, gamma=GAMMA).max())
-    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), frames[0].density.shape, exposure)
+    plan = plan_of(recipe, names, numbers, [1.0] * len(frames), [exposure] * len(frames), frames[0].density.shape)
     passed = []
 
     def note(progress: Progress) -> None:

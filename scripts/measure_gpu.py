@@ -398,7 +398,7 @@ def memory(options: argparse.Namespace) -> Result:
         saved = objective_of(recipe).bind(network, *shape[1:]).saved_bytes / (shape[1] * shape[2])
         frames = jet(shape)[:3] if kind == "window" else [tnst_mi.Frame(bundled_density(shape), name="smoke")]
         names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
-        plan = plan_of(recipe, names, numbers, [1.0] * len(frames), shape, GAMMA)
+        plan = plan_of(recipe, names, numbers, [1.0] * len(frames), [GAMMA] * len(frames), shape)
         for _ in SequenceOptimisation(plan, frames, network, MemoryStore(), 0).run():
             pass
         need = needed(shape, recipe, 1, saved, True)

@@ -11,6 +11,7 @@ import torch
 from figures.measures import spread
 from figures.setting import Run, Setting
 from tnst_mi import GoogLeNet, render
+from tnst_mi.fields.density_unit import scaled
 from tnst_mi.losses.objective import Objective
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.rendering.cameras.views import View
@@ -24,6 +25,7 @@ JUDGED = (FRONT, (-8.0, 0.0), (8.0, 0.0))
 def images_of(run: Run, density: np.ndarray, views: Sequence[View] = (FRONT,)) -> np.ndarray:
     """A density (D, H, W) as a run renders and exposes it, (V, H, W); the smoke is in about [0, 1]."""
     recipe = run.recipe
+    density = scaled(density, run.record["density_scale"])
     return np.asarray(render(density, list(views), recipe.gamma, recipe.quadrature)) * run.exposure
 
 

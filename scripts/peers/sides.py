@@ -79,7 +79,7 @@ class Iteration:
     """
 
     def __init__(self, density: np.ndarray, recipe: Recipe, network: GoogLeNet, exposure: float) -> None:
-        plan = plan_of(recipe, ["smoke"], [0], [1.0], density.shape, exposure)
+        plan = plan_of(recipe, ["smoke"], [0], [1.0], [exposure], density.shape)
         self.rows, (self.frame,) = plan.rows, plan.frames
         self.problem = problem_of(plan, Octave(density.shape, 1.0), network)
         self.density = mi.TensorXf(density)

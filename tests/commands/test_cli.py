@@ -165,15 +165,15 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[3:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
-    said = [line.split(": ")[0] for line in ran.errors[:3]]
-    assert said == ["device", "network", "memory"] and ran.errors[1] == "network: bvlc, none"
+    assert (ran.code, ran.errors[4:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    said = [line.split(": ")[0] for line in ran.errors[:4]]
+    assert said == ["device", "network", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[3].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[4].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 4
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 5
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
@@ -219,11 +219,18 @@ def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, mo
 
 
 def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    """Of a wall in units of its own no light gets out. In the wall's units, the other frame is next to nothing."""
     save_frames(tmp_path / "smoke", frames(1e30, 0.3, 0.0))
-    ran = run("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--tag", "volcano", "--gamma", "0.5")
-    assert ran.code == 0, ran.errors
-    warnings = [line for line in ran.errors if line.startswith("warning")]
-    assert warnings == ["warning: f_07 renders black at gamma 0.5 in the main view"]
+
+    def warnings(*flags: str) -> list[str]:
+        arguments = ("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--overwrite", "--tag", "volcano")
+        ran = run(*arguments, "--gamma", "0.5", *flags)
+        assert ran.code == 0, ran.errors
+        return [line for line in ran.errors if line.startswith("warning")]
+
+    assert warnings("--density-scale", "1") == ["warning: f_07 renders black at gamma 0.5 in the main view"]
+    faint = "warning: f_08: hardly changed, since in view is less than 0.1% of the smoke of another frame"
+    assert warnings() == [faint]
 
 
 def test_demo_replaces_an_earlier_demo_only(

@@ -40,9 +40,15 @@ class FakeOptimiser:
     ) -> FakeOptimiser:
         assert [frame.name for frame in frames] == [frame.name for frame in plan.frames]
         self.frames, self.recipe, self.store, self.interrupted = frames, plan.recipe, store, False
-        scales = [frame.step_scale for frame in plan.frames]
-        call = {"recipe": plan.recipe, "exposure": plan.exposure, "step_scales": scales, "cache_bytes": cache_bytes}
-        self.calls.append(call)
+        self.calls.append(
+            {
+                "recipe": plan.recipe,
+                "density_scale": plan.density_scale,
+                "exposures": [frame.exposure for frame in plan.frames],
+                "step_scales": [frame.step_scale for frame in plan.frames],
+                "cache_bytes": cache_bytes,
+            }
+        )
         return self
 
     def run(

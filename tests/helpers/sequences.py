@@ -23,7 +23,7 @@ def run(
 ) -> list[Stylized]:
     frames = moving_smoke(count)
     names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
-    plan = plan_of(Recipe(**GOAL | changes), names, numbers, [1.0] * count, frames[0].density.shape, 0.2)
+    plan = plan_of(Recipe(**GOAL | changes), names, numbers, [1.0] * count, [0.2] * count, frames[0].density.shape)
     return [result for _, result in SequenceOptimisation(plan, frames, network, store).run(report)]
 
 

@@ -19,7 +19,7 @@ H = 1.8
 
 @pytest.fixture
 def frame() -> FramePlan:
-    return plan_of(Recipe(tag=("net",), lam=0.5), ["a"], [1], [1.0], SHAPE, 1.0).frames[0]
+    return plan_of(Recipe(tag=("net",), lam=0.5), ["a"], [1], [1.0], [1.0], SHAPE).frames[0]
 
 
 @pytest.fixture

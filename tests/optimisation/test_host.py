@@ -166,7 +166,7 @@ def test_ctrl_c_while_a_loss_is_waited_for_loses_nothing_and_stores_nothing_unch
 def test_an_optimisation_can_be_run_again(network: GoogLeNet, tmp_path: Path) -> None:
     """Interrupted, and once more: it goes on where it stopped."""
     frames = moving_smoke(1)
-    plan = plan_of(Recipe(**GOAL), [frames[0].name], [5], [1.0], frames[0].density.shape, 0.2)
+    plan = plan_of(Recipe(**GOAL), [frames[0].name], [5], [1.0], [0.2], frames[0].density.shape)
     optimisation = SequenceOptimisation(plan, frames, network, FolderStore(tmp_path))
 
     def interrupt(progress: Progress) -> None:
@@ -237,7 +237,7 @@ def reads_of_an_iteration(network: GoogLeNet, folder: Path, budget: int) -> Coun
     """What a sequence of nine frames with a window of five reads from the store in its third iteration, by array."""
     frames, store = moving_smoke(9), Counting(folder)
     names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
-    plan = plan_of(Recipe(**GOAL | {"window": 5}), names, numbers, [1.0] * 9, frames[0].density.shape, 0.2)
+    plan = plan_of(Recipe(**GOAL | {"window": 5}), names, numbers, [1.0] * 9, [0.2] * 9, frames[0].density.shape)
     seen: list[Counter[tuple[str, int, str]]] = []
 
     def note(progress: Progress) -> None:

@@ -35,7 +35,7 @@ from tnst_mi.run.flicker import FlickerMeter
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 
-GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 2, "views": 2}
+GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 2, "views": 2, "density_scale": 1.0}
 EXPOSURE = 0.2
 
 
@@ -61,7 +61,7 @@ def optimisation(
 ) -> SequenceOptimisation:
     names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
     scales = [1.0] * len(frames) if scales is None else scales
-    plan = plan_of(recipe, names, numbers, scales, frames[0].density.shape, EXPOSURE)
+    plan = plan_of(recipe, names, numbers, scales, [EXPOSURE] * len(frames), frames[0].density.shape)
     return SequenceOptimisation(plan, frames, network, MemoryStore() if store is None else store)
 
 
@@ -248,20 +248,25 @@ def test_styles_fade_into_each_other(network: GoogLeNet) -> None:
 
 
 def test_exposure_and_steps_follow_a_gamma_that_changes(weights: Path) -> None:
-    """The brightest main view of all frames, each with its own γ and camera, exposes the run."""
-    frames = moving_smoke(3)
+    """Each frame is exposed for its own γ, and its step compares it with the other frames at that γ."""
+    frames, azimuths = moving_smoke(3), (0, 20, 40)
     keys = {"gamma": {"5": 0.05, "7": 1.0}, "azimuth": {"5": [-10, 10], "7": [30, 50]}, "weights": str(weights)}
     recipe = Recipe.from_dict(GOAL | keys | {"iterations": 1})
     result = tnst_mi.stylize(frames, recipe, progress=False)
-    images = [
-        tnst_mi.render(frame.density, (azimuth, 0), gamma)
-        for frame, azimuth, gamma in zip(frames, (0, 20, 40), (0.05, 0.525, 1.0), strict=True)
-    ]
-    assert result.run["exposure"] == pytest.approx(1 / max(image.max() for image in images), rel=1e-5)
-    sums = [image.sum() for image in images]
-    scales = [frame["step_scale"] for frame in result.run["frames"]]
-    np.testing.assert_allclose(scales, np.array(sums) / max(sums), rtol=1e-4)
-    np.testing.assert_allclose(main_view(frames[1].density, recipe.at(6)), images[1], atol=1e-5)
+    assert result.run["exposure"] is None
+    exposures = [frame["exposure"] for frame in result.run["frames"]]
+    for index, (azimuth, gamma) in enumerate(zip(azimuths, (0.05, 0.525, 1.0), strict=True)):
+        fixed = dataclasses.replace(recipe, gamma=gamma, azimuth=(azimuth - 10.0, azimuth + 10.0), keyframes={})
+        # Each frame has its own camera: of all of them, the largest column counts.
+        alone = tnst_mi.stylize(frames, fixed, progress=False).run["exposure"]
+        assert exposures[index] == pytest.approx(alone, rel=0.02)
+        sums = [
+            tnst_mi.render(frame.density, (of_frame, 0), gamma).sum()
+            for frame, of_frame in zip(frames, azimuths, strict=True)
+        ]
+        assert result.run["frames"][index]["step_scale"] == pytest.approx(sums[index] / max(sums), rel=1e-4)
+    image = tnst_mi.render(frames[1].density, (20, 0), 0.525)
+    np.testing.assert_allclose(main_view(frames[1].density, recipe.at(6)), image, atol=1e-5)
 
 
 # --------------------------------------------------------------------

@@ -282,7 +282,7 @@ def test_network_that_does_not_respond_is_told(network: GoogLeNet, smoke: Frame)
 def test_frame_that_renders_black_comes_back_unchanged_with_a_note(network: GoogLeNet) -> None:
     """Dense smoke under the paper's sum: no light gets out."""
     density = np.full(SHAPE, 1e6, np.float32)
-    result = optimise(Frame(density, name="wall"), recipe(), network)
+    result = optimise(Frame(density, name="wall"), recipe(density_scale=1.0), network)
     assert "wall renders black" in result.note
     np.testing.assert_array_equal(result.density, density)
 

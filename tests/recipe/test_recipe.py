@@ -26,6 +26,7 @@ CHANGED: dict[str, Any] = {
     "damping": 0.25,
     "lam": 0.5,
     "gamma": 1e-3,
+    "density_scale": 20.0,
     "quadrature": "exact",
     "octaves": 2,
     "scale_factor": 1.5,

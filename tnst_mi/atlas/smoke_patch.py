@@ -14,7 +14,8 @@ from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import exposure_for, main_view
+from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.exposure import exposure_for
 
 #: Radius of the ball relative to each side of the grid.
 _RADIUS = 0.48
@@ -32,6 +33,8 @@ class PatchSettings:
         default_factory=lambda: {
             "lam": 0.5,
             "gamma": 0.05,
+            # The ball has units of its own.
+            "density_scale": 1.0,
             "eta": 0.025,
             "octaves": 2,
             "iterations": 7,

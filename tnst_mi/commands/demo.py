@@ -21,7 +21,7 @@ def run(arguments: DemoArguments) -> int:
     earlier = holds_run(out)
     if earlier and set(frame_names(out)) != {file.stem for file in open_frames(scene).files}:
         raise InputError(f"{out}: holds a run that is no demo; give another folder")
-    code = reported(Run(prepare(scene, recipe, out, overwrite=earlier)), "the same command begins anew")
+    code = reported(Run(prepare(scene, recipe, out, overwrite=earlier, progress=True)), "the same command begins anew")
     for picture in sorted((out / "images").glob("*.png")):
         print(f"picture   {picture}")
     return code

@@ -6,6 +6,7 @@ import numpy as np
 
 from tnst_mi.commands.arguments import InfoArguments
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.conventions import Conventions
@@ -19,19 +20,26 @@ def run(arguments: InfoArguments) -> int:
         raise InputError("info: expected one or more files or folders")
     for path in arguments.files:
         frames = open_frames(path)
+        reference = ReferenceDensity()
         for index, file in enumerate(frames.files):
-            print("\n".join([str(file), *describe(file), *_describe_contents(frames, index)]))
+            print("\n".join([str(file), *describe(file), *_describe_contents(frames, index, reference)]))
+        if reference.value > 0:
+            print(
+                f"{path}: reference density {reference.value:.4g}: the 99th percentile of the smoky cells, which "
+                f"stylize takes as 1 (density_scale = {reference.scale():.4g})"
+            )
     return 0
 
 
-def _describe_contents(frames: FrameFiles, index: int) -> list[str]:
-    """How a file of a sequence is read, and what it contains."""
+def _describe_contents(frames: FrameFiles, index: int, reference: ReferenceDensity) -> list[str]:
+    """How a file of a sequence is read, and what it contains, which is added to the reference density."""
     stored = frames.stored(index)
     # For npz, the shape is already described, and there is only one way to read it.
     plain = frames.files[index].suffix.lower() == ".npz"
     reading = [] if plain else [f"  read as: {stored.reading(Conventions())}"]
     if stored.density is not None:
         frame = frames.frame_of(index, stored)
+        reference.add(frame.density)
         shape = [] if plain else [f"  shape (z, y, x): {frame.density.shape}"]
         return reading + shape + describe_frame(frame)
     velocity = stored.velocity

@@ -19,7 +19,9 @@ def run(arguments: StylizeArguments) -> int:
     recipe = Recipe() if arguments.recipe is None else Recipe.from_toml(arguments.recipe)
     for flags in (arguments.goals, arguments.method, arguments.resources):
         recipe = recipe.updated_by_flags(given(flags))
-    prepared = prepare(arguments.input, recipe, arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
+    prepared = prepare(
+        arguments.input, recipe, arguments.out, resume=arguments.resume, overwrite=arguments.overwrite, progress=True
+    )
     return reported(Run(prepared))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -33,8 +35,11 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     if items is None or frame.still or items.iterations_done(frame) < 0:
         return _unchanged(source, frame)
     full, parameterisation = items.plan.octaves[-1], frame.parameterisation
-    fields = parameterisation.carried(items.fields(frame), items.octave, full)
-    unstylized = mi.TensorXf(source.density)
+    # The input's own values are transported. They are brought to about 1 by a power of two, which changes none of their
+    # bits, so that no product leaves the range of float32.
+    mantissa, exponent = math.frexp(items.plan.density_scale)
+    fields = parameterisation.rescaled(parameterisation.carried(items.fields(frame), items.octave, full), 1 / mantissa)
+    unstylized = mi.TensorXf(np.ldexp(source.density, exponent))
     solid = None if source.obstacle is None else mi.Bool(source.obstacle.ravel())
     with dr.suspend_grad():
         if isinstance(parameterisation, Transport):
@@ -55,9 +60,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         )
     blend, before = opaque(frame.recipe.blend), unstylized.array
     after = density.array if solid is None else dr.select(solid, before, density.array)
-    blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape)
+    blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape).numpy()
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
-    result = Stylized(blended.numpy(), velocity.numpy(), (phi, psi))
+    result = Stylized(np.ldexp(blended, -exponent), velocity.numpy(), (phi, psi))
     begun = items.level > 0 or items.iterations_done(frame) > 0
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
         result.note = (

@@ -17,7 +17,6 @@ from tnst_mi.losses.objective import BoundObjective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
 
@@ -45,12 +44,10 @@ class OctaveProblem:
     Attributes:
         octave: the grid.
         loss: for images of the octave's size, with its targets and scales.
-        exposure: factor from rendered images to the network's [0, 1].
     """
 
     octave: Octave
     loss: BoundObjective
-    exposure: float
 
     def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
         """The same problem with other scales of the terms."""
@@ -71,7 +68,7 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        images = self._images(seen, frame.recipe, seed)
+        images = self._images(seen, frame, seed)
         found: dict[str, torch.Tensor] = {}
         loss_of_frame = self._loss_of(frame)
 
@@ -97,11 +94,11 @@ class OctaveProblem:
         """Per term, the sum of its squared image gradient over the views, and the pixel count; see `rms_scales`."""
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
-            images = self._images(stylized, frame.recipe, seed)
+            images = self._images(stylized, frame, seed)
         return self.loss.gradient_square_sum(images.torch().clone())
 
     def judge(self, frame: FramePlan, density: np.ndarray) -> tuple[float, dict[str, float]]:
-        """Loss of a density (D, H, W), and its unscaled terms, as means over three fixed views.
+        """Loss of a scaled density (D, H, W), and its unscaled terms, as means over three fixed views.
 
         They are the main view, and the views 0.8 of the way from it to either end of the range of azimuths.
         """
@@ -109,23 +106,24 @@ class OctaveProblem:
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
         views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
         with torch.no_grad(), dr.suspend_grad():
-            images = self._rendered(mi.TensorXf(density), views, recipe, (recipe.seed,))
+            images = self._rendered(mi.TensorXf(density), views, frame, (recipe.seed,))
             loss, terms = self._loss_of(frame).evaluate(images.torch())
         return float(loss) / len(views), {name: float(value) / len(views) for name, value in terms.items()}
 
     def _loss_of(self, frame: FramePlan) -> BoundObjective:
         return self.loss if frame.weights is None else self.loss.weighed(frame.weights)
 
-    def _images(self, density: mi.TensorXf, recipe: Recipe, seed: Sequence[int]) -> mi.TensorXf:
+    def _images(self, density: mi.TensorXf, frame: FramePlan, seed: Sequence[int]) -> mi.TensorXf:
+        recipe = frame.recipe
         angles = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
         views = [(float(azimuth), float(elevation)) for azimuth, elevation in angles]
-        return self._rendered(density, views, recipe, seed)
+        return self._rendered(density, views, frame, seed)
 
     def _rendered(
-        self, density: mi.TensorXf, views: Sequence[View], recipe: Recipe, seed: Sequence[int]
+        self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]
     ) -> mi.TensorXf:
-        renderer = driving_renderer(recipe, self.octave.shape, self.octave.cell_size)
-        return renderer.render(density, views, seed) * opaque(self.exposure)
+        renderer = driving_renderer(frame.recipe, self.octave.shape, self.octave.cell_size)
+        return renderer.render(density, views, seed) * opaque(frame.exposure)
 
 
 def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
@@ -134,4 +132,4 @@ def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    return OctaveProblem(octave, plan.objective.bind(network, *octave.shape[1:], record=True), plan.exposure)
+    return OctaveProblem(octave, plan.objective.bind(network, *octave.shape[1:], record=True))

@@ -62,6 +62,10 @@ class Parameterisation(ABC):
             }
         )
 
+    def rescaled(self, fields: Fields, factor: float) -> Fields:
+        """The fields that change densities times `factor` alike."""
+        return fields
+
     @abstractmethod
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """The stylized density from the unstylized one, both (D, H, W) with cells of size h."""
@@ -169,6 +173,10 @@ class DensityOffset(Parameterisation):
         flat = sum(n == m == 1 for n, m in zip(source.shape, target.shape, strict=True))
         thinner = opaque((source.cell_size / target.cell_size) ** flat)
         return Fields({name: field * thinner for name, field in super().carried(fields, source, target).items()})
+
+    def rescaled(self, fields: Fields, factor: float) -> Fields:
+        """The offset in units of the densities."""
+        return Fields({name: field * opaque(factor) for name, field in fields.items()})
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""

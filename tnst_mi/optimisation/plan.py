@@ -26,6 +26,7 @@ class FramePlan:
         number: the number that seeds its views.
         recipe: the recipe at this frame.
         step_scale: the factor S_t / max_t S_t of η (the σ of paper Eq. 2).
+        exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
         weights: of the terms of the loss; None if the objective has its own.
     """
@@ -35,6 +36,7 @@ class FramePlan:
     number: int
     recipe: Recipe
     step_scale: float
+    exposure: float
     parameterisation: Parameterisation
     weights: tuple[float, ...] | None
 
@@ -61,14 +63,14 @@ class Plan:
         recipe: of the sequence.
         frames: the plans of the frames, in their order.
         shape: (D, H, W) of the frames.
-        exposure: factor from rendered images to the network's [0, 1].
+        density_scale: factor of the frames' densities, see `fields.density_unit`.
         objective: what to minimise.
     """
 
     recipe: Recipe
     frames: tuple[FramePlan, ...]
     shape: Shape
-    exposure: float
+    density_scale: float
     objective: Objective
 
     @cached_property
@@ -107,8 +109,9 @@ def plan_of(
     names: Sequence[str],
     numbers: Sequence[int | None],
     step_scales: Sequence[float],
+    exposures: Sequence[float],
     shape: Shape,
-    exposure: float,
+    density_scale: float = 1.0,
     objective: Objective | None = None,
 ) -> Plan:
     """Plan a sequence.
@@ -119,8 +122,9 @@ def plan_of(
         numbers: of the frames, None where a frame has none.
         step_scales: factors of η, S_t / max_t S_t with the pixel sums S_t of the unstylized main views; a frame with 0
             is left unchanged.
+        exposures: factors from rendered images to the network's [0, 1].
         shape: (D, H, W) of the frames.
-        exposure: factor from rendered images to the network's [0, 1].
+        density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
     """
     recipes = [recipe.at(number) for number in numbers]
@@ -133,11 +137,14 @@ def plan_of(
             index if number is None else number,
             at_frame,
             scale,
+            exposure,
             DensityOffset()
             if recipe.parameterisation == "density"
             else Transport(at_frame.lam, recipe.steps, max(lams) > 0, min(lams) < 1),
             None if objective is not None else tuple(term_weights(at_frame)),
         )
-        for index, (name, number, at_frame, scale) in enumerate(zip(names, numbers, recipes, step_scales, strict=True))
+        for index, (name, number, at_frame, scale, exposure) in enumerate(
+            zip(names, numbers, recipes, step_scales, exposures, strict=True)
+        )
     )
-    return Plan(recipe, frames, shape, exposure, objective or objective_of(recipe))
+    return Plan(recipe, frames, shape, density_scale, objective or objective_of(recipe))

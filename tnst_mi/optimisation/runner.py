@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from contextlib import closing, suppress
 from dataclasses import replace
 
+from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import release_memory, torch_device
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
@@ -155,7 +156,7 @@ class SequenceOptimisation:
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
         """The stylized frame, with its history and the losses before and after."""
-        source = self._frames[frame.index]
+        plan, source = self._plan, self._frames[frame.index]
         # Memory blocks of the iterations are no longer needed.
         release_memory()
         result = stylized_frame(items, frame, source)
@@ -166,8 +167,9 @@ class SequenceOptimisation:
         if result.history:
             result.timings["total"] = sum(result.timings.values())
         if problem is not None and result.history:
-            result.loss_before, result.terms_before = problem.judge(frame, source.density)
-            result.loss_after, result.terms_after = problem.judge(frame, result.density)
+            before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
+            result.loss_before, result.terms_before = problem.judge(frame, before)
+            result.loss_after, result.terms_after = problem.judge(frame, after)
         return result
 
     def _as_far_as_it_got(self, frame: FramePlan, store: DeviceStore) -> Stylized:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from tnst_mi.fields.density_unit import ReferenceDensity
+from tnst_mi.fields.grid import octaves
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
@@ -12,7 +14,7 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import exposure_for, main_view
+from tnst_mi.rendering.exposure import brightness
 
 
 def optimise(
@@ -32,7 +34,7 @@ def optimise(
         frame: the frame; one that is empty or renders black is returned unchanged, with a note.
         recipe: what to stylize towards, and how.
         network: the GoogLeNet that judges the images; it is moved to the device of the active variant.
-        exposure: factor from rendered images to the network's [0, 1]; None takes 1 / max of this frame's main view.
+        exposure: factor from rendered images to the network's [0, 1]; None takes that of a run of this frame alone.
         on_iteration: called after every iteration.
         step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
         objective: what to minimise instead of the recipe's terms; for terms that no recipe can name, such as
@@ -41,10 +43,13 @@ def optimise(
     Raises:
         InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.
     """
-    brightest = float(main_view(frame.density, recipe.at(frame.number)).max())
-    if exposure is None:
-        exposure = exposure_for(brightest)
-    scales = [step_scale if brightest > 0 else 0.0]
-    plan = plan_of(recipe, [frame.name], [frame.number], scales, frame.density.shape, exposure, objective)
+    reference = ReferenceDensity()
+    reference.add(frame.density)
+    density_scale = reference.scale(recipe.density_scale)
+    shape, at_frame = frame.density.shape, recipe.at(frame.number)
+    levels = octaves(shape, recipe.octaves, recipe.scale_factor)
+    (alone,) = brightness([frame], [at_frame], levels, density_scale)
+    scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
+    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective)
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

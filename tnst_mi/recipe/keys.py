@@ -34,32 +34,40 @@ class Kind(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A finite float with bounds; `above` is an exclusive lower bound."""
+    """A finite float with bounds; `above` is an exclusive lower bound; `word` is also accepted if given."""
 
     low: float | None = None
     high: float | None = None
     above: float | None = None
-    placeholder: str = "NUMBER"
+    word: str | None = None
 
     @property
     def expected(self) -> str:
         """The allowed values in words."""
-        return "a number" + _range_in_words(self.low, self.high, self.above)
+        number = "a number" + _range_in_words(self.low, self.high, self.above)
+        return f'{number} or "{self.word}"' if self.word else number
 
-    def check(self, value: Any) -> float:
-        """Accept ints and floats inside the bounds."""
+    @property
+    def placeholder(self) -> str:
+        """The placeholder for the value in --help."""
+        return f"NUMBER|{self.word}" if self.word else "NUMBER"
+
+    def check(self, value: Any) -> Any:
+        """Accept ints and floats inside the bounds, and the word."""
+        if self.word and value == self.word:
+            return self.word
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise ValueError
         _require_inside(value, self.low, self.high, self.above)
         return float(value)
 
-    def read(self, text: str) -> float:
-        """Read a decimal number."""
-        return float(text)
+    def read(self, text: str) -> float | str:
+        """Read a decimal number or the word."""
+        return text if text == self.word else float(text)
 
-    def show(self, value: float) -> str:
-        """Write the shortest decimal form."""
-        return f"{value:g}"
+    def show(self, value: float | str) -> str:
+        """Write the shortest decimal form, or the word."""
+        return value if isinstance(value, str) else f"{value:g}"
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,11 @@ class Method:
     lam: Annotated[float, Number(0.0, 1.0)] = 1.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 lets smoke expand and contract, 0 is divergence-free."""
     gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
-    """Extinction γ for density 1, per full-resolution cell, above 0: the higher, the thicker the smoke
-    looks."""
+    """Extinction γ for density 1 (see density_scale), per full-resolution cell, above 0: the higher, the thicker the
+    smoke looks."""
+    density_scale: Annotated[float | str, Number(above=0.0, word="auto")] = "auto"
+    """Factor by which all densities are multiplied before γ, mask and steps see them; results come back in the input's
+    units. auto is 1 over the 99th percentile of the smoky cells of all frames; 1 takes the input as it is."""
     quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
     """Quadrature along the viewing rays: as in the paper's program, the exact integral, or opacity alone."""
     octaves: Annotated[int, Integer(1, 16)] = 3

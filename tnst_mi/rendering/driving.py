@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import mitsuba as mi
@@ -10,6 +11,7 @@ import numpy as np
 
 from tnst_mi.fields.grid import Shape
 from tnst_mi.recipe.recipe import LIGHTS, Recipe, shipped_lights
+from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 
@@ -30,18 +32,18 @@ def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = N
     return _scattering(mi.variant(), shape, recipe.gamma, h, lighting)
 
 
-def exposure_for(brightest: float) -> float:
-    """Factor from rendered images to the network's [0, 1]: 1 / the brightest pixel, 1 where everything is black."""
-    return 1.0 / brightest if brightest > 0.0 else 1.0
-
-
 def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed.
+    """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed; see `stills`."""
+    return stills(density, [recipe.main_view], recipe)[0]
 
-    If it is path traced, the same density has the same noise each time. Raises `InputError` like `driving_renderer`.
+
+def stills(density: np.ndarray, views: Sequence[View], recipe: Recipe) -> np.ndarray:
+    """Render a density (D, H, W) from V views as a recipe's renderer sees it: (V, H, W), unexposed.
+
+    If they are path traced, the same density has the same noise each time. Raises `InputError` like `driving_renderer`.
     """
     renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP)
-    return renderer.render(mi.TensorXf(density), [recipe.main_view], [recipe.seed]).numpy()[0]
+    return renderer.render(mi.TensorXf(density), views, [recipe.seed]).numpy()
 
 
 @functools.lru_cache(maxsize=4)

@@ -78,7 +78,7 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
-    frames_done = Run(prepare(frames, recipe, out), progress)
+    frames_done = Run(prepare(frames, recipe, out, progress=progress), progress)
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []
     history = []

@@ -12,12 +12,13 @@ from functools import partial
 from typing import Any, Protocol
 
 from tnst_mi.errors import StoppedError
+from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.machine import environment
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
-from tnst_mi.optimisation.plan import Plan
+from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.rendering.driving import main_view
@@ -28,6 +29,9 @@ from tnst_mi.run.record import frame_record, sequence_record
 
 #: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
 _THICK = 3.0
+
+#: Share of the steps of the frame with the most smoke in view from which on a frame is practically left alone.
+_FAINT = 1e-3
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -123,11 +127,11 @@ class Run(Iterator[StylizedFrame]):
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
                 source = prepared.frames[index]
-                record = frame_record(source, prepared.step_scales[index], stylized)
+                record = frame_record(source, prepared.plan.frames[index], stylized)
                 frame = StylizedFrame(source, stylized, record)
                 self.record["frames"].append(record)
                 if folder is not None:
-                    self._write(folder, frame)
+                    self._write(folder, frame, prepared.plan.frames[index])
                     folder.write_run(self._progressed(started))
                 yield frame
         self.record["status"] = "interrupted" if optimisation.interrupted else "done"
@@ -149,23 +153,42 @@ class Run(Iterator[StylizedFrame]):
             announce_fallback()
         if prepared.recipe.coherence > 0 and prepared.plan.window == 1:
             self._bar.say(f"warning: coherence = {prepared.recipe.coherence:g} has no effect without a window")
+        self._announce_density()
+        for measure, plan in zip(prepared.measures, prepared.plan.frames, strict=True):
+            if plan.still and measure.mass > 0.0:
+                self._bar.say(f"warning: {measure.name} renders black at gamma {plan.recipe.gamma:g} in the main view")
+        faint = [plan.name for plan in prepared.plan.frames if 0 < plan.step_scale < _FAINT]
+        if faint:
+            names = ", ".join(faint[:3]) + (f" and {len(faint) - 3} others" if len(faint) > 3 else "")
+            self._bar.say(
+                f"warning: {names}: hardly changed, since in view is less than {_FAINT:.1%} of the smoke of another "
+                "frame"
+            )
+
+    def _announce_density(self) -> None:
+        """Report the range of the density, its factor, and whether it is too thick for the quadrature."""
+        prepared = self.prepared
+        densest, scale = max(measure.densest for measure in prepared.measures), prepared.plan.density_scale
+        line = f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale)"
+        if prepared.recipe.density_scale == "auto":
+            line += f", so that gamma is per cell of density {1 / scale:.4g}"
+        self._bar.say(line)
         # Frames that are black altogether are named below.
-        seen = [measure for measure in prepared.measures if measure.brightest > 0.0]
-        thickness = max((prepared.recipe.at(m.number).gamma * m.densest for m in seen), default=0.0)
+        seen = zip(prepared.brightness, prepared.plan.frames, strict=True)
+        thickness = max((bright.thickest for bright, plan in seen if not plan.still), default=0.0)
         inclusive = prepared.recipe.integrator == "emission_absorption" and prepared.recipe.quadrature == "paper"
         if inclusive and thickness > _THICK:
             self._bar.say(
-                f"warning: gamma times the density of a cell is up to {thickness:.3g}: the paper's inclusive sum hides "
-                'such cells from the network, quadrature = "exact" does not; or lower gamma'
+                f"warning: gamma times the thickness of a cell is up to {thickness:.3g}: the paper's inclusive sum "
+                'hides such cells from the network, quadrature = "exact" does not; or lower gamma'
             )
-        for measure in prepared.measures:
-            if measure.brightest == 0.0 and measure.mass > 0.0:
-                gamma = prepared.recipe.at(measure.number).gamma
-                self._bar.say(f"warning: {measure.name} renders black at gamma {gamma:g} in the main view")
 
-    def _write(self, folder: RunFolder, frame: StylizedFrame) -> None:
-        source, recipe, exposure = frame.source, self.prepared.recipe.at(frame.source.number), self.record["exposure"]
-        before, after = (exposure * main_view(density, recipe) for density in (source.density, frame.stylized.density))
+    def _write(self, folder: RunFolder, frame: StylizedFrame, plan: FramePlan) -> None:
+        source, recipe, exposure = frame.source, plan.recipe, plan.exposure
+        before, after = (
+            exposure * main_view(scaled(density, self.prepared.plan.density_scale), recipe)
+            for density in (source.density, frame.stylized.density)
+        )
         attributes = {
             "view": recipe.main_view,
             "gamma": recipe.gamma,

@@ -1,4 +1,4 @@
-"""Measurements of the frames of a run before they are stylized: their brightness, and their identity."""
+"""Measurements of the frames of a run before they are stylized: their identity, and their density."""
 
 from __future__ import annotations
 
@@ -10,61 +10,49 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import exposure_for, main_view
 from tnst_mi.run.folder import is_file_name
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Measurements of a frame: name and number, the largest pixel and the sum of the pixels in its main view, the sum
-    and the largest value of its density, the SHA-256 of its arrays, and whether it has a velocity."""
+    """Measurements of a frame: name and number, the sum and the largest value of its density, the SHA-256 of its
+    arrays, and whether it has a velocity."""
 
     name: str
     number: int | None
-    brightest: float
-    pixel_sum: float
     mass: float
     densest: float
     sha256: str
     moves: bool
 
 
-def measured(frames: Iterable[Frame], recipe: Recipe) -> list[Measure]:
-    """Read every frame once, so that bad ones are found before any work, and measure its main view.
+def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
+    """Read every frame once, so that bad ones are found before any work; also returns their reference density.
 
     Raises:
         InputError: a frame cannot be read or differs in shape, or its name is a duplicate or cannot name files.
     """
-    measures = []
+    measures, reference = [], ReferenceDensity()
     for frame in checked_shapes(frames):
-        image = main_view(frame.density, recipe.at(frame.number))
         digest = hashlib.sha256(frame.density.data)
         for array in (frame.velocity, frame.obstacle):
             if array is not None:
                 digest.update(array.data)
-        measures.append(
-            Measure(
-                frame.name,
-                frame.number,
-                float(image.max()),
-                float(image.sum()),
-                frame.mass,
-                float(frame.density.max()),
-                digest.hexdigest(),
-                frame.velocity is not None,
-            )
-        )
+        reference.add(frame.density)
+        densest, moves = float(frame.density.max()), frame.velocity is not None
+        measures.append(Measure(frame.name, frame.number, frame.mass, densest, digest.hexdigest(), moves))
     names = [measure.name for measure in measures]
     for name in names:
         if not is_file_name(name):
             raise InputError(f"frames: the name {name!r} cannot name files, expected one without / and \\")
         if names.count(name) > 1:
             raise InputError(f"frames: the name {name!r} is there more than once, expected one name per frame")
-    return measures
+    return measures, reference
 
 
 def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
@@ -85,11 +73,6 @@ def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
     for number, following in itertools.pairwise(numbers):
         if number is not None and following is not None and following != number + 1:
             raise InputError(f"frames: {following} comes after {number}, expected consecutive frames, {needed}")
-
-
-def exposure_of(measures: Sequence[Measure]) -> float:
-    """1 / the largest pixel of the main views; 1 where all of them are black."""
-    return exposure_for(max(measure.brightest for measure in measures))
 
 
 def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.kernels import require_indexable
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import FORMATS
@@ -22,12 +25,12 @@ from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
 from tnst_mi.run.inputs import Frames, sequence_of
 from tnst_mi.run.measure import (
     Measure,
     digests,
-    exposure_of,
     file_digests,
     measured,
     require_coherent,
@@ -61,6 +64,7 @@ class Prepared:
         recipe: with all paths absolute.
         frames: the input.
         measures: measurements of each frame.
+        brightness: likewise, rendered.
         network: judges the images.
         plan: of the optimisation.
         memory: a line that says how much of it the run takes.
@@ -74,6 +78,7 @@ class Prepared:
     recipe: Recipe
     frames: Sequence[Frame]
     measures: Sequence[Measure]
+    brightness: Sequence[Brightness]
     network: Network
     plan: Plan
     memory: str
@@ -82,11 +87,6 @@ class Prepared:
     suffix: str
     overwrite: bool
     record: Mapping[str, Any] = field(repr=False)
-
-    @property
-    def step_scales(self) -> list[float]:
-        """The factors of η of the frames."""
-        return [frame.step_scale for frame in self.plan.frames]
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -115,6 +115,7 @@ def prepare(
     resume: bool = False,
     overwrite: bool = False,
     network: Network | None = None,
+    progress: bool = False,
 ) -> Prepared:
     """Check everything that can be checked before the work starts; nothing is written.
 
@@ -125,6 +126,7 @@ def prepare(
         resume: continue the run in `out` where it stopped.
         overwrite: replace the run in `out`.
         network: judges the images; None loads the one that the recipe names.
+        progress: show a progress bar on stderr while frames are read.
 
     Raises:
         InputError: something cannot be used.
@@ -154,8 +156,12 @@ def prepare(
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
-    measures = measured(sequence, recipe)
+    measures, reference = measured(_watched(sequence, "reading", progress))
     require_coherent(measures, recipe)
+    recipes = [recipe.at(measure.number) for measure in measures]
+    levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
+    bright = brightness(_watched(sequence, "measuring", progress), recipes, levels, density_scale)
+    exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
     record: dict[str, Any] = {
         "status": "running",
@@ -172,7 +178,10 @@ def prepare(
         "format": suffix[1:],
         "inputs": digests(measures),
         "files": file_digests(recipe),
-        "exposure": exposure_of(measures),
+        "reference_density": reference.value,
+        "density_scale": density_scale,
+        # Frames of different γ have exposures of their own, which are with the frames.
+        "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
@@ -181,16 +190,22 @@ def prepare(
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe))
-    largest = max(measure.pixel_sum for measure in measures)
     plan = plan_of(
         recipe,
         [measure.name for measure in measures],
         [measure.number for measure in measures],
-        [measure.pixel_sum / largest if largest > 0.0 else 0.0 for measure in measures],
+        [of_frame.step_scale for of_frame in bright],
+        exposures,
         shape,
-        record["exposure"],
+        density_scale,
     )
-    return Prepared(recipe, sequence, measures, network, plan, memory, cache, out, suffix, overwrite, record)
+    return Prepared(recipe, sequence, measures, bright, network, plan, memory, cache, out, suffix, overwrite, record)
+
+
+def _watched(frames: Sequence[Frame], doing: str, shown: bool) -> Iterable[Frame]:
+    """The frames, with a progress bar on stderr while they are read; a single one needs none."""
+    shown = shown and len(frames) > 1
+    return tqdm(frames, doing, unit="frame", disable=not shown, dynamic_ncols=True, leave=False, delay=1.0)
 
 
 def _remedy(out: Path) -> str:

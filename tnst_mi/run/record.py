@@ -8,17 +8,18 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.frame import Frame
+from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
-def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[str, Any]:
+def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str, Any]:
     """The record of a stylized frame.
 
     Args:
         frame: the input frame.
-        step_scale: its factor of η.
+        plan: its plan.
         stylized: the result of the optimisation.
     """
     return {
@@ -29,7 +30,8 @@ def frame_record(frame: Frame, step_scale: float, stylized: Stylized) -> dict[st
         "mass_before": frame.mass,
         "mass_after": float(stylized.density.sum(dtype=np.float64)),
         "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
-        "step_scale": step_scale,
+        "exposure": plan.exposure,
+        "step_scale": plan.step_scale,
         "loss_before": stylized.loss_before,
         "loss_after": stylized.loss_after,
         "terms_before": stylized.terms_before,

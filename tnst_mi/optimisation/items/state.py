@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import scaled
 from tnst_mi.fields.resampling import resample_density, resample_mask, resample_velocity
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.device_store import DeviceStore, Request
@@ -111,7 +112,7 @@ class Items:
         group, grid = self._group("inputs"), self.octave
         if self._store.generation(group, frame.index) >= 0:
             return
-        density = mi.TensorXf(source.density)
+        density = mi.TensorXf(scaled(source.density, self.plan.density_scale))
         mask = soft_mask(density, source.obstacle, self.plan.recipe.mask_strength)
         arrays = {
             "density": resample_density(density, 1.0, grid.shape, grid.cell_size),

@@ -1,0 +1,112 @@
+"""Exposure: images stay within [0, 1] in every view and octave, whatever the smoke, γ and quadrature."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moving_smoke import moving_smoke
+
+import tnst_mi
+from tnst_mi.choices import QUADRATURES
+from tnst_mi.fields.grid import octaves
+from tnst_mi.fields.resampling import resample_density
+from tnst_mi.frame import Frame
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import sample_views
+from tnst_mi.rendering.driving import driving_renderer
+from tnst_mi.rendering.exposure import Brightness, brightness, views_around
+
+RECIPE = Recipe(style=("net",), octaves=3)
+
+
+def block() -> np.ndarray:
+    """Smoke with sharp edges: density 0 or 1."""
+    density = np.zeros((24, 36, 24), np.float32)
+    density[6:18, 8:28, 6:18] = 1
+    return density
+
+
+def found(densities: list[np.ndarray], recipes: list[Recipe], scale: float = 1.0) -> list[Brightness]:
+    levels = octaves(densities[0].shape, recipes[0].octaves, recipes[0].scale_factor)
+    return brightness([Frame(density) for density in densities], recipes, levels, scale)
+
+
+def brightest(density: np.ndarray, recipe: Recipe, seed: int) -> float:
+    """The largest pixel of random views of a run, in all its octaves, but for rounding."""
+    largest = 0.0
+    for octave in octaves(density.shape, recipe.octaves, recipe.scale_factor):
+        seen = resample_density(mi.TensorXf(density), 1.0, octave.shape, octave.cell_size)
+        renderer = driving_renderer(recipe, octave.shape, octave.cell_size)
+        views = [tuple(view) for view in sample_views(9, recipe.azimuth, recipe.elevation, seed).tolist()]
+        views.append((recipe.main_view[0], recipe.main_view[1] + 0.2))
+        largest = max(largest, float(dr.max(renderer.render(seen, views).array)[0]))
+    return largest * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("gamma", [0.01, 0.5, 5.0, 10.0, 1e4])
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+def test_images_of_sharp_edges_stay_within_one(gamma: float, quadrature: str) -> None:
+    """Between cell centres the inclusive sum of thick smoke is brighter than the front view by orders of magnitude."""
+    recipe = dataclasses.replace(RECIPE, gamma=gamma, quadrature=quadrature)
+    (alone,) = found([block()], [recipe])
+    for seed in range(3):
+        assert brightest(block(), recipe, seed) * alone.exposure <= 1.0
+    if quadrature != "paper":
+        assert brightest(block(), recipe, 0) * alone.exposure > 0.8
+
+
+@given(
+    st.tuples(*[st.integers(1, 20)] * 3),
+    st.integers(0, 1000),
+    st.sampled_from([0.03, 0.3, 3.0]),
+    st.sampled_from([(-10.0, 10.0), (30.0, 30.0), (-180.0, 180.0)]),
+)
+@settings(max_examples=30)
+def test_images_of_noise_stay_within_one(
+    shape: tuple[int, int, int], seed: int, gamma: float, azimuth: tuple[float, float]
+) -> None:
+    density = np.random.default_rng(seed).random(shape, np.float32) ** 4
+    recipe = dataclasses.replace(RECIPE, gamma=gamma, azimuth=azimuth, octaves=2)
+    (alone,) = found([density], [recipe])
+    assert brightest(density, recipe, seed) * alone.exposure <= 1.0
+
+
+def test_thin_smoke_is_as_bright_as_white() -> None:
+    """The bound is tight where smoke is thin: a cell remains for views between those that are looked at."""
+    recipe = dataclasses.replace(RECIPE, gamma=1e-3, octaves=1, azimuth=(0.0, 0.0), elevation=(0.0, 0.0))
+    (alone,) = found([block()], [recipe])
+    front = tnst_mi.render(block(), gamma=1e-3).max()
+    assert front * alone.exposure == pytest.approx(12 / 13, rel=0.01)
+
+
+def test_frames_of_equal_gamma_share_the_exposure_of_the_thickest() -> None:
+    densities = [0.5 * block(), block(), 0 * block()]
+    together = found(densities, [RECIPE] * 3)
+    (alone,) = found(densities[1:2], [RECIPE])
+    assert [frame.exposure for frame in together] == [alone.exposure] * 3
+    assert together[2].step_scale == 0.0 and together[1].step_scale == 1.0
+
+
+def test_many_gammas_are_interpolated() -> None:
+    """Steps follow the smoke in view at each frame's own γ; with many γ, at a few of them, to 1%."""
+    frames = moving_smoke(3)
+    gammas = np.linspace(0.02, 2.0, 11).tolist()
+    densities = [frames[i % 3].density * (1.0 + i) for i in range(11)]
+    recipes = [dataclasses.replace(RECIPE, gamma=gamma) for gamma in gammas]
+    for index, frame in enumerate(found(densities, recipes)):
+        sums = [tnst_mi.render(density, gamma=gammas[index]).sum() for density in densities]
+        assert frame.step_scale == pytest.approx(sums[index] / max(sums), rel=0.01)
+
+
+def test_views_cover_the_ranges() -> None:
+    views = np.array(views_around(RECIPE))
+    assert [RECIPE.main_view in map(tuple, views), len(views)] == [True, 9]
+    wide = np.array(views_around(dataclasses.replace(RECIPE, azimuth=(-180.0, 180.0), elevation=(5.0, 5.0))))
+    assert wide.min(0).tolist() == [-180, 5] and wide.max(0).tolist() == [180, 5]
+    assert np.diff(np.unique(wide[:, 0])).max() <= 15 and [0.0, 5.0] in wide.tolist()
