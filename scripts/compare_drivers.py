@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from tnst_mi import Frame, GoogLeNet, Recipe, activate, load_frames
 from tnst_mi.fields.pyramid import gaussian
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, versions
 from tnst_mi.optimisation.goals import objective_of

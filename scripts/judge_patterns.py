@@ -22,7 +22,7 @@ from PIL import Image
 from torch import Tensor
 
 from tnst_mi import Frame, GoogLeNet, Recipe, load_frames, render
-from tnst_mi.losses.objective import as_rgb
+from tnst_mi.losses.evaluation import as_rgb
 from tnst_mi.losses.terms import Style
 from tnst_mi.optimisation.single_frame import optimise
 

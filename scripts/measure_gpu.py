@@ -420,7 +420,7 @@ def precision(options: argparse.Namespace) -> Result:
     import torch
     from benchmark import PAPER, STYLE, bundled_density
 
-    from tnst_mi.losses import objective
+    from tnst_mi.losses import evaluation
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.optimisation.goals import objective_of
 
@@ -438,7 +438,7 @@ def precision(options: argparse.Namespace) -> Result:
         for kind, layout, at_once in itertools.product(("float32", "tf32", "bfloat16"), layouts, (9, 3, 1)):
             if layout != "channels last" and at_once != 9:
                 continue
-            objective.views_at_once = lambda count, saved, at_once=at_once: min(count, at_once)
+            evaluation.views_at_once = lambda count, saved, at_once=at_once: min(count, at_once)
             network.to(memory_format=layouts[layout])
             torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = kind == "tf32"
             cast = torch.autocast(pictures.device.type, torch.bfloat16, enabled=kind == "bfloat16")

@@ -14,6 +14,9 @@ For density samples d_k with spacing h, ordered away from the sensor:
 "exact" converges to the continuous integral. Where γ h d ≳ 1, "paper" deviates from it: dense smoke darkens.
 """
 
+STYLE_LOSSES = ("gram", "paper")
+"""Distances between Gram matrices, see `tnst_mi.losses.terms.Style`."""
+
 WINDOW_WEIGHTS = ("uniform", "triangle", "gaussian")
 """Shapes of the temporal window, see `tnst_mi.optimisation.temporal.window.window_weights`."""
 

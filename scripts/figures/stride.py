@@ -10,7 +10,7 @@ from figures.measures import by_phase, unevenness
 from figures.seen import smoke_box
 from figures.setting import Setting
 from tnst_mi import GoogLeNet, Recipe, render, sample_views
-from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.optimisation.goals import objective_of
 from tnst_mi.optimisation.single_frame import optimise

@@ -20,7 +20,7 @@ from tnst_mi.atlas.excitation import Ascent, excite, noise
 from tnst_mi.atlas.layer_atlas import AtlasSettings, LayerAtlas, channel_numbers
 from tnst_mi.atlas.smoke_patch import PatchSettings, ball, stylized_ball
 from tnst_mi.fields.pyramid import normalise
-from tnst_mi.losses.objective import as_rgb
+from tnst_mi.losses.evaluation import as_rgb
 
 __all__ = ["run", "tiny_weights"]
 

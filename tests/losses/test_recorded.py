@@ -9,8 +9,8 @@ import pytest
 import torch
 from networks import random_googlenet
 
-from tnst_mi.losses import objective
-from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses import evaluation
+from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.terms import Content, Match, Semantic, Style
 from tnst_mi.network.googlenet import GoogLeNet
@@ -72,7 +72,7 @@ def test_the_memory_of_a_recording_is_given_back_with_its_objective(bound: Bound
 
 
 def test_large_batches_are_not_recorded(bound: BoundObjective, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(objective, "LARGEST_RECORDED", 2 * 64 * 48)
+    monkeypatch.setattr(evaluation, "LARGEST_RECORDED", 2 * 64 * 48)
     for count in (2, 3):
         bound._differentiated(images(0, count))
     assert list(bound._recorded) == [(2, 64, 48)]

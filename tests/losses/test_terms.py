@@ -124,8 +124,8 @@ def test_alpha_is_resized_to_the_feature_map(net: SmallNetwork) -> None:
         (lambda net: Style(picture(), {}), "style layers"),
         (lambda net: Style("nowhere.png", {"deep": 1.0}), "nowhere.png"),
         (lambda net: Content("nowhere.png", "deep"), "nowhere.png"),
-        (lambda net: Match("deep", np.zeros((5, 6, 5))).bind(net, HEIGHT, WIDTH)(views()), "broadcasts"),
-        (lambda net: Match("deep", np.zeros((2, 6, 6, 5))).bind(net, HEIGHT, WIDTH)(views()), "broadcasts"),
+        (lambda net: Match("deep", np.zeros((5, 6, 5))).bind(net, HEIGHT, WIDTH), "expected 6 channels"),
+        (lambda net: Match("deep", np.zeros((2, 6, 6, 5))).bind(net, HEIGHT, WIDTH), "expected 6 channels"),
         (lambda net: Objective([]), "no term"),
     ],
 )

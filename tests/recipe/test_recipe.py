@@ -18,12 +18,16 @@ from tnst_mi.recipe.recipe import KINDS, STYLES, Recipe, documentation, shipped_
 CHANGED: dict[str, Any] = {
     "style": ("spirals", "net"),
     "style_layers": {"conv2/3x3": 0.5, "inception_3b/output": 2.0},
+    "style_loss": "paper",
     "semantic": ("inception_4b/pool_proj:16", "mixed3b:1,2"),
     "tag": ("volcano",),
     "content": (),
+    "content_layers": {"inception_3b/output": 0.5},
+    "match": (),
     "style_weight": 3.0,
     "semantic_weight": 0.0,
     "damping": 0.25,
+    "preset": "paper",
     "lam": 0.5,
     "gamma": 1e-3,
     "density_scale": 20.0,
@@ -34,10 +38,14 @@ CHANGED: dict[str, Any] = {
     "views": 1,
     "azimuth": (80.0, 110.0),
     "elevation": (0.0, 0.0),
+    "loss_scaling": "none",
+    "sigma": "loss",
     "eta": 0.01,
     "pyramid_levels": 0,
     "mask_strength": 2.5,
     "window": 9,
+    "window_average": "plain",
+    "step_order": "align_first",
     "coherence": 2.0,
     "window_weights": "gaussian",
     "steps": "auto",
@@ -74,7 +82,7 @@ def test_the_defaults_are_the_published_ones() -> None:
 
 
 def test_every_key_is_documented_and_has_a_kind() -> None:
-    derived = {"keyframes", "style_shares"}
+    derived = {"keyframes", "style_shares", "given"}
     names = [field.name for field in dataclasses.fields(Recipe) if field.name not in derived]
     assert set(CHANGED) == set(KINDS) == set(names) == set(documentation())
     assert list(KINDS) == names == list(documentation())

@@ -14,7 +14,7 @@ from small_network import views as random_views
 
 import tnst_mi
 from tnst_mi.errors import InputError
-from tnst_mi.losses import objective
+from tnst_mi.losses import evaluation
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.run import memory
 from tnst_mi.run.memory import Need, needed, require_memory
@@ -99,8 +99,8 @@ def test_views_in_parts_have_the_value_and_gradient_of_all(
 ) -> None:
     net = SmallNetwork()
     whole, count = Semantic("deep", (1,)).bind(net, HEIGHT, WIDTH), 5
-    monkeypatch.setattr(objective, "LARGEST_BATCH", batch * whole.saved_bytes)
-    at_once = objective.views_at_once(count, whole.saved_bytes)
+    monkeypatch.setattr(evaluation, "LARGEST_BATCH", batch * whole.saved_bytes)
+    at_once = evaluation.views_at_once(count, whole.saved_bytes)
     assert -(-count // at_once) == parts
 
     images = random_views(count).requires_grad_()
@@ -116,4 +116,4 @@ def test_views_in_parts_have_the_value_and_gradient_of_all(
 
 def test_a_gpu_would_see_a_batch_of_bounded_size() -> None:
     for fitting, at_once in ((7.7, 5), (9.0, 9), (900.0, 9), (8.9, 5), (0.2, 1)):
-        assert objective.views_at_once(9, objective.LARGEST_BATCH / fitting) == at_once
+        assert evaluation.views_at_once(9, evaluation.LARGEST_BATCH / fitting) == at_once

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from tnst_mi.fields.pyramid import gaussian, normalise
-from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.losses.pictures import resized
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.machine.backend import torch_device

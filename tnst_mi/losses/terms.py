@@ -5,7 +5,7 @@
     bound = bound.calibrated(first_images)          # each term's image gradient gets RMS 1
     loss = bound(images)                            # (N, H, W) → scalar
 
-Every term is summed over the views of a batch; lower is better.
+A bound term gives the loss of each view, and the objective sums them over a batch; lower is better.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.objective import BoundTerm, Features, Term, as_rgb
+from tnst_mi.losses.evaluation import BoundTerm, Features, as_rgb
+from tnst_mi.losses.feature_maps import resampled
+from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage, read_image, resized
 from tnst_mi.network.googlenet import GoogLeNet
 
@@ -55,10 +57,10 @@ class Semantic(Term):
 
         def loss(features: Features) -> Tensor:
             values = features[layer]
-            total = -values.index_select(1, chosen).flatten(1).mean(1).sum()
+            found = -values.index_select(1, chosen).flatten(1).mean(1)
             if self.damping and rest:
-                total = total + self.damping * values.index_select(1, others).abs().flatten(1).mean(1).sum()
-            return total
+                found = found + self.damping * values.index_select(1, others).abs().flatten(1).mean(1)
+            return found
 
         return BoundTerm((layer,), loss)
 
@@ -81,7 +83,11 @@ class ClassTag(Term):
 
 @dataclass(frozen=True, eq=False)
 class Match(Term):
-    """Match a map M of features: L = mean (F - M)² (paper Eq. 5); M broadcasts to the layer's (C, H, W)."""
+    """Match a map M of features: L = mean (F - M)² (paper Eq. 5).
+
+    M has the layer's C channels, or one for all of them, and any height and width: (C, H, W), or what broadcasts to
+    that. It is resampled to the size that the layer has in each octave (`feature_maps.resampled`).
+    """
 
     layer: str
     target_map: np.ndarray
@@ -92,9 +98,12 @@ class Match(Term):
         return f"match {self.layer}"
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Move the map to the network's device; evaluating the loss raises `InputError` if it does not broadcast."""
+        """Resample the map to the layer; raises `InputError` if its channels are not the layer's."""
+        layer = net.resolve(self.layer)
+        blank = torch.zeros(1, height, width).to(_parameter(net))
+        shape = net(as_rgb(blank), layers=[layer])[layer].shape[1:]
         target = torch.as_tensor(np.asarray(self.target_map)).to(_parameter(net))
-        return _match(net.resolve(self.layer), target)
+        return _match(layer, resampled(target, shape, self.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +136,11 @@ class Content(Term):
 class Style(Term):
     """Match the Gram matrices G = FᵀF of a picture (paper Eq. 6 and 7).
 
-    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance. Eq. 7 divides by 4 area_l²
-    channels_l² instead, so that each layer keeps the magnitude of its own features and, at equal weights, one layer
-    dominates (conv2/3x3 of the BVLC network outweighs inception_3b/output by 38 to 1). With division by the target's
-    norm, layers of equal weight contribute equally.
+    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance, or, with the `distance` "paper",
+    Eq. 7: L = Σ_l w_l ‖G_l - G_l(picture)‖² / (4 C_l² A_l²) with the channels C and the area A of each layer. There,
+    each layer keeps the magnitude of its own features and, at equal weights, one layer dominates (conv2/3x3 of the BVLC
+    network outweighs inception_3b/output by 38 to 1). With division by the target's norm, layers of equal weight
+    contribute equally.
 
     The picture, a path or a `GreyImage`, is centre-cropped and resized to the image, so that the areas are equal;
     its alpha, resized to the feature map, multiplies its features.
@@ -138,6 +148,7 @@ class Style(Term):
 
     image: str | Path | GreyImage
     layers: Mapping[str, float]
+    distance: str = "gram"
     picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
@@ -179,13 +190,18 @@ class Style(Term):
                     f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
                     "the network's weights"
                 )
-        scales = {layer: weights[layer] / gram.square().sum() for layer, gram in grams.items()}
+        # `mean_gram` is G / A already, which leaves 4 C² of Eq. 7's divisor.
+        scales = {
+            layer: weights[layer] / (4 * len(gram[0]) ** 2 if self.distance == "paper" else gram.square().sum())
+            for layer, gram in grams.items()
+        }
 
         def loss(features: Features) -> Tensor:
             distances = [
-                scales[layer] * (mean_gram(features[layer]) - gram).square().sum() for layer, gram in grams.items()
+                scales[layer] * (mean_gram(features[layer]) - gram).square().flatten(1).sum(1)
+                for layer, gram in grams.items()
             ]
-            return torch.stack(distances).sum()
+            return torch.stack(distances).sum(0)
 
         return BoundTerm(tuple(grams), loss)
 
@@ -204,15 +220,7 @@ def mean_gram(values: Tensor) -> Tensor:
 
 def _match(layer: str, target: Tensor) -> BoundTerm:
     def loss(features: Features) -> Tensor:
-        values = features[layer]
-        try:
-            target.expand(values.shape[1:])
-        except RuntimeError:
-            raise InputError(
-                f"match {layer}: the map has shape {tuple(target.shape)}, expected one that broadcasts "
-                f"to {tuple(values.shape[1:])}"
-            ) from None
-        return (values - target).square().flatten(1).mean(1).sum()
+        return (features[layer] - target).square().flatten(1).mean(1)
 
     return BoundTerm((layer,), loss)
 

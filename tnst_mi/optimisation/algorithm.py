@@ -68,18 +68,29 @@ def iterated(
 
 
 def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:
-    """The step along a frame's own gradient: views → loss → ∇Φ, ∇Ψ → η · mask · N(g) (paper Eq. 4)."""
+    """What a frame finds by itself: views → loss → ∇Φ, ∇Ψ, and the step along them (paper Eq. 4)."""
     since, frame, density = time.perf_counter(), now.frame, now.inputs.density
     found = problem.gradient(frame, now.fields, density, frame.seed(level, k))
-    size = frame.eta * frame.parameterisation.unit_step(plan.rows, problem.octave.cell_size)
-    step = normalised_step(found.gradient, now.inputs.mask, size, frame.recipe.pyramid_levels)
+    raw = plan.averages_gradients
+    step = found.gradient if raw else step_along(found.gradient, plan, now, problem.octave.cell_size)
     change = found.density - density if plan.recipe.coherence > 0 and plan.window > 1 else None
-    return OwnStep(step, change, found.loss, found.terms, since)
+    return OwnStep(step, change, found.loss, found.terms, since, raw)
+
+
+def step_along(gradient: Fields, plan: Plan, now: Current, h: float) -> Fields:
+    """η · mask · N(g): the step to subtract from a frame's fields; the gradient is consumed."""
+    size = now.frame.eta * now.frame.parameterisation.unit_step(plan.rows, h)
+    return normalised_step(gradient, now.inputs.mask, size, now.frame.recipe.pyramid_levels)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:
-    """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9)."""
+    """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9).
+
+    Where gradients are averaged, it is the step along their average, as in the paper's Algorithm 1.
+    """
     if plan.window == 1:
         return items.own_step
     average = items.averaged_step(now.frame)
+    if plan.averages_gradients:
+        average = step_along(average, plan, now, items.octave.cell_size)
     return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

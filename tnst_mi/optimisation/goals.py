@@ -1,4 +1,4 @@
-"""The objective of a recipe (paper Eq. 2): its semantic, tag, content and style terms."""
+"""The objective of a recipe (paper Eq. 2): its semantic, tag, content, match and style terms."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.losses import terms as losses
+from tnst_mi.losses.feature_maps import read_map
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.network.weights import ENVIRONMENT_VARIABLE
 from tnst_mi.recipe.recipe import Recipe
-
-#: Layer at which the features of a content picture are matched: deep enough for shapes rather than strokes.
-CONTENT_LAYER = "inception_4d/output"
 
 
 def objective_of(recipe: Recipe) -> Objective:
@@ -22,8 +20,9 @@ def objective_of(recipe: Recipe) -> Objective:
     terms = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
         *(losses.ClassTag(tag) for tag in recipe.tag),
-        *(losses.Content(path, CONTENT_LAYER) for path in recipe.content),
-        *(losses.Style(path, recipe.style_layers) for path in recipe.style),
+        *(losses.Content(path, layer) for path in recipe.content for layer in recipe.content_layers),
+        *(losses.Match(layer, read_map(path)) for layer, path in recipe.maps),
+        *(losses.Style(path, recipe.style_layers, recipe.style_loss) for path in recipe.style),
     ]
     weighted = [weight * term for weight, term in zip(term_weights(recipe), terms, strict=True)]
     return Objective(pair for term in weighted for pair in term.weighted_terms)
@@ -31,27 +30,29 @@ def objective_of(recipe: Recipe) -> Objective:
 
 def term_weights(recipe: Recipe) -> list[float]:
     """Weights of the terms of `objective_of`, in the same order, for the recipe of one frame."""
-    semantic = len(recipe.semantic) + len(recipe.tag) + len(recipe.content)
-    style = [recipe.style_weight * share for share in recipe.style_shares]
-    return [recipe.semantic_weight] * semantic + style
+    named, mapped = [1.0] * (len(recipe.semantic) + len(recipe.tag)), [1.0] * len(recipe.match)
+    content = [weight for _ in recipe.content for weight in recipe.content_layers.values()]
+    semantic = [recipe.semantic_weight * weight for weight in (*named, *content, *mapped)]
+    return semantic + [recipe.style_weight * share for share in recipe.style_shares]
 
 
 def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
-    """Refuse channel numbers on the network `patterns` unless the recipe names that network explicitly.
+    """Refuse channel numbers and maps on the network `patterns` unless the recipe names that network explicitly.
 
     A channel number does not show which network it was chosen for, and recipes use those of networks trained on
-    ImageNet. Class names and pictures mean the same to any network. `fallback`: `patterns` is used because no other
-    network was found.
+    ImageNet; a map of features is one of their layers. Class names and pictures mean the same to any network.
+    `fallback`: `patterns` is used because no other network was found.
     """
-    if network.flavour != PATTERNS or recipe.weights is not None or not recipe.semantic:
+    if network.flavour != PATTERNS or recipe.weights is not None or not (recipe.semantic or recipe.match):
         return
     if fallback:
         reason, remedy = "no other was found", f"get the paper's network with `{DOWNLOAD_COMMAND}`"
     else:
         reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
     tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
+    named = f"semantic {recipe.semantic[0]!r}" if recipe.semantic else f"match {recipe.match[0]!r}"
     raise InputError(
-        f"semantic {recipe.semantic[0]!r}: channel numbers are those of one network, and this run would be on the "
+        f"{named}: channel numbers are those of one network, and this run would be on the "
         f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
         f"meant, or choose a tag, such as {tags}"
     )

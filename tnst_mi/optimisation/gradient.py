@@ -13,7 +13,7 @@ import torch
 
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.kernels import opaque
-from tnst_mi.losses.objective import BoundObjective
+from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
@@ -132,4 +132,5 @@ def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    return OctaveProblem(octave, plan.objective.bind(network, *octave.shape[1:], record=True))
+    loss = plan.objective.bind(network, *octave.shape[1:], record=True, sigma=plan.recipe.sigma == "loss")
+    return OctaveProblem(octave, loss)

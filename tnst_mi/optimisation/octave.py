@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from tnst_mi.frame import Frame
-from tnst_mi.losses.objective import rms_scales
+from tnst_mi.losses.evaluation import rms_scales
 from tnst_mi.machine.backend import release_memory
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
@@ -44,15 +44,18 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore,
         items.enter_fields(frame, earlier[-1] if earlier else None)
     for octave in earlier:
         octave.forget()
-    for frame in each(plan.alive if windowed else ()):
+    for frame in each(plan.alive if windowed and plan.recipe.window_average == "smoke" else ()):
         items.enter_gain(frame)
     return items
 
 
 def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore, each: Each) -> OctaveProblem:
-    """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence."""
+    """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence.
+
+    Without loss scaling, all scales are 1.
+    """
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
-    scales = store.backing.numbers(name)
+    scales = problem.loss.scales if plan.recipe.loss_scaling == "none" else store.backing.numbers(name)
     if scales is None:
         scales = rms_scales(
             problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave, Shape, octaves
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
@@ -25,7 +26,8 @@ class FramePlan:
         name: its name in files and in the log.
         number: the number that seeds its views.
         recipe: the recipe at this frame.
-        step_scale: the factor S_t / max_t S_t of η (the σ of paper Eq. 2).
+        step_scale: the factor of η, the σ of paper Eq. 2: S_t / max_t S_t, or 1 where σ is part of the loss; 0 for a
+            frame that is left unchanged.
         exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
         weights: of the terms of the loss; None if the objective has its own.
@@ -88,6 +90,11 @@ class Plan:
         """Number of frames in a window; 1 for a single frame."""
         return self.recipe.window if len(self.frames) > 1 else 1
 
+    @property
+    def averages_gradients(self) -> bool:
+        """Whether a window averages gradients, of which a step is then made, rather than steps (paper Alg. 1)."""
+        return self.window > 1 and self.recipe.step_order == "align_first"
+
     @cached_property
     def window_weights(self) -> np.ndarray:
         """ω by distance (paper Eq. 9)."""
@@ -120,13 +127,17 @@ def plan_of(
         recipe: what to stylize towards, and how.
         names: of the frames.
         numbers: of the frames, None where a frame has none.
-        step_scales: factors of η, S_t / max_t S_t with the pixel sums S_t of the unstylized main views; a frame with 0
-            is left unchanged.
+        step_scales: S_t / max_t S_t with the pixel sums S_t of the unstylized main views: factors of η, unless σ is
+            part of the loss; a frame with 0 is left unchanged.
         exposures: factors from rendered images to the network's [0, 1].
         shape: (D, H, W) of the frames.
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
+
+    Raises:
+        InputError: the recipe's window cannot be averaged as it says, or an objective of its terms cannot be made.
     """
+    require_averageable(recipe)
     recipes = [recipe.at(number) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
@@ -136,7 +147,7 @@ def plan_of(
             name,
             index if number is None else number,
             at_frame,
-            scale,
+            float(scale > 0) if recipe.sigma == "loss" else scale,
             exposure,
             DensityOffset()
             if recipe.parameterisation == "density"
@@ -148,3 +159,16 @@ def plan_of(
         )
     )
     return Plan(recipe, frames, shape, density_scale, objective or objective_of(recipe))
+
+
+def require_averageable(recipe: Recipe) -> None:
+    """Check that a window can be averaged as a recipe says.
+
+    Raises:
+        InputError: an average over smoke is wanted of gradients, which no mask has weighted.
+    """
+    if recipe.window > 1 and recipe.step_order == "align_first" and recipe.window_average == "smoke":
+        raise InputError(
+            "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
+            "nothing to count smoke by; expected window_average = 'plain'"
+        )

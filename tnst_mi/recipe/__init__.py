@@ -1,2 +1,2 @@
-"""The recipe of a stylization: its keys by section (`sections`), the kinds of their values (`keys`), values that change
-over the frames (`keyframes`), and the recipe itself (`recipe`)."""
+"""The recipe of a stylization: its keys by section (`sections`), the kinds of their values (`keys`), named sets of
+defaults (`presets`), values that change over the frames (`keyframes`), and the recipe itself (`recipe`)."""

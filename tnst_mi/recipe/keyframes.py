@@ -22,11 +22,15 @@ Keyframes = tuple[tuple[int, Any], ...]
 KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth", "elevation", "eta", "blend")
 
 
+#: The keys whose values are tables from layers to weights.
+LAYER_TABLES = ("style_layers", "content_layers")
+
+
 def is_keyframed(name: str, value: Any) -> bool:
     """Whether the value of a key is a table from frames to values; a table from layers to weights is not."""
     if not isinstance(value, Mapping):
         return False
-    return name != "style_layers" or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
+    return name not in LAYER_TABLES or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
 
 
 def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, str], Any]) -> Any:

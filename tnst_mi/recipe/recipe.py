@@ -1,7 +1,8 @@
 """The recipe of a stylization: one flat, documented set of keys for TOML files and the command line.
 
 Every key is defined in `tnst_mi.recipe.sections`, for TOML and, with dashes for underscores, as a flag of `tnst-mi
-stylize`. Values are taken from the defaults, then from the recipe file, then from the flags; the last one given wins.
+stylize`. Values are taken from the defaults or the preset, then from the recipe file, then from the flags; the last one
+given wins.
 In a file, some may change over the frames (`tnst_mi.recipe.keyframes`); `Recipe.at` returns the recipe of one frame.
 """
 
@@ -17,13 +18,14 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import tomlkit
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
+from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.sections import KINDS, Goals, Method, Resources, documentation
 from tnst_mi.resources import DATA
 
@@ -43,6 +45,9 @@ class Recipe(Resources, Method, Goals):
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their
     attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
 
+    A `preset` sets the keys that are not given, now or by `updated`. `dataclasses.replace` passes every key, so that in
+    its result all of them are given.
+
     Raises:
         InputError: a value has the wrong type or is out of range.
 
@@ -55,6 +60,8 @@ class Recipe(Resources, Method, Goals):
         {'conv2/3x3': 1.0, 'inception_3b/output': 1.0, 'inception_4b/output': 1.0}
         >>> "octaves = 2" in recipe.to_toml()
         True
+        >>> tnst_mi.Recipe(preset="paper", style_loss="gram").sigma
+        'loss'
         >>> tnst_mi.Recipe(lam=2.0)
         Traceback (most recent call last):
         tnst_mi.errors.InputError: recipe: lam = 2.0: expected a number from 0 to 1
@@ -66,12 +73,23 @@ class Recipe(Resources, Method, Goals):
     style_shares: tuple[float, ...] = ()
     """The share of each picture of `style`, 0 or more: all 1 except in a recipe from `at`. Never read from a file or
     written to one."""
+    given: frozenset[str] = field(init=False, repr=False, compare=False)
+    """The keys that were given, rather than left to the defaults or the preset. Derived, never a key of a file."""
+
+    def __new__(cls, **keys: Any) -> Self:
+        """Note which keys are given, before the constructor of the dataclass sets the others to their defaults."""
+        recipe = super().__new__(cls)
+        object.__setattr__(recipe, "given", frozenset(keys) & frozenset(KINDS) | frozenset(keys.get("keyframes", ())))
+        return recipe
 
     def __post_init__(self) -> None:
-        """Check every value and bring it into its normal form."""
+        """Check every value and bring it into its normal form; those that are not given are the preset's."""
+        for name, value in PRESETS.get(_checked("preset", self.preset, "recipe: "), {}).items():
+            if name not in self.given:
+                object.__setattr__(self, name, value)
         keyframes = {}
         for name in dict.fromkeys((*KINDS, *self.keyframes)):
-            value = converted(name, self._given(name), "recipe: ", _checked)
+            value = converted(name, self._value_or_table(name), "recipe: ", _checked)
             if is_keyframed(name, value):
                 keys = keyframes[name] = tuple(value.items())
                 value = pictures_of(keys) if name == "style" else keys[0][1]
@@ -94,7 +112,7 @@ class Recipe(Resources, Method, Goals):
 
         Raises:
             InputError: the file is missing or not TOML, a key is unknown, a value has the wrong type or is out
-                of range, or a picture does not exist.
+                of range, or a picture or another file that it names does not exist.
         """
         path = Path(path)
         try:
@@ -123,18 +141,18 @@ class Recipe(Resources, Method, Goals):
                 raise InputError(f"{source}unknown key {name!r}; the nearest known key is {nearest!r}")
             checked = converted(name, value, source, _checked)
             replaced[name] = converted(name, checked, source, functools.partial(_located, folder=folder))
-        kept = {name: keys for name, keys in self.keyframes.items() if name not in values}
+        kept = {name: self._value_or_table(name) for name in self.given}
         shares = () if "style" in values else self.style_shares
-        return dataclasses.replace(self, **replaced, keyframes=kept, style_shares=shares)
+        return Recipe(**kept | replaced, style_shares=shares)
 
     def located(self, folder: Path) -> Recipe:
         """Return a copy with absolute paths, resolved from `folder`; keyframes and shares are kept.
 
         Raises:
-            InputError: a picture or a light does not exist.
+            InputError: a picture, a map or a light does not exist.
         """
         locate = functools.partial(_located, folder=folder)
-        values = {name: converted(name, self._given(name), "recipe: ", locate) for name in KINDS}
+        values = {name: converted(name, self._value_or_table(name), "recipe: ", locate) for name in KINDS}
         return dataclasses.replace(self, **values, keyframes={})
 
     def at(self, number: int | None) -> Recipe:
@@ -177,7 +195,7 @@ class Recipe(Resources, Method, Goals):
         for name, text in documentation().items():
             for line in textwrap.wrap(text, 100):
                 document.add(tomlkit.comment(line))
-            value = self._given(name)
+            value = self._value_or_table(name)
             if value is None:
                 document.add(tomlkit.comment(f"{name} is not set"))
             else:
@@ -185,7 +203,7 @@ class Recipe(Resources, Method, Goals):
             document.add(tomlkit.nl())
         return tomlkit.dumps(document)
 
-    def _given(self, name: str) -> Any:
+    def _value_or_table(self, name: str) -> Any:
         """The value of a key, or its table of keyframes."""
         return dict(self.keyframes[name]) if name in self.keyframes else getattr(self, name)
 
@@ -209,6 +227,11 @@ class Recipe(Resources, Method, Goals):
             return None
         first, last = self.frames.split(":")
         return int(first), int(last)
+
+    @property
+    def maps(self) -> list[tuple[str, Path]]:
+        """The maps of features to match as (layer, file)."""
+        return [(layer, Path(file)) for layer, _, file in (target.partition(":") for target in self.match)]
 
     @property
     def semantic_channels(self) -> list[tuple[str, tuple[int, ...]]]:
@@ -242,6 +265,8 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
     """Make the paths in a checked value absolute."""
     if name in ("style", "content"):
         return tuple(_picture(name, entry, source, folder) for entry in value)
+    if name == "match":
+        return tuple(_map(entry, source, folder) for entry in value)
     if name == "light" and value not in shipped_lights():
         if not (folder / value).is_file():
             raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
@@ -259,6 +284,13 @@ def _picture(name: str, entry: str, source: str, folder: Path) -> str:
         return str(STYLES / f"{entry}.png")
     shipped = ", ".join(shipped_styles())
     raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+
+
+def _map(entry: str, source: str, folder: Path) -> str:
+    layer, _, file = entry.partition(":")
+    if not (folder / file).is_file():
+        raise InputError(f"{source}match = {entry!r}: no such file ({folder / file})")
+    return f"{layer}:{(folder / file).resolve()}"
 
 
 def _toml_value(name: str, value: Any) -> Any:

@@ -9,7 +9,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, get_type_hints
 
-from tnst_mi.choices import QUADRATURES, WINDOW_WEIGHTS
+from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, WINDOW_WEIGHTS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
 
@@ -26,6 +26,9 @@ class Goals:
     )
     """Layers whose Gram matrices are matched to the style pictures, with weights. Low layers give fine
     strokes, high layers large shapes."""
+    style_loss: Annotated[str, Choice(STYLE_LOSSES)] = "gram"
+    """Distance of Gram matrices: gram is relative to the picture's, so that layers of equal weight count equally; paper
+    divides by 4C²A² (Eq. 7; C channels, A positions), so that one layer outweighs the others."""
     semantic: Annotated[
         tuple[str, ...],
         Texts(
@@ -40,11 +43,22 @@ class Goals:
     """Name of a class that the network should recognise in the smoke (tnst-mi weights --tags lists the classes of
     patterns, the network that ships with the package). Repeatable."""
     content: Annotated[tuple[str, ...], Texts("IMAGE", 'a list of picture files, such as ["face.png"]')] = ()
-    """Picture whose features (of inception_4d/output) the smoke should match. Repeatable."""
+    """Picture whose features the smoke should match. Repeatable."""
+    content_layers: Annotated[dict[str, float], LayerWeights()] = field(
+        default_factory=lambda: {"inception_4d/output": 1.0}
+    )
+    """Layers whose features are matched to the content pictures, with weights; deep ones hold shapes rather than
+    strokes."""
+    match: Annotated[
+        tuple[str, ...],
+        Texts("LAYER:FILE.npz", 'a list of layers with files, such as ["inception_4b/output:map.npz"]', r"[^:]+:.+"),
+    ] = ()
+    """Map of features that a layer should match (Eq. 5): an array (C, H, W), or (C, 1, 1), in an npz file (relative to
+    the recipe), named map or the only one; resampled to the layer in each octave. Repeatable."""
     style_weight: Annotated[float, Number(low=0.0)] = 1.0
     """Weight of the style terms, 0 or more."""
     semantic_weight: Annotated[float, Number(low=0.0)] = 1.0
-    """Weight of the semantic, tag and content terms, 0 or more."""
+    """Weight of the semantic, tag, content and match terms, 0 or more."""
     damping: Annotated[float, Number(low=0.0)] = 0.0
     """Weight of an L1 penalty on the other channels of a semantic layer, 0 or more."""
 
@@ -53,6 +67,9 @@ class Goals:
 class Method:
     """How to get there."""
 
+    preset: Annotated[str | None, Text("paper", '"paper"', "paper")] = None
+    """Other defaults: paper takes the formulas of the paper where ours differ (docs/paper.md). Keys that are given, in
+    the recipe or as flags, stay as they are given."""
     lam: Annotated[float, Number(0.0, 1.0)] = 1.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 lets smoke expand and contract, 0 is divergence-free."""
     gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
@@ -75,6 +92,12 @@ class Method:
     """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
     elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
     """Range of camera elevations in degrees, + upwards; the main view is its centre."""
+    loss_scaling: Annotated[str, Choice(("gradient", "none"))] = "gradient"
+    """Scale of a loss term before it is weighted: gradient divides it, in each octave, by the RMS of its first image
+    gradient, so that terms of equal weight count equally; none leaves the weights plain factors (Eq. 1)."""
+    sigma: Annotated[str, Choice(("step", "loss"))] = "step"
+    """What the sum of the pixels of an image, the σ of Eq. 2, is a factor of: step scales η by that of the frame's
+    main view, relative to the brightest frame; loss multiplies each view's loss, and is differentiated with it."""
     eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
     """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
     cells of size h, where the normalised gradient is 1."""
@@ -88,6 +111,13 @@ class Method:
     velocities."""
     window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
     """Weights of the frames in a window: equal, or decreasing with distance in time."""
+    window_average: Annotated[str, Choice(("smoke", "plain"))] = "smoke"
+    """Average over a window: smoke counts a frame only where it has smoke; plain is the weighted sum of Eq. 9, which
+    is smaller where smoke appears or leaves."""
+    step_order: Annotated[str, Choice(("normalise_first", "align_first"))] = "normalise_first"
+    """With a window, what is aligned and averaged: normalise_first takes the normalised, masked step of each frame;
+    align_first the gradients, whose average is then normalised and masked (Algorithm 1). The latter needs
+    window_average plain."""
     coherence: Annotated[float, Number(low=0.0)] = 0.0
     """With a window, size of the step that makes the change of the smoke move with the smoke, relative to the
     stylization's own step, 0 or more; 0 is the paper's algorithm."""

@@ -102,6 +102,6 @@ def digests(measures: Sequence[Measure]) -> dict[str, str]:
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:
-    """The SHA-256 of the pictures and the light that a recipe names, by their paths."""
-    paths = [*recipe.style, *recipe.content, recipe.light]
+    """The SHA-256 of the pictures, the maps and the light that a recipe names, by their paths."""
+    paths = [*recipe.style, *recipe.content, *(str(file) for _, file in recipe.maps), recipe.light]
     return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}

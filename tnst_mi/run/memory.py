@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.objective import views_at_once
+from tnst_mi.losses.evaluation import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
@@ -116,11 +116,13 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> in
     """Upper bound of the bytes that a run of `count` frames (D, H, W) keeps or writes, including results.
 
     Per cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 per component); with a window also the
-    velocity (6), the gain (2), the step (2 per component) and the change (2); as results a density (4) and a velocity
-    (12), assuming no compression. Coarser octaves add less than a quarter, which leaves room for an obstacle.
+    velocity (6), the gain (2), the step (2 per component, 4 if it is a gradient) and the change (2); as results a
+    density (4) and a velocity (12), assuming no compression. Coarser octaves add less than a quarter, which leaves room
+    for an obstacle.
     """
     components = recipe.components
-    by_cell = 6 + 4 * components + 16 + (10 + 2 * components if recipe.window > 1 else 0)
+    step = components * (4 if recipe.step_order == "align_first" else 2)
+    by_cell = 6 + 4 * components + 16 + (10 + step if recipe.window > 1 else 0)
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 

@@ -23,7 +23,7 @@ from tnst_mi.machine.disk import require_space, require_writable
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
-from tnst_mi.optimisation.plan import Plan, plan_of
+from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
@@ -131,8 +131,11 @@ def prepare(
     Raises:
         InputError: something cannot be used.
     """
-    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content):
-        raise InputError("nothing to stylize towards: give --style, --semantic, --tag or --content, or a recipe")
+    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
+        raise InputError(
+            "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
+        )
+    require_averageable(recipe)
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())

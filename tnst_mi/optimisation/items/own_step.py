@@ -23,10 +23,11 @@ class OwnStep:
     """A frame's own step, computed from its own gradient.
 
     Attributes:
-        step: what to subtract from the fields.
+        step: what to subtract from the fields; or, if `raw`, the gradient of the loss, of which no step has been made.
         change: d* − d, (D, H, W), of the fields that it starts from; None if nothing uses it.
         loss, terms: of the same fields, numbers on the device.
         since: when its computation began, on the clock of `time.perf_counter`.
+        raw: see `step`.
     """
 
     step: Fields
@@ -34,6 +35,7 @@ class OwnStep:
     loss: torch.Tensor
     terms: Mapping[str, torch.Tensor]
     since: float
+    raw: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ class Launched:
         frame: the plan of the frame.
         iteration: of the octave.
         found: the step.
-        stored: whether it is to be stored, in half precision.
+        stored: whether it is to be stored: steps and changes in half precision, gradients, which have any magnitude,
+            in single precision.
 
     Attributes:
         frame, iteration: as given.
@@ -64,13 +67,14 @@ class Launched:
     def __init__(self, frame: FramePlan, iteration: int, found: OwnStep, stored: bool) -> None:
         self.frame, self.iteration = frame, iteration
         # Not the step itself, whose memory is needed.
-        self._terms, self._since = list(found.terms), found.since
-        self.arrays: dict[str, mi.TensorXf16] = {}
+        self._terms, self._since, self._raw = list(found.terms), found.since, found.raw
+        self.arrays: dict[str, mi.TensorXf | mi.TensorXf16] = {}
         numbers = [found.loss, *found.terms.values()]
         if stored:
-            kept = found.step if found.change is None else {**found.step, "change": found.change}
-            self.arrays = {name: mi.TensorXf16(tensor) for name, tensor in kept.items()}
-            exceeding = sum(dr.count(~dr.isfinite(half.array)) for half in self.arrays.values())
+            self.arrays = {name: step if found.raw else mi.TensorXf16(step) for name, step in found.step.items()}
+            if found.change is not None:
+                self.arrays["change"] = mi.TensorXf16(found.change)
+            exceeding = sum(dr.count(~dr.isfinite(array.array)) for array in self.arrays.values())
             dr.eval(self.arrays, exceeding)
             numbers.append(mi.Float(exceeding).torch()[0])
         self._numbers = HostCopy(torch.stack(numbers))
@@ -88,7 +92,7 @@ class Launched:
             earliest: when the previous step was done; time before that is not this one's.
 
         Raises:
-            InputError: the loss is not finite, or the step exceeds the range of half precision.
+            InputError: the loss is not finite, or the step exceeds the range of the precision in which it is stored.
         """
         frame = self.frame
         loss, *others = self._numbers.numpy().tolist()
@@ -98,8 +102,9 @@ class Launched:
                 f"finite number; try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
             )
         if any(others[len(self._terms) :]):
+            found = "a gradient is not finite, or changes" if self._raw else "steps or changes"
             raise InputError(
-                f"{frame.name}: steps or changes of the density exceed {np.finfo(np.float16).max:g}; "
+                f"{frame.name}: {found} of the density exceed {np.finfo(np.float16).max:g}; "
                 "scale the density to about 1 and gamma accordingly"
             )
         terms = dict(zip(self._terms, others, strict=False))

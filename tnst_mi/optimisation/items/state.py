@@ -2,9 +2,9 @@
 
 inputs.o    density, mask and simulation velocity of a frame
 fields.o    the optimised fields; generation = iterations done
-gain.o      normalises the average over the window, see `averaging_gain`
-step.o      the step of one iteration along the frame's own gradient, and the change of the density that it
-            starts from; generation = iterations done
+gain.o      normalises the average over the window to that over smoke, see `averaging_gain`
+step.o      the step of one iteration along the frame's own gradient, or the gradient itself, and the change
+            of the density that it starts from; generation = iterations done
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ class Current:
 class Items:
     """The items of one octave. Reading gives tensors; writing replaces the earlier generation.
 
-    With a window, everything is written immediately, steps and changes in half precision. Without one, a frame goes
-    through all its iterations alone: its fields are kept in memory, and written at intervals and by `flush`; its steps
-    stay in memory.
+    With a window, everything is written immediately, steps and changes in half precision, gradients in single. Without
+    one, a frame goes through all its iterations alone: its fields are kept in memory, and written at intervals and by
+    `flush`; its steps stay in memory.
 
     The loss of a step is read only when the next step is put or something is about to be written: a GPU then need not
     wait for the host in between. Nothing is written that follows from a loss that has not been found to be finite.
@@ -179,9 +179,17 @@ class Items:
         return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)
 
     def averaged_step(self, frame: FramePlan) -> Fields:
-        """The steps of a frame's window, transported to it (paper Eq. 8) and averaged over smoke (Eq. 9)."""
-        names = list(frame.parameterisation.channels)
-        sums = self.windowed_sums(frame, "step", names, self.plan.window_weights)
+        """The steps, or gradients, of a frame's window, transported to it (paper Eq. 8) and averaged (Eq. 9).
+
+        The average is that over smoke, times the frame's mask; or the plain one, with weights that sum to 1 over the
+        frames that the window has.
+        """
+        names, weights = list(frame.parameterisation.channels), self.plan.window_weights
+        if self.plan.recipe.window_average == "plain":
+            window = window_of(frame.index, len(self.plan.frames), self.plan.window)
+            present = sum(weights[abs(i - frame.index)] for i in window)
+            return Fields(self.windowed_sums(frame, "step", names, weights / present))
+        sums = self.windowed_sums(frame, "step", names, weights)
         gain = self._store.read(self._group("gain"), frame.index, ["gain"])["gain"]
         return Fields({name: times(gain, total) for name, total in sums.items()})
 

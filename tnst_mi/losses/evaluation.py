@@ -1,0 +1,249 @@
+"""An objective with its targets: its value on images, its derivative, and the scales of its terms.
+
+Views are independent of each other: they go through the network one by one or several at once.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from tnst_mi.errors import InputError
+from tnst_mi.losses.recorded import RecordedEvaluation
+from tnst_mi.network.googlenet import GoogLeNet
+
+#: Lower bound of a scale, so that a gradient that is zero up to rounding is not amplified.
+SMALLEST_SCALE = 1e-12
+
+#: Limit in bytes of the feature maps that a GPU holds at once; a single view may exceed it. On an H100, nine views of
+#: the paper's 200×300 pixels (2.1 GB) take 20 ms in one batch and 47 ms in batches of three: for small batches cuDNN
+#: chooses slower algorithms, which also need more memory of their own (docs/gpu.md).
+LARGEST_BATCH = 1 << 32
+
+#: Number of pixels in a batch up to which its evaluation is recorded. A GPU takes longer for larger ones than the host
+#: takes to launch them, and a recording keeps their memory.
+LARGEST_RECORDED = 1 << 18
+
+Features = Mapping[str, Tensor]
+
+
+class BoundTerm(NamedTuple):
+    """A term with its targets: the layers it reads, and the loss (N,) of each of N views by their features."""
+
+    layers: tuple[str, ...]
+    loss: Callable[[Features], Tensor]
+
+
+class BoundObjective:
+    """An objective with its targets for one image size: Σ_i weight_i L_i / scale_i, with L_i = Σ_views σ_view l_i.
+
+    l_i is the loss of a term in one view. σ_view is 1, or the sum of the view's pixels (paper Eq. 2), which then takes
+    part in the derivative.
+
+    Immutable: `scaled` and `weighed` return new objectives, which share the network and the targets.
+
+    Attributes:
+        names: One per term, unique.
+        scales: The divisor of each term by name, initially 1. Plain floats, so that a checkpoint can hold them.
+    """
+
+    def __init__(
+        self,
+        net: GoogLeNet,
+        size: tuple[int, int],
+        names: Sequence[str],
+        weights: Sequence[float],
+        terms: Sequence[BoundTerm],
+        record: bool,
+        sigma: bool,
+    ) -> None:
+        """Called by `Objective.bind`."""
+        self.names = list(names)
+        self.scales = dict.fromkeys(names, 1.0)
+        self._net = net
+        self._size = size
+        self._sigma = sigma
+        self._weights = dict(zip(names, weights, strict=True))
+        self._terms = dict(zip(names, terms, strict=True))
+        #: What `saved_bytes` has been found to be, once for all copies: it depends on neither weights nor scales.
+        self._measured: list[int] = []
+        #: The recorded evaluation for each shape of images, likewise; None if none is to be recorded.
+        self._recorded: dict[torch.Size, RecordedEvaluation] | None = {} if record else None
+        self._layers = list(dict.fromkeys(layer for term in terms for layer in term.layers))
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """Return Σ_i weight_i L_i / scale_i, a scalar that is differentiable with respect to the images.
+
+        Args:
+            images: (N, H, W) grey views in about [0, 1], of the size that the objective is bound to.
+        """
+        return self.evaluate(images)[0]
+
+    def evaluate(self, images: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Like a call, but also return the raw values L_i by name, scalar tensors without gradient."""
+        if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
+            raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
+        if torch.is_grad_enabled() and images.requires_grad:
+            terms: dict[str, Tensor] = {}
+            return _ViewByView.apply(images, self, terms), terms
+        return self._forward(images)
+
+    def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+        """The weighted sum and the raw values of the terms; if `gradient` is given, the derivative is written to it."""
+        totals: dict[str, Tensor] = {}
+        for part in self._parts(images):
+            if gradient is None:
+                losses, _ = self._losses(images[part], False)
+            else:
+                losses, gradient[part] = self._differentiated(images[part])
+            for name, loss in losses.items():
+                totals[name] = totals.get(name, 0) + loss.detach()
+        return self._sum(totals), totals
+
+    def _differentiated(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """The values of the terms, and the derivative of their weighted sum."""
+        factors = [self._weights[name] / self.scales[name] for name in self.names]
+        if self._recorded is None or not images.is_cuda or images.numel() > LARGEST_RECORDED:
+            return self._evaluated(images, factors)
+
+        def evaluate(images: Tensor, factors: Tensor) -> tuple[Tensor, Tensor]:
+            losses, gradient = self._evaluated(images, factors.unbind())
+            return torch.stack([losses[name].detach() for name in self.names]), gradient
+
+        if images.shape not in self._recorded:
+            # Batches of different size are evaluated one after the other, and share their memory.
+            pool = next((recorded.pool for recorded in self._recorded.values()), None)
+            self._recorded[images.shape] = RecordedEvaluation(evaluate, images, len(factors), pool)
+        values, gradient = self._recorded[images.shape](images, factors)
+        return dict(zip(self.names, values, strict=True)), gradient
+
+    def _evaluated(self, images: Tensor, factors: Sequence[float | Tensor]) -> tuple[dict[str, Tensor], Tensor]:
+        losses, views = self._losses(images, True)
+        with torch.enable_grad():
+            weighted = [factor * losses[name] for name, factor in zip(self.names, factors, strict=True)]
+            total = torch.stack(weighted).sum()
+        (gradient,) = torch.autograd.grad(total, views)
+        return losses, gradient
+
+    def _parts(self, images: Tensor) -> Iterator[slice]:
+        """Slices of the views that go through the network together.
+
+        On a CPU, one view at a time: the feature maps of a single view fit the caches better and keep memory use
+        minimal. On a GPU, the fewest equal parts whose feature maps stay below `LARGEST_BATCH`. This split depends only
+        on the images and the network, so the same views give the same bits.
+        """
+        on_cpu = images.device.type == "cpu"
+        at_once = 1 if on_cpu else views_at_once(len(images), self.saved_bytes)
+        return (slice(first, first + at_once) for first in range(0, len(images), at_once))
+
+    @property
+    def saved_bytes(self) -> int:
+        """Bytes that autograd saves for the backward pass of one view."""
+        if not self._measured:
+            self._measured.append(self._measure_saved_bytes())
+        return self._measured[0]
+
+    def _measure_saved_bytes(self) -> int:
+        blocks: dict[int, int] = {}
+
+        def record(tensor: Tensor) -> Tensor:
+            block = tensor.untyped_storage()
+            blocks[block.data_ptr()] = block.nbytes()
+            return tensor
+
+        weight = next(self._net.parameters())
+        view = torch.zeros(1, *self._size, dtype=weight.dtype, device=weight.device)
+        with torch.autograd.graph.saved_tensors_hooks(record, lambda tensor: tensor):
+            kept = self._losses(view, True)
+        for weight in self._net.parameters():
+            blocks.pop(weight.untyped_storage().data_ptr(), None)
+        del kept
+        return sum(blocks.values())
+
+    def _sum(self, losses: Mapping[str, Tensor]) -> Tensor:
+        return torch.stack([(self._weights[name] / self.scales[name]) * loss for name, loss in losses.items()]).sum()
+
+    def weighed(self, weights: Sequence[float]) -> BoundObjective:
+        """A copy with other weights, in the order of `names`."""
+        other = copy.copy(self)
+        other._weights = dict(zip(self.names, weights, strict=True))
+        return other
+
+    def scaled(self, scales: Mapping[str, float]) -> BoundObjective:
+        """A copy with scales from a checkpoint or from `rms_scales`; raises `InputError` if their terms differ."""
+        if set(scales) != set(self.names):
+            raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.names)}")
+        other = copy.copy(self)
+        other.scales = {name: float(scales[name]) for name in self.names}
+        return other
+
+    def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
+        """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and the number of pixels."""
+        sums = dict.fromkeys(self.names, 0.0)
+        for part in self._parts(images):
+            losses, views = self._losses(images[part], True)
+            for name, loss in losses.items():
+                # The last one need not keep what is saved for the others.
+                (gradient,) = torch.autograd.grad(loss, views, retain_graph=name != self.names[-1])
+                sums[name] += gradient.double().square().sum().item()
+        return {name: (square_sum, images.numel()) for name, square_sum in sums.items()}
+
+    def calibrated(self, images: Tensor) -> BoundObjective:
+        """A copy in which each scale is the RMS of its term's image gradient over this batch."""
+        return self.scaled(rms_scales([self.gradient_square_sum(images)]))
+
+    def _losses(self, images: Tensor, differentiable: bool) -> tuple[dict[str, Tensor], Tensor]:
+        """The values of the terms by name, and the leaf tensor of images to differentiate them with respect to."""
+        images = images.detach().requires_grad_(differentiable)
+        with torch.set_grad_enabled(differentiable):
+            features = self._net(as_rgb(images), layers=self._layers)
+            by_view = {name: term.loss(features) for name, term in self._terms.items()}
+            if self._sigma:
+                sigma = images.flatten(1).sum(1)
+                by_view = {name: sigma * loss for name, loss in by_view.items()}
+            return {name: loss.sum() for name, loss in by_view.items()}, images
+
+
+class _ViewByView(torch.autograd.Function):
+    """A bound objective that computes its derivative along with its value, so that no view's features are kept."""
+
+    @staticmethod
+    def forward(ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor]) -> Tensor:
+        gradient = torch.empty_like(images)
+        value, found = objective._forward(images, gradient)
+        terms.update(found)
+        ctx.save_for_backward(gradient)
+        return value
+
+    @staticmethod
+    def backward(ctx: Any, factor: Tensor) -> tuple[Tensor, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * factor, None, None
+
+
+def views_at_once(count: int, saved_bytes: float) -> int:
+    """Batch size for `count` views on a GPU: the fewest equal parts that stay below `LARGEST_BATCH`."""
+    fitting = max(1, int(LARGEST_BATCH // saved_bytes))
+    return math.ceil(count / math.ceil(count / fitting))
+
+
+def rms_scales(sums: Iterable[Mapping[str, tuple[float, int]]]) -> dict[str, float]:
+    """Pool results of `gradient_square_sum`, e.g. of all frames: RMS by name, at least `SMALLEST_SCALE`."""
+    squares: defaultdict[str, float] = defaultdict(float)
+    counts: Counter[str] = Counter()
+    for batch in sums:
+        for name, (square_sum, count) in batch.items():
+            squares[name] += square_sum
+            counts[name] += count
+    return {name: max(math.sqrt(squares[name] / counts[name]), SMALLEST_SCALE) for name in counts}
+
+
+def as_rgb(images: Tensor) -> Tensor:
+    """Turn (N, H, W) grey into (N, 3, H, W) without copying."""
+    return images[:, None].expand(-1, 3, -1, -1)
