@@ -54,6 +54,58 @@ def test_evaluation_changes_neither_its_input_nor_its_answer(net: SmallNetwork, 
     assert torch.equal(bound(images), first)
 
 
+# ---- sigma -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_sigma_is_the_sum_of_the_pixels_of_each_view(net: SmallNetwork, kind: str) -> None:
+    """Eq. 2, view by view: the value, and the derivative with that of σ, Lᵢ ∂σ + σ ∂Lᵢ."""
+    images = views(4) * torch.tensor([1.0, 0.1, 3.0, 0.5], dtype=torch.float64)[:, None, None]
+    plain = [value(TERMS[kind], net, image[None]) for image in images]
+    derivatives = [gradient(TERMS[kind], net, image[None])[0] for image in images]
+    sums = [float(image.sum()) for image in images]
+    leaf = images.clone().requires_grad_()
+    bound = TERMS[kind].bind(net, HEIGHT, WIDTH, sigma=True)
+    total = bound(leaf)
+    assert total.item() == pytest.approx(np.dot(sums, plain), rel=1e-12)
+    (found,) = torch.autograd.grad(total, leaf)
+    expected = [loss + sigma * by for loss, sigma, by in zip(plain, sums, derivatives, strict=True)]
+    torch.testing.assert_close(found, torch.stack(expected))
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_gradients_with_sigma_agree_with_central_differences(net: SmallNetwork, kind: str) -> None:
+    bound = TERMS[kind].bind(net, HEIGHT, WIDTH, sigma=True).calibrated(views())
+    images = views().requires_grad_()
+    (analytic,) = torch.autograd.grad(bound(images), images)
+    generator, step = torch.Generator().manual_seed(1), 1e-5
+    for _ in range(4):
+        direction = torch.randn(images.shape, generator=generator, dtype=torch.float64)
+        with torch.no_grad():
+            difference = (bound(images + step * direction) - bound(images - step * direction)) / (2 * step)
+        assert difference.item() == pytest.approx((analytic * direction).sum().item(), rel=1e-6, abs=1e-7)
+
+
+def test_a_batch_with_sigma_is_the_same_as_its_views(net: SmallNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All views through the network together, as on a GPU."""
+    bound = TERMS["sum"].bind(net, HEIGHT, WIDTH, sigma=True)
+    images = views(5)
+    single, square_sums = [bound.evaluate(images), bound.evaluate(images.clone().requires_grad_())], {}
+    for image in images:
+        for name, (square_sum, count) in bound.gradient_square_sum(image[None]).items():
+            before = square_sums.get(name, (0.0, 0))
+            square_sums[name] = (before[0] + square_sum, before[1] + count)
+    monkeypatch.setattr(bound, "_parts", lambda images: [slice(0, len(images))])
+    for (value_by_view, terms_by_view), leaf in zip(single, (images, images.clone().requires_grad_()), strict=True):
+        together, terms = bound.evaluate(leaf)
+        torch.testing.assert_close(together, value_by_view)
+        assert {name: term.item() for name, term in terms.items()} == pytest.approx(
+            {name: term.item() for name, term in terms_by_view.items()}
+        )
+    for name, (square_sum, count) in bound.gradient_square_sum(images).items():
+        assert (square_sum, count) == (pytest.approx(square_sums[name][0]), square_sums[name][1])
+
+
 # ---- algebra and scales ----------------------------------------------------------------------------------
 
 

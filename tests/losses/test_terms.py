@@ -43,6 +43,41 @@ def test_match_is_the_mean_squared_difference_to_the_map(net: SmallNetwork, shap
     assert value(Match("deep", target), net, views()) == pytest.approx(expected, rel=1e-12)
 
 
+def area_means(length: int, bins: int) -> np.ndarray:
+    """Oracle: (bins, length) weights of averages over whole cells that a bin touches, the area average of torch."""
+    weights = np.zeros((bins, length))
+    for i in range(bins):
+        low, high = i * length // bins, -(-(i + 1) * length // bins)
+        weights[i, low:high] = 1 / (high - low)
+    return weights
+
+
+def linear(length: int, points: int) -> np.ndarray:
+    """Oracle: (points, length) weights of linear interpolation between cell centres, clamped at the ends."""
+    at = np.clip((np.arange(points) + 0.5) * length / points - 0.5, 0, length - 1)
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(length)), 0)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(3, 2), (12, 10), (13, 3), (1, 9), (6, 5)])
+def test_a_map_is_resampled_to_its_layer(net: SmallNetwork, rows: int, columns: int) -> None:
+    """Averages over areas along an axis that shrinks, linear along one that grows; 6×5 is the layer's own size."""
+    target = np.random.default_rng(2).normal(size=(6, rows, columns))
+    along = [
+        area_means(length, size) if length > size else linear(length, size)
+        for length, size in ((rows, HEIGHT // 2), (columns, WIDTH // 2))
+    ]
+    wanted = np.einsum("yh,xw,chw->cyx", *along, target)
+    expected = np.square(features(net, views(), "deep") - wanted).mean((1, 2, 3)).sum()
+    assert value(Match("deep", target), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(5,), (5, 1, 1)])
+def test_logits_match_a_vector(net: SmallNetwork, shape: tuple[int, ...]) -> None:
+    target = np.linspace(-1, 1, 5).reshape(shape)
+    expected = np.square(features(net, views(), "logits") - target.ravel()).mean(1).sum()
+    assert value(Match("logits", target), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
 def test_content_matches_the_features_of_the_cropped_and_resized_picture(net: SmallNetwork) -> None:
     wide = picture(height=2 * HEIGHT, width=5 * WIDTH)
     fitted = torch.from_numpy(wide.fitted(HEIGHT, WIDTH).grey).double()[None]
@@ -66,6 +101,21 @@ def test_style_is_the_distance_of_gram_matrices(net: SmallNetwork) -> None:
         for view in features(net, views(), layer)
     )
     assert value(Style(picture(), weights), net, views()) == pytest.approx(expected, rel=1e-12)
+
+
+def test_style_loss_of_the_paper_divides_by_4_c2_a2(net: SmallNetwork) -> None:
+    """Eq. 7 with Gram matrices that are sums over the A positions of a layer with C channels."""
+    weights = {"shallow": 2.0, "alias_of_deep": 0.5}
+    target = torch.from_numpy(picture().grey).double()[None]
+    expected = 0.0
+    for layer, weight in weights.items():
+        wanted = features(net, target, layer)[0]
+        for view in features(net, views(), layer):
+            channels, area = len(view), view[0].size
+            gram, gram_wanted = (np.einsum("ahw,bhw->ab", f, f) for f in (view, wanted))
+            expected += weight * ((gram - gram_wanted) ** 2).sum() / (4 * channels**2 * area**2)
+    assert value(Style(picture(), weights, "paper"), net, views()) == pytest.approx(expected, rel=1e-12)
+    assert value(Style(picture(), weights), net, views()) != pytest.approx(expected, rel=0.5)
 
 
 @pytest.mark.parametrize("term", [Style(picture(), {"shallow": 1.0, "deep": 1.0}), Content(picture(), "deep")])
@@ -126,6 +176,7 @@ def test_alpha_is_resized_to_the_feature_map(net: SmallNetwork) -> None:
         (lambda net: Content("nowhere.png", "deep"), "nowhere.png"),
         (lambda net: Match("deep", np.zeros((5, 6, 5))).bind(net, HEIGHT, WIDTH), "expected 6 channels"),
         (lambda net: Match("deep", np.zeros((2, 6, 6, 5))).bind(net, HEIGHT, WIDTH), "expected 6 channels"),
+        (lambda net: Match("logits", np.zeros((5, 2, 1))).bind(net, HEIGHT, WIDTH), "expected 5 channels"),
         (lambda net: Objective([]), "no term"),
     ],
 )

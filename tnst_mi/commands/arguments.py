@@ -40,7 +40,7 @@ class DemoArguments(Arguments):
 class StylizeArguments(Arguments):
     """Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.
 
-    Values come from the defaults, then from the recipe file, then from the flags.
+    Values come from the defaults or a preset, then from the recipe file, then from the flags.
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]

@@ -70,6 +70,6 @@ def resampled(target: Tensor, shape: Sequence[int], name: str) -> Tensor:
         )
     if not size:
         return whole[:, 0, 0]
-    smaller = [min(a, b) for a, b in zip(whole.shape[1:], size, strict=True)]
+    smaller = (min(whole.shape[1], size[0]), min(whole.shape[2], size[1]))
     averaged = functional.adaptive_avg_pool2d(whole, smaller)
     return functional.interpolate(averaged[None], size, mode="bilinear")[0]

@@ -55,8 +55,11 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore,
     Without loss scaling, all scales are 1.
     """
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
-    scales = problem.loss.scales if plan.recipe.loss_scaling == "none" else store.backing.numbers(name)
-    if scales is None:
+    scales = store.backing.numbers(name)
+    if scales is None and plan.recipe.loss_scaling == "none":
+        scales = problem.loss.scales
+        store.backing.write_numbers(name, scales)
+    elif scales is None:
         scales = rms_scales(
             problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))
             for now in items.current(each(plan.alive))
