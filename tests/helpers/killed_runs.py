@@ -1,6 +1,8 @@
 """Runs a small sequence again and again in children that are killed (SIGKILL) at random moments; see test_kill.py.
 
-    python killed_runs.py WEIGHTS OUT WINDOW KILLS
+    python killed_runs.py WEIGHTS OUT WINDOW KILLS ORDER
+
+ORDER is a step_order of the plain average, or empty for the default of both.
 
 The children are forked after everything has been imported and before anything runs, which saves seconds each.
 """
@@ -48,9 +50,10 @@ def child(recipe: Recipe, out: Path) -> tuple[int, int]:
 
 def main() -> None:
     """Kill, go on, kill, …, and let the last child end."""
-    weights, out, (window, kills) = sys.argv[1], Path(sys.argv[2]), map(int, sys.argv[3:])
+    weights, out, (window, kills), order = sys.argv[1], Path(sys.argv[2]), map(int, sys.argv[3:5]), sys.argv[5]
     goal = {"semantic": ["inception_3a/3x3:2"], "octaves": 2, "iterations": 4, "views": 2}
-    recipe = Recipe.from_dict(goal | {"window": window, "weights": weights, "lam": 0.5, "coherence": 1.0})
+    average = {"window_average": "plain", "step_order": order} if order else {}
+    recipe = Recipe.from_dict(goal | average | {"window": window, "weights": weights, "lam": 0.5, "coherence": 1.0})
     rng = random.Random(window)
     for moment in range(kills + KILLED_WRITING):
         process, reader = child(recipe, out)

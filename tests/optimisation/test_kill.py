@@ -19,12 +19,12 @@ from tnst_mi.recipe.recipe import Recipe
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-@pytest.mark.parametrize(("window", "kills"), [(1, 3), (3, 10)])
-def test_killed_runs_end_with_the_same_bits(window: int, kills: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("window", "kills", "order"), [(1, 3, ""), (3, 10, ""), (3, 3, "align_first")])
+def test_killed_runs_end_with_the_same_bits(window: int, kills: int, order: str, tmp_path: Path) -> None:
     weights, out = tmp_path / "random.safetensors", tmp_path / "out"
     random_googlenet(weights, narrow=8)
     script = Path(killed_runs.__file__)
-    command = [sys.executable, script, weights, out, str(window), str(kills)]
+    command = [sys.executable, script, weights, out, str(window), str(kills), order]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
 
