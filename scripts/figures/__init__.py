@@ -29,6 +29,7 @@ MODULES = {
     "turbulence": "turbulence_transfer",
     "two-dimensional": "two_dimensional",
     "table2": "table2",
+    "preset": "paper_formulas",
 }
 
 

@@ -1,4 +1,4 @@
-"""The product of density and transmittance against transmittance alone (paper, section of the renderer, supplement)"""
+"""The product of density and transmittance, with and without its discretisation (paper, section of the renderer)"""
 
 from __future__ import annotations
 
@@ -66,10 +66,11 @@ def make(setting: Setting) -> Made:
 
 
 FIGURE = Figure(
-    "Product of density and transmittance, against transmittance alone",
-    "Rendering density times transmittance, rather than transmittance alone, gives gradients that know what is in "
-    "front.",
+    "Product of density and transmittance, summed or integrated",
+    "Smoke is rendered as the product of density and transmittance, integrated along the line of sight; the supplement "
+    "compares it with transmittance integrated without the density.",
     make,
-    "Integrated exactly, the product is transmittance alone, (1 − T)/γ, at any γ; the dependence on depth is all of "
-    "the paper's discretisation, the inclusive sum. So this compares *paper* with *exact*, at γ 1.",
+    "Another comparison than the paper's. Integrated exactly, the product is opacity alone, (1 − T)/γ, at any γ, and "
+    "knows nothing of what is in front; the dependence on depth is all of the discretisation, the authors' inclusive "
+    "sum. So this compares *paper* with *exact*, at γ 1. The supplement was not at hand.",
 )

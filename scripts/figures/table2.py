@@ -42,14 +42,8 @@ def make(setting: Setting) -> Made:
     return Made(
         panels,
         [
-            Claim(
-                f"{name}: {seconds[name]:.0f} s for a frame of {width}×{height}×{depth} cells, {ours[name]:.2f} "
-                f"million cells × views × iterations a second; the paper: {minutes:.2f} min for "
-                f"{shape[2]}×{shape[1]}×{shape[0]}, {paper[name]:.2f} million. The loss goes from "
-                f"{losses[name][0]:.4g} to {losses[name][1]:.4g}",
-                losses[name][1] < losses[name][0],
-            )
-            for name, (minutes, shape) in _PAPER.items()
+            Claim(f"{name}: the loss goes from {before:.4g} to {after:.4g}", after < before)
+            for name, (before, after) in losses.items()
         ],
         {
             "seconds": seconds,
@@ -57,7 +51,12 @@ def make(setting: Setting) -> Made:
             "the_same_of_the_paper": paper,
             "loss_before_and_after": losses,
         },
-        [f"While this ran, {busy:.0f} processes shared {cores} cores."] if busy > 1.5 * cores else [],
+        [
+            f"Million cells × views × iterations a second, here at {width}×{height}×{depth} cells and in the paper: "
+            + ", ".join(f"{ours[name]:.2f} and {paper[name]:.2f} ({name})" for name in runs)
+            + ".",
+            *([f"While this ran, {busy:.0f} processes shared {cores} cores."] if busy > 1.5 * cores else []),
+        ],
     )
 
 
@@ -74,11 +73,11 @@ def _work(shape: tuple[int, int, int], recipe: Recipe) -> int:
 
 FIGURE = Figure(
     "Table 2: four recipes and their times",
-    "A frame takes 12 to 13.5 minutes on a TITAN Xp: 540 view gradients for three scales of 200×300×200 cells, 360 for "
-    "two.",
+    "A frame of a sequence, with a window of 9, takes 12 to 13.5 minutes on a TITAN Xp: 540 view gradients for three "
+    "scales of 200×300×200 cells, 360 for two.",
     make,
-    "Times are for one frame without its window, on a CPU that others use, too; fixed costs weigh more on small grids. "
-    "On two quiet cores a frame of the paper's size takes 135 s by the semantic recipe (docs/performance.md), 19.1 "
-    "million cells × views × iterations a second. Channels and pictures are ours; scenes/paper says which numbers are "
-    "the paper's.",
+    "A ✓ says that the recipe lowers its own loss, no more: times of another machine, another program, and one frame "
+    "without its window do not bear out the paper's. Fixed costs weigh more on small grids. On two quiet cores, one "
+    "frame of the paper's size takes 135 s without a window, by a semantic goal and our own formulas "
+    "(docs/performance.md). Channels and pictures are ours; scenes/paper says which numbers are the paper's.",
 )

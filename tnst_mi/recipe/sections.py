@@ -120,7 +120,7 @@ class Method:
     window_average plain."""
     coherence: Annotated[float, Number(low=0.0)] = 0.0
     """With a window, size of the step that makes the change of the smoke move with the smoke, relative to the
-    stylization's own step, 0 or more; 0 is the paper's algorithm."""
+    stylization's own step, 0 or more; 0, as in the paper, is none."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
     """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest displacement."""
     parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
