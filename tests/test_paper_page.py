@@ -15,9 +15,11 @@ from tnst_mi.recipe.recipe import KINDS
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "paper.md").read_text("utf-8")
 
-#: The rows of the table: cells by column.
+#: The rows of the first table: cells by column.
 HEAD, _, *ROWS = [
-    [cell.strip() for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("|")
+    [cell.strip() for cell in line.split("|")[1:-1]]
+    for line in TEXT.partition("## The table")[2].partition("\n## ")[0].splitlines()
+    if line.startswith("|")
 ]
 
 

@@ -56,7 +56,8 @@ def make(setting: Setting) -> Made:
         images = _images(frame, runs)
         seen = {kind: _seen(setting, stack) for kind, stack in images.items()}
         box = smoke_box([stack[0] for stack in images.values()])
-        rows.append([Panel(stack[0][box], _label(kind, seen[kind])) for kind, stack in images.items()])
+        panels = [Panel(stack[0][box], f"{name}: {_label(kind, seen[kind])}") for kind, stack in images.items()]
+        rows += [panels[:4], panels[4:]]
         claims += _claims(name, seen)
         numbers[name] = {kind.replace("\n", " "): asdict(found) for kind, found in seen.items()}
     return Made(rows, claims, numbers)
@@ -81,7 +82,7 @@ def _seen(setting: Setting, images: np.ndarray) -> _Seen:
 
 
 def _label(kind: str, seen: _Seen) -> str:
-    return f"{kind}\ndistance {seen.distance:.2f}\nactivation {seen.activation:.0f}"
+    return f"{kind}\ndistance {seen.distance:.2f}, activation {seen.activation:.0f}"
 
 
 def _claims(name: str, seen: dict[str, _Seen]) -> list[Claim]:

@@ -64,7 +64,7 @@ FIGURE = Figure(
     "Averaging the gradients of a window of frames, carried along by the simulation's velocities, makes the "
     "stylization move with the smoke; the wider, the smoother, and 9 frames are used everywhere.",
     make,
-    "Uniform windows and nothing else, but of normalised steps, averaged over smoke, where the paper averages gradients "
-    "(docs/paper.md); docs/sequences.md says what makes them steadier still. On the "
-    "right, what of a frame's change is not that of the frame before, carried along.",
+    "Uniform windows, and nothing else that makes them steadier (docs/sequences.md). Steps are normalised, aligned and "
+    "averaged over smoke, where the paper aligns gradients and normalises their average (docs/paper.md). On the right, "
+    "what of a frame's change is not that of the frame before, carried along.",
 )

@@ -23,8 +23,8 @@ pytestmark = pytest.mark.skipif(
 ONCE, OTHERS = (1.0,) * 5, (2.0, 0.3, -1.0, 5.0, 0.7)
 
 
-@pytest.fixture
-def bound(tmp_path: Path) -> BoundObjective:
+@pytest.fixture(params=[False, True], ids=["plain", "sigma"])
+def bound(request: pytest.FixtureRequest, tmp_path: Path) -> BoundObjective:
     random_googlenet(tmp_path / "random.safetensors", narrow=8)
     network = GoogLeNet.load(tmp_path / "random.safetensors").to("cuda")
     picture = GreyImage("picture", np.random.default_rng(1).random((64, 48)).astype(np.float32))
@@ -35,7 +35,7 @@ def bound(tmp_path: Path) -> BoundObjective:
         + Content(picture, "inception_3a/3x3")
         + Match("inception_3a/3x3", np.ones((1, 1, 1), np.float32))
     )
-    return objective.bind(network, 64, 48, record=True)
+    return objective.bind(network, 64, 48, record=True, sigma=request.param)
 
 
 def images(seed: int, count: int) -> torch.Tensor:

@@ -97,7 +97,8 @@ class Method:
     gradient, so that terms of equal weight count equally; none leaves the weights plain factors (Eq. 1)."""
     sigma: Annotated[str, Choice(("step", "loss"))] = "step"
     """What the sum of the pixels of an image, the σ of Eq. 2, is a factor of: step scales η by that of the frame's
-    main view, relative to the brightest frame; loss multiplies each view's loss, and is differentiated with it."""
+    main view, relative to the brightest frame; loss multiplies each view's loss, and is differentiated with it, which
+    lowers a style loss by dimming the smoke."""
     eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
     """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
     cells of size h, where the normalised gradient is 1."""
