@@ -181,6 +181,33 @@ def test_gradients_are_not_averaged_over_smoke(weights: Path) -> None:
             refuse()
 
 
+def test_a_sequence_by_the_preset_from_start_to_end(weights: Path, tmp_path: Path) -> None:
+    """With a map and a content picture at two layers; recipe.toml as run gives the same bits again."""
+    np.savez(tmp_path / "map.npz", map=np.linspace(0, 1, 24).reshape(24, 1, 1))
+    keys = {
+        "preset": "paper",
+        "content": ["net"],
+        "content_layers": {"conv2/3x3": 1.0, "inception_3a/3x3": 0.5},
+        "match": ["conv2/3x3:map.npz"],
+        "octaves": 2,
+        "iterations": 2,
+        "views": 2,
+        "window": 3,
+        "weights": str(weights),
+    }
+    recipe = Recipe.from_dict(keys, folder=tmp_path)
+    first = tnst_mi.stylize(moving_smoke(3), recipe, tmp_path / "first", progress=False)
+    again = Recipe.from_toml(tmp_path / "first" / "recipe.toml")
+    assert again.preset == "paper" and again.step_order == "align_first"
+    second = tnst_mi.stylize(moving_smoke(3), again, progress=False)
+    for a, b, frame in zip(first.densities, second.densities, moving_smoke(3), strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert np.abs(a - frame.density).max() > 1e-3
+    assert [frame["step_scale"] for frame in first.run["frames"]] == [1.0, 1.0, 1.0]
+    assert str(tmp_path / "map.npz") in first.run["files"]
+    assert [name.split()[0] for name in first.run["frames"][0]["terms_after"]] == ["content", "content", "match"]
+
+
 # --------------------------------------------------------------------
 # σ and plain weights
 # --------------------------------------------------------------------
