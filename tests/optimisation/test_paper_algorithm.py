@@ -44,7 +44,8 @@ def network(weights: Path) -> GoogLeNet:
 
 def plan(frames: list[Frame], recipe: Recipe, scales: list[float] | None = None) -> Plan:
     names, numbers = [frame.name for frame in frames], [frame.number for frame in frames]
-    return plan_of(recipe, names, numbers, scales or [1.0] * len(frames), SHAPE, EXPOSURE)
+    exposures = [EXPOSURE] * len(frames)
+    return plan_of(recipe, names, numbers, scales or [1.0] * len(frames), exposures, SHAPE)
 
 
 def stylized(

@@ -73,7 +73,7 @@ def test_first_loss_terms_are_those_of_the_paper_s_formulas(scene: str, number: 
     )
     density = torch.from_numpy(frame.density)
     exposure = 1 / float(marched(density, (0.0, 0.0), recipe.gamma).max())
-    first = optimise(frame, recipe, network).history[0]
+    first = optimise(frame, recipe, network, exposure).history[0]
 
     views = tnst_mi.sample_views(VIEWS, recipe.azimuth, recipe.elevation, seed=(recipe.seed, number, 0, 0))
     images = torch.stack([marched(density, tuple(view), recipe.gamma) for view in views]).float() * exposure

@@ -25,6 +25,7 @@ PAPER = {
     "preset": "paper",
     "lam": 1.0,
     "gamma": 0.1,
+    "density_scale": 1.0,
     "quadrature": "paper",
     "octaves": 3,
     "scale_factor": 1.8,
@@ -49,7 +50,7 @@ PAPER = {
 }
 
 #: Keys in which it differs from our defaults.
-OTHERWISE = {"preset", "style_loss", "loss_scaling", "sigma", "window_average", "step_order"}
+OTHERWISE = {"preset", "style_loss", "loss_scaling", "sigma", "window_average", "step_order", "density_scale"}
 
 
 def values(recipe: Recipe) -> dict[str, Any]:

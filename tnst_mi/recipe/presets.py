@@ -24,7 +24,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "step_order": "align_first",
         "coherence": 0.0,
         "mask_strength": 1.0,
-        # Eq. 11.
+        # Eq. 11, of the density as it was simulated.
+        "density_scale": 1.0,
         "integrator": "emission_absorption",
         "quadrature": "paper",
         # Section 4: Laplacian pyramid, octaves, iterations, views.
