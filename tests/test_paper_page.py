@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from itertools import pairwise
 from pathlib import Path
 
@@ -63,7 +64,7 @@ def test_keys_and_their_values_are_those_of_recipes(row: list[str]) -> None:
         key, _, value = code.partition(" = ")
         assert key in KINDS
         if value:
-            assert KINDS[key].check(ast.literal_eval(value)) == PRESETS["paper"][key]
+            assert KINDS[key].check(tomllib.loads(code)[key]) == PRESETS["paper"][key]
 
 
 def test_the_preset_s_keys_are_all_in_the_table_with_their_values() -> None:

@@ -33,6 +33,7 @@ PAPER = {
     "views": 9,
     "azimuth": (-10.0, 10.0),
     "elevation": (-5.0, 5.0),
+    "fit": False,
     "loss_scaling": "none",
     "sigma": "loss",
     "eta": 0.002,

@@ -38,6 +38,7 @@ CHANGED: dict[str, Any] = {
     "views": 1,
     "azimuth": (80.0, 110.0),
     "elevation": (0.0, 0.0),
+    "fit": True,
     "loss_scaling": "none",
     "sigma": "loss",
     "eta": 0.01,

@@ -41,11 +41,15 @@ def test_a_run_takes_about_what_was_said() -> None:
 
 @pytest.mark.parametrize("views", [0, 9])
 def test_what_would_fit_does_and_no_more(views: int) -> None:
-    need = Need((100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=views)
+    need = Need((100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=views, size=(160, 140))
     free = (memory.PROCESS + need.total) // 2
     shape = need.largest_that_fits(free)
-    assert replace(need, shape=shape).total <= free
-    assert replace(need, shape=tuple(n + 1 for n in shape)).total > free
+
+    def total(rows: int) -> int:
+        shape = 100 * rows // 150, rows, 120 * rows // 150
+        return replace(need, shape=shape, size=(160 * rows // 150, 140 * rows // 150)).total
+
+    assert total(shape[1]) <= free < total(shape[1] + 1)
     assert [n / m for n, m in zip(shape, need.shape, strict=True)] == pytest.approx([shape[1] / 150] * 3, abs=0.01)
     assert need.largest_that_fits(memory.PROCESS) is None
 

@@ -97,6 +97,9 @@ class RenderArguments(Arguments):
     """Make a video of one turn around the smoke in N pictures, from the given view, while a sequence plays once."""
     fps: float = 24.0
     """Pictures per second of the video."""
+    fit: bool = False
+    """Make room for all of the grid in every view: without --look, pictures have the columns and rows of the grid, and
+    views from the side may cut off some of the smoke."""
     integrator: Annotated[
         Literal["emission_absorption", "prbvolpath", "volpath"] | None,
         tyro.conf.arg(help_behavior_hint="(default: emission_absorption; volpath with --look)"),

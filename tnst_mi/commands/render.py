@@ -63,7 +63,11 @@ def run(arguments: RenderArguments) -> int:
     else:
         shape = frames[0].density.shape
         painter = pictures.EmissionAbsorptionPainter(
-            frames, views[0], gamma(look, shape) if look else recipe.gamma, recipe.quadrature
+            frames,
+            [shot.view for shot in shots],
+            gamma(look, shape) if look else recipe.gamma,
+            recipe.quadrature,
+            arguments.fit,
         )
     _write(arguments, frames, shots, painter)
     return 0
@@ -114,7 +118,7 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
     if path_traced:
-        others = {"gamma": renderer.gamma, "quadrature": renderer.quadrature}
+        others = {"gamma": renderer.gamma, "quadrature": renderer.quadrature, "fit": arguments.fit or None}
         remedy = "is of emission_absorption; for a path tracer use --look"
     else:
         others = {"spp": studio.spp, "seed": studio.seed, "resolution": studio.resolution}

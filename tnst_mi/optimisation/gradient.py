@@ -43,10 +43,12 @@ class OctaveProblem:
 
     Attributes:
         octave: the grid.
-        loss: for images of the octave's size, with its targets and scales.
+        size: rows and columns of the images.
+        loss: for images of this size, with its targets and scales.
     """
 
     octave: Octave
+    size: tuple[int, int]
     loss: BoundObjective
 
     def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
@@ -122,7 +124,7 @@ class OctaveProblem:
     def _rendered(
         self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]
     ) -> mi.TensorXf:
-        renderer = driving_renderer(frame.recipe, self.octave.shape, self.octave.cell_size)
+        renderer = driving_renderer(frame.recipe, self.octave.shape, self.octave.cell_size, size=self.size)
         return renderer.render(density, views, seed) * opaque(frame.exposure)
 
 
@@ -132,5 +134,6 @@ def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    loss = plan.objective.bind(network, *octave.shape[1:], record=True, sigma=plan.recipe.sigma == "loss")
-    return OctaveProblem(octave, loss)
+    size = plan.image_size(octave)
+    loss = plan.objective.bind(network, *size, record=True, sigma=plan.recipe.sigma == "loss")
+    return OctaveProblem(octave, size, loss)

@@ -15,6 +15,7 @@ from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,10 @@ class Plan:
     def octaves(self) -> list[Octave]:
         """The octaves, from coarse to fine."""
         return octaves(self.shape, self.recipe.octaves, self.recipe.scale_factor)
+
+    def image_size(self, octave: Octave) -> tuple[int, int]:
+        """Rows and columns of the images of an octave."""
+        return image_size(self.recipe, octave.shape)
 
     @property
     def rows(self) -> int:

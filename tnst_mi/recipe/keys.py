@@ -109,6 +109,30 @@ class Integer:
 
 
 @dataclass(frozen=True)
+class Switch:
+    """True or false."""
+
+    placeholder: str = "true|false"
+    expected: str = "true or false"
+
+    def check(self, value: Any) -> bool:
+        """Accept truth values."""
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+
+    def read(self, text: str) -> bool:
+        """Read "true" or "false"."""
+        if text not in ("true", "false"):
+            raise ValueError
+        return text == "true"
+
+    def show(self, value: bool) -> str:
+        """Write "true" or "false"."""
+        return str(value).lower()
+
+
+@dataclass(frozen=True)
 class Choice:
     """One of a few words."""
 

@@ -28,6 +28,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "density_scale": 1.0,
         "integrator": "emission_absorption",
         "quadrature": "paper",
+        "fit": False,
         # Section 4: Laplacian pyramid, octaves, iterations, views.
         "pyramid_levels": 3,
         "scale_factor": 1.8,

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import tomlkit
 
 from tnst_mi.errors import InputError
@@ -211,6 +212,16 @@ class Recipe(Resources, Method, Goals):
     def main_view(self) -> tuple[float, float]:
         """The centre of the camera ranges, (azimuth, elevation) in degrees."""
         return sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0
+
+    @property
+    def view_ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The ranges of azimuth and elevation of all frames together."""
+        azimuth, elevation = (
+            np.array([value for _, value in self.keyframes.get(name, ((0, getattr(self, name)),))])
+            for name in ("azimuth", "elevation")
+        )
+        (low, high), (lowest, highest) = ((keys[:, 0].min(), keys[:, 1].max()) for keys in (azimuth, elevation))
+        return (float(low), float(high)), (float(lowest), float(highest))
 
     @property
     def components(self) -> int:

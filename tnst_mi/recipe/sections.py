@@ -11,7 +11,7 @@ from typing import Annotated, get_type_hints
 
 from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, WINDOW_WEIGHTS
 from tnst_mi.network.shipped import PATTERNS
-from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Text, Texts
+from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,9 @@ class Method:
     """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
     elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
     """Range of camera elevations in degrees, + upwards; the main view is its centre."""
+    fit: Annotated[bool, Switch()] = False
+    """Size of the images: false is the paper's, the columns and rows of the grid, beyond which views from the side are
+    cut off; true has room for all of the grid in every view."""
     loss_scaling: Annotated[str, Choice(("gradient", "none"))] = "gradient"
     """Scale of a loss term before it is weighted: gradient divides it, in each octave, by the RMS of its first image
     gradient, so that terms of equal weight count equally; none leaves the weights plain factors (Eq. 1)."""

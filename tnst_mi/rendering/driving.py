@@ -11,7 +11,7 @@ import numpy as np
 
 from tnst_mi.fields.grid import Shape
 from tnst_mi.recipe.recipe import LIGHTS, Recipe, shipped_lights
-from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.cameras.views import View, fitted_size
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 
@@ -19,34 +19,53 @@ STILL_SPP = 256
 """Paths per pixel of a path-traced still; an iteration of an optimisation needs far fewer."""
 
 
-def driving_renderer(recipe: Recipe, shape: Shape, h: float, spp: int | None = None) -> Renderer:
+def image_size(recipe: Recipe, shape: Shape) -> tuple[int, int]:
+    """Rows and columns of the images of a grid (D, H, W), of all frames of a recipe."""
+    return fitted_size(shape, *recipe.view_ranges) if recipe.fit else shape[1:]
+
+
+def driving_renderer(
+    recipe: Recipe, shape: Shape, h: float, spp: int | None = None, size: tuple[int, int] | None = None
+) -> Renderer:
     """The renderer of a recipe's views, for grids of shape (D, H, W) and cell size h.
 
-    `spp`, paths per pixel, defaults to the recipe's; emission–absorption ignores it. Raises `InputError` if the
-    recipe's light cannot be used.
+    Args:
+        recipe: of a frame, without keyframes.
+        shape: of the grid.
+        h: size of a cell in full-resolution cells.
+        spp: paths per pixel, by default the recipe's; emission–absorption ignores it.
+        size: rows and columns of the images, by default those of the grid; see `image_size`.
+
+    Raises:
+        InputError: the recipe's light cannot be used.
     """
     if recipe.integrator == "emission_absorption":
-        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h)
+        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h, size=size)
     light = LIGHTS / f"{recipe.light}.xml" if recipe.light in shipped_lights() else Path(recipe.light)
     lighting = Lighting(recipe.albedo, recipe.anisotropy, light, recipe.spp if spp is None else spp)
-    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting)
+    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting, size)
 
 
-def main_view(density: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Render a density (D, H, W) from the centre of the camera ranges: (H, W), unexposed; see `stills`."""
-    return stills(density, [recipe.main_view], recipe)[0]
+def main_view(density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None) -> np.ndarray:
+    """Render a density (D, H, W) from the centre of the camera ranges: (rows, columns), unexposed; see `stills`."""
+    return stills(density, [recipe.main_view], recipe, size)[0]
 
 
-def stills(density: np.ndarray, views: Sequence[View], recipe: Recipe) -> np.ndarray:
-    """Render a density (D, H, W) from V views as a recipe's renderer sees it: (V, H, W), unexposed.
+def stills(
+    density: np.ndarray, views: Sequence[View], recipe: Recipe, size: tuple[int, int] | None = None
+) -> np.ndarray:
+    """Render a density (D, H, W) from V views as a recipe's renderer sees it: (V, rows, columns), unexposed.
 
-    If they are path traced, the same density has the same noise each time. Raises `InputError` like `driving_renderer`.
+    If they are path traced, the same density has the same noise each time. `size` and errors are those of
+    `driving_renderer`.
     """
-    renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP)
+    renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP, size)
     return renderer.render(mi.TensorXf(density), views, [recipe.seed]).numpy()
 
 
 @functools.lru_cache(maxsize=4)
-def _scattering(variant: str, shape: Shape, gamma: float, h: float, lighting: Lighting) -> ScatteringRenderer:
+def _scattering(
+    variant: str, shape: Shape, gamma: float, h: float, lighting: Lighting, size: tuple[int, int] | None
+) -> ScatteringRenderer:
     """Cached, since loading a scene is slow and Mitsuba does not free all of its memory."""
-    return ScatteringRenderer(shape, gamma, h, lighting)
+    return ScatteringRenderer(shape, gamma, h, lighting, size)

@@ -22,7 +22,7 @@ from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.cameras.views import View, camera_frame
+from tnst_mi.rendering.cameras.views import View, camera_frame, share_cut_off
 from tnst_mi.rendering.driving import main_view, stills
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
@@ -55,19 +55,26 @@ class Columns:
     cell: float
 
 
-def largest_columns(density: np.ndarray, octaves: Sequence[Octave], views: Sequence[View], gamma: float) -> Columns:
+def largest_columns(
+    density: np.ndarray,
+    octaves: Sequence[Octave],
+    sizes: Sequence[tuple[int, int]],
+    views: Sequence[View],
+    gamma: float,
+) -> Columns:
     """Measure the smoke of a frame.
 
     Args:
         density: (D, H, W) at full resolution.
         octaves: of the run.
+        sizes: rows and columns of the images of each octave.
         views: from `views_around`.
         gamma: the smallest γ of the run: columns that hide everything behind them need not be told apart.
     """
     ray = cell = 0.0
-    for octave in octaves:
+    for octave, size in zip(octaves, sizes, strict=True):
         seen = resample_density(mi.TensorXf(density), 1.0, octave.shape, octave.cell_size)
-        renderer = EmissionAbsorptionRenderer(octave.shape, gamma, "transmittance", octave.cell_size)
+        renderer = EmissionAbsorptionRenderer(octave.shape, gamma, "transmittance", octave.cell_size, size=size)
         with dr.suspend_grad():
             opacity = float(dr.max(renderer.render(seen, views).array)[0])
         column = -math.log1p(-opacity) / gamma if opacity < 1.0 else math.inf
@@ -113,15 +120,21 @@ class Brightness:
         step_scale: S_t / max_s S_s, the factor of η (the σ of paper Eq. 2), where S_s is the sum of the pixels in the
             main view of frame s, rendered with the γ of frame t; 0 for a frame whose main view is black.
         thickest: the largest γ h d of a cell, in any octave.
+        cut_off: the largest share of the smoke that lies outside the image in a view around the main view.
     """
 
     exposure: float
     step_scale: float
     thickest: float
+    cut_off: float
 
 
 def brightness(
-    frames: Iterable[Frame], recipes: Sequence[Recipe], levels: Sequence[Octave], density_scale: float
+    frames: Iterable[Frame],
+    recipes: Sequence[Recipe],
+    levels: Sequence[Octave],
+    sizes: Sequence[tuple[int, int]],
+    density_scale: float,
 ) -> list[Brightness]:
     """Render the frames of a run, each with its own γ and cameras.
 
@@ -132,6 +145,7 @@ def brightness(
         frames: in their order.
         recipes: the recipe of each frame, without keyframes.
         levels: the octaves of the run.
+        sizes: rows and columns of the images of each octave.
         density_scale: factor of all densities.
     """
     gammas = _measured_gammas(recipes)
@@ -139,12 +153,15 @@ def brightness(
     sums: list[list[float]] = []
     columns: list[Columns] = []
     pixels: list[float] = []
+    cut_off: list[float] = []
     for frame, recipe in zip(frames, recipes, strict=True):
         density, views = scaled(frame.density, density_scale), views_around(recipe)
-        sums.append([main_view(density, replace(recipe, gamma=g)).sum(dtype=np.float64).item() for g in gammas])
-        columns.append(largest_columns(density, levels, views, gammas[0]))
+        images = (main_view(density, replace(recipe, gamma=gamma), sizes[-1]) for gamma in gammas)
+        sums.append([float(image.sum(dtype=np.float64)) for image in images])
+        columns.append(largest_columns(density, levels, sizes, views, gammas[0]))
+        cut_off.append(share_cut_off(frame.density, views, sizes[-1]))
         if recipe.integrator != "emission_absorption":
-            pixels.append(float(stills(density, views, recipe).max()))
+            pixels.append(float(stills(density, views, recipe, sizes[-1]).max()))
     longest = max(column.ray for column in columns)
     found = []
     for index, recipe in enumerate(recipes):
@@ -154,7 +171,8 @@ def brightness(
             brightest = brightest_possible(longest, recipe, levels)
         in_view = [_at(recipe.gamma, gammas, of_frame) for of_frame in sums]
         step_scale = in_view[index] / max(in_view) if in_view[index] > 0 else 0.0
-        found.append(Brightness(exposure_for(brightest), step_scale, recipe.gamma * columns[index].cell))
+        thickest = recipe.gamma * columns[index].cell
+        found.append(Brightness(exposure_for(brightest), step_scale, thickest, cut_off[index]))
     return found
 
 

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import mitsuba as mi
 import numpy as np
 
 from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.png import srgb
-from tnst_mi.rendering.cameras.views import View
-from tnst_mi.rendering.renderer import render
+from tnst_mi.rendering.cameras.views import View, common_size
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
 
 Attributes = dict[str, float | str | View]
@@ -61,17 +62,30 @@ class Painter(Protocol):
 
 
 class EmissionAbsorptionPainter:
-    """Grey pictures by the emission–absorption integrator, with one exposure: 1 / the largest value in view `first`."""
+    """Grey pictures by the emission–absorption integrator, with one exposure: 1 / the largest value in the first view.
 
-    def __init__(self, frames: Sequence[Frame], first: View, gamma: float, quadrature: str) -> None:
+    Args:
+        frames: all frames that will be rendered.
+        views: all views that will be rendered, in degrees.
+        gamma: extinction γ for density 1, per cell.
+        quadrature: of the integral along a ray.
+        fit: make room for all of the grid in every view; otherwise pictures have its rows and columns.
+    """
+
+    def __init__(
+        self, frames: Sequence[Frame], views: Sequence[View], gamma: float, quadrature: str, fit: bool = False
+    ) -> None:
         self.gamma, self.quadrature, self.exposure = gamma, quadrature, 1.0
-        brightest = max(float(self.paint(frame.density, first, 0).max()) for frame in frames)
+        shape = frames[0].density.shape
+        self._size = common_size(shape, views) if fit else shape[1:]
+        brightest = max(float(self.paint(frame.density, views[0], 0).max()) for frame in frames)
         if brightest > 0.0:
             self.exposure = 1.0 / brightest
 
     def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
-        """The exposed image (H, W)."""
-        return self.exposure * np.asarray(render(density, view, self.gamma, self.quadrature))
+        """The exposed image (rows, columns)."""
+        renderer = EmissionAbsorptionRenderer(density.shape, self.gamma, self.quadrature, 1.0, size=self._size)
+        return self.exposure * renderer.render(mi.TensorXf(density), [view]).numpy()[0]
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image without any tone curve, as the network sees it."""

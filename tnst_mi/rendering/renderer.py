@@ -23,7 +23,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int, require_indexable
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
-from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.cameras.views import View, common_size
 from tnst_mi.rendering.march.medium import GridMedium
 from tnst_mi.rendering.scene import medium_description, view_distance
 
@@ -100,10 +100,19 @@ class EmissionAbsorptionRenderer(Renderer):
         quadrature: "paper", "exact" or "transmittance".
         h: size of a cell in full-resolution cells; also the distance between pixels.
         step: distance between the samples of a ray in full-resolution cells; h if None.
+        size: rows and columns of the images, around the grid's centre; those of the grid if None.
     """
 
-    def __init__(self, shape: Shape, gamma: float, quadrature: str, h: float, step: float | None = None) -> None:
-        self.shape, self.gamma, self.h = shape, gamma, h
+    def __init__(
+        self,
+        shape: Shape,
+        gamma: float,
+        quadrature: str,
+        h: float,
+        step: float | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        self.shape, self.gamma, self.h, self.size = shape, gamma, h, size or shape[1:]
         self._medium = _medium(mi.variant(), shape, h)
         self._integrator = _integrator(mi.variant(), gamma, quadrature, step or h)
 
@@ -112,7 +121,7 @@ class EmissionAbsorptionRenderer(Renderer):
         self._place(density)
         rays = self._rays(views)
         L = self._sample(dr.ADMode.Primal, rays.through_pixels(0, len(views)))
-        return mi.TensorXf(L, (len(views), *self.shape[1:]))
+        return mi.TensorXf(L, (len(views), *self.size))
 
     def gradient(
         self,
@@ -124,7 +133,7 @@ class EmissionAbsorptionRenderer(Renderer):
     ) -> mi.TensorXf:
         """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
         rays = self._rays(views)
-        pixels = self.shape[1] * self.shape[2]
+        pixels = math.prod(self.size)
         at_once = self._views_at_once(len(views))
         with dr.resume_grad():
             σ_t = self._place(density, attached=True)
@@ -147,14 +156,14 @@ class EmissionAbsorptionRenderer(Renderer):
             with dr.suspend_grad():
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
                 L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
-        return mi.TensorXf(L, (len(views), *self.shape[1:]))
+        return mi.TensorXf(L, (len(views), *self.size))
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
-        return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape))) if on_gpu() else 1
+        return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape, self.size))) if on_gpu() else 1
 
     def _rays(self, views: Sequence[View]) -> OrthographicRays:
-        _, rows, columns = self.shape
+        rows, columns = self.size
         return OrthographicRays(columns, rows, self.h, view_distance(self.shape, self.h), views)
 
     def _place(self, density: mi.TensorXf, attached: bool = False) -> mi.TensorXf:
@@ -176,9 +185,9 @@ class EmissionAbsorptionRenderer(Renderer):
         return self._integrator.sample(mode, self._medium, None, rays, active=mi.Bool(True), **adjoint)[0][0]
 
 
-def view_samples(shape: Shape) -> int:
-    """Bytes of the adjoint samples of one view of a grid (D, H, W), at most."""
-    _, rows, columns = shape
+def view_samples(shape: Shape, size: tuple[int, int]) -> int:
+    """Bytes of the adjoint samples of one view of a grid (D, H, W), at most; `size` is (rows, columns) of the image."""
+    rows, columns = size
     # The diagonal, and up to two planes of samples more at either end.
     return 4 * rows * columns * (math.ceil(math.hypot(*shape)) + 4)
 
@@ -201,12 +210,14 @@ def render(
     gamma: float = 0.1,
     quadrature: str = "paper",
     h: float = 1.0,
+    fit: bool = False,
 ) -> mi.TensorXf:
     """Render a density as emitting and absorbing smoke (paper Eq. 11), orthographically.
 
     Emission is the density d, extinction γ d. The view (0, 0) looks along −z from +z with x to the right and y up;
     positive azimuth moves the camera towards +x, positive elevation moves it up. The rotation is rigid, about the
-    centre of the grid.
+    centre of the grid. The image has the rows and columns of the grid, as in the paper: from other views, what lies
+    beyond them is cut off. Of a grid of 48×16×12 cells, an image from the side shows a quarter. `fit` makes room.
 
     Args:
         density: (D, H, W), finite and ≥ 0 (not checked); 0 outside the grid.
@@ -214,6 +225,7 @@ def render(
         gamma: γ > 0, extinction per unit of density and full-resolution cell.
         quadrature: "paper" (inclusive sum), "exact" or "transmittance" (= γ · exact).
         h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
+        fit: take the smallest image that shows all of the grid in every view, instead of (H, W).
 
     Returns:
         Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
@@ -235,6 +247,8 @@ def render(
         torch.Size([4, 2, 3])
         >>> tnst_mi.render(density, view=[(0, 0), (30, 10)]).shape
         torch.Size([2, 2, 3])
+        >>> tnst_mi.render(density, view=(90, 0), fit=True).shape
+        torch.Size([2, 5])
     """
     angles = np.asarray(view, dtype=np.float64)
     if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():
@@ -249,6 +263,9 @@ def render(
         raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
     views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
     require_indexable(math.prod(density.shape), "render: a density")
-    require_indexable(len(views) * math.prod(tuple(density.shape)[1:]), "render: images")
-    images = EmissionAbsorptionRenderer(tuple(density.shape), float(gamma), quadrature, float(h)).render(density, views)
-    return images if angles.ndim == 2 else mi.TensorXf(images.array, tuple(density.shape)[1:])
+    shape = tuple(density.shape)
+    size = common_size(shape, views) if fit else shape[1:]
+    require_indexable(len(views) * math.prod(size), "render: images")
+    renderer = EmissionAbsorptionRenderer(shape, float(gamma), quadrature, float(h), size=size)
+    images = renderer.render(density, views)
+    return images if angles.ndim == 2 else mi.TensorXf(images.array, size)

@@ -58,13 +58,17 @@ class ScatteringRenderer(Renderer):
         gamma: ratio γ of extinction to density, per full-resolution cell.
         h: size of a cell in full-resolution cells.
         lighting: the smoke's scattering and its light.
+        size: rows and columns of the images; those of the grid if None.
 
     Raises:
         InputError: the light's file cannot be used, or a GPU lacks OptiX.
     """
 
-    def __init__(self, shape: Shape, gamma: float, h: float, lighting: Lighting) -> None:
+    def __init__(
+        self, shape: Shape, gamma: float, h: float, lighting: Lighting, size: tuple[int, int] | None = None
+    ) -> None:
         require_optix("--integrator prbvolpath")
+        self.size = size or shape[1:]
         self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
         # Kept alive: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)
@@ -78,7 +82,7 @@ class ScatteringRenderer(Renderer):
         image = loaded.scene.integrator().render(
             loaded.scene, loaded.sensor, seed=primal, spp=self.lighting.spp, evaluate=False
         )
-        return mi.TensorXf(image.array, (len(views), *self.shape[1:]))
+        return mi.TensorXf(image.array, (len(views), *self.size))
 
     def gradient(
         self,
@@ -89,7 +93,7 @@ class ScatteringRenderer(Renderer):
         image_gradient: mi.TensorXf,
     ) -> mi.TensorXf:
         """An estimate of the gradient (D, H, W) with respect to the density, from independent paths."""
-        _, rows, columns = self.shape
+        rows, columns = self.size
         _, adjoint = _seeds(seed)
         with dr.resume_grad():
             σ_t = dr.detach(density)
@@ -120,7 +124,7 @@ class ScatteringRenderer(Renderer):
 
     def _load(self, view_count: int, majorant: float) -> _LoadedScene:
         lighting = self.lighting
-        description = scene_description(self.shape, self.gamma, "exact", self.h, view_count)
+        description = scene_description(self.shape, self.gamma, "exact", self.h, view_count, size=self.size)
         description["integrator"] = {
             "type": "prbvolpath",
             "max_depth": _MAX_DEPTH,

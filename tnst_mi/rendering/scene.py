@@ -44,7 +44,13 @@ def view_distance(shape: Shape, h: float) -> float:
 
 
 def scene_description(
-    shape: Shape, gamma: float, quadrature: str, h: float, view_count: int, step: float | None = None
+    shape: Shape,
+    gamma: float,
+    quadrature: str,
+    h: float,
+    view_count: int,
+    step: float | None = None,
+    size: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
     """Box, medium, sensor and integrator; the density is initially 0.
 
@@ -55,9 +61,10 @@ def scene_description(
         h: size of a cell in full-resolution cells.
         view_count: number of views stacked in the image.
         step: distance between the samples of a ray in full-resolution cells; h if None.
+        size: rows and columns of a view; those of the grid if None.
     """
-    d, rows, columns = shape
-    half = (columns * h / 2, rows * h / 2, d * h / 2)
+    half = [n * h / 2 for n in shape[::-1]]
+    rows, columns = size or shape[1:]
     return {
         "type": "scene",
         "integrator": {"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": step or h},

@@ -33,6 +33,9 @@ _THICK = 3.0
 #: Share of the steps of the frame with the most smoke in view from which on a frame is practically left alone.
 _FAINT = 1e-3
 
+#: Share of the smoke from which on it is mentioned that images do not show it.
+_CUT_OFF = 0.01
+
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -157,6 +160,12 @@ class Run(Iterator[StylizedFrame]):
         for measure, plan in zip(prepared.measures, prepared.plan.frames, strict=True):
             if plan.still and measure.mass > 0.0:
                 self._bar.say(f"warning: {measure.name} renders black at gamma {plan.recipe.gamma:g} in the main view")
+        cut_off = max(bright.cut_off for bright in prepared.brightness)
+        if cut_off > _CUT_OFF:
+            self._bar.say(
+                f"warning: up to {cut_off:.0%} of the smoke is outside the images of views from the side; fit = true "
+                "makes room for it"
+            )
         faint = [plan.name for plan in prepared.plan.frames if 0 < plan.step_scale < _FAINT]
         if faint:
             names = ", ".join(faint[:3]) + (f" and {len(faint) - 3} others" if len(faint) > 3 else "")
@@ -184,9 +193,9 @@ class Run(Iterator[StylizedFrame]):
             )
 
     def _write(self, folder: RunFolder, frame: StylizedFrame, plan: FramePlan) -> None:
-        source, recipe, exposure = frame.source, plan.recipe, plan.exposure
+        run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
         before, after = (
-            exposure * main_view(scaled(density, self.prepared.plan.density_scale), recipe)
+            exposure * main_view(scaled(density, run.density_scale), recipe, run.image_size(run.octaves[-1]))
             for density in (source.density, frame.stylized.density)
         )
         attributes = {

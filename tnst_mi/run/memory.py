@@ -12,6 +12,7 @@ from tnst_mi.losses.evaluation import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.renderer import LARGEST_SAMPLES, view_samples
 
 #: Bytes of a process that has loaded Mitsuba, Dr.Jit, LLVM, torch and a GoogLeNet, and compiled its kernels.
@@ -62,28 +63,30 @@ class Need:
         by_cell: of the grids, per cell; with the state of all frames, if that is not on disk.
         by_pixel: of the network, per pixel of an image, for all views of a batch.
         views: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
+        size: rows and columns of an image of the finest grid.
     """
 
     shape: tuple[int, int, int]
     fixed: int
     by_cell: float
     by_pixel: float
-    views: int = 0
+    views: int
+    size: tuple[int, int]
 
     @property
     def total(self) -> int:
         """The sum."""
-        depth, height, width = self.shape
-        samples = view_samples(self.shape)
+        samples = view_samples(self.shape, self.size)
         samples = min(self.views * samples, max(samples, LARGEST_SAMPLES))
-        return self.fixed + samples + int(height * width * (self.by_cell * depth + self.by_pixel))
+        return self.fixed + samples + int(self.by_cell * math.prod(self.shape) + self.by_pixel * math.prod(self.size))
 
     def largest_that_fits(self, free: int) -> tuple[int, int, int] | None:
         """The largest grid (D, H, W) of these proportions that needs no more than `free` bytes; None if none does."""
         depth, height, width = self.shape
         for rows in range(height, 0, -1):
             shape = (max(1, depth * rows // height), rows, max(1, width * rows // height))
-            if replace(self, shape=shape).total <= free:
+            size = (max(1, self.size[0] * rows // height), max(1, self.size[1] * rows // height))
+            if replace(self, shape=shape, size=size).total <= free:
                 return shape
         return None
 
@@ -98,7 +101,7 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    costs, components, views = COSTS[torch_device().type], recipe.components, 0
+    costs, components, views, size = COSTS[torch_device().type], recipe.components, 0, image_size(recipe, shape)
     by_cell: float = costs.transport_cell + costs.transport_component * components
     if recipe.parameterisation == "density":
         by_cell = costs.density_cell
@@ -106,10 +109,10 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         by_cell += costs.window_cell + costs.window_component * components
     if torch_device().type != "cpu":
         views = recipe.views
-        saved *= views_at_once(views, saved * shape[1] * shape[2])
+        saved *= views_at_once(views, saved * math.prod(size))
     elif not on_disk:
         by_cell += working_bytes(shape, count, recipe) / math.prod(shape)
-    return Need(shape, costs.process, by_cell, costs.network_factor * saved + costs.network_pixel, views)
+    return Need(shape, costs.process, by_cell, costs.network_factor * saved + costs.network_pixel, views, size)
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:

@@ -25,6 +25,7 @@ from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
 from tnst_mi.run.inputs import Frames, sequence_of
@@ -153,7 +154,8 @@ def prepare(
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
     objective = objective_of(recipe)
-    trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * shape[2] / shape[1]))
+    rows, columns = image_size(recipe, shape)
+    trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows))
     saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
@@ -163,7 +165,8 @@ def prepare(
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
-    bright = brightness(_watched(sequence, "measuring", progress), recipes, levels, density_scale)
+    sizes = [image_size(recipe, octave.shape) for octave in levels]
+    bright = brightness(_watched(sequence, "measuring", progress), recipes, levels, sizes, density_scale)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
     record: dict[str, Any] = {

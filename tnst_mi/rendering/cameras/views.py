@@ -6,11 +6,13 @@ A view is (azimuth, elevation) in degrees. (0, 0) looks along -z from +z with x 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.bounds import smoke_box
 
 #: (azimuth, elevation) in degrees.
 View = tuple[float, float]
@@ -93,6 +95,60 @@ def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarr
     up = np.cross(towards_camera, right)
     # The cosine of 90° is 6e-17 in floating point; a ray meant to run along a face would cross it far away.
     return np.round(right, 15), np.round(up, 15), np.round(towards_camera, 15)
+
+
+def fitted_size(
+    shape: tuple[int, int, int], azimuth: tuple[float, float], elevation: tuple[float, float]
+) -> tuple[int, int]:
+    """Rows and columns of an image that shows all of a grid (D, H, W) in every view of these ranges, in degrees.
+
+    They are even where those of the grid are, so that pixel centres stay on cell centres in the front view.
+    """
+    a, e = np.radians(
+        np.meshgrid(*(np.linspace(*ends, 181 if ends[1] > ends[0] else 1) for ends in (azimuth, elevation)))
+    )
+    sizes = np.array(shape[::-1], float)
+    # By how much a pixel's row and column change along x, y and z, see `camera_frame`.
+    right = np.abs([np.cos(a), 0 * a, np.sin(a)])
+    up = np.abs([np.sin(a) * np.sin(e), np.cos(e), np.cos(a) * np.sin(e)])
+    rows, columns = (float((np.moveaxis(axes, 0, -1) @ sizes).max()) for axes in (up, right))
+    # Rounding must not add a pixel.
+    return _as_even_as(shape[1], math.ceil(rows - 1e-6)), _as_even_as(shape[2], math.ceil(columns - 1e-6))
+
+
+def common_size(shape: tuple[int, int, int], views: Sequence[View]) -> tuple[int, int]:
+    """Rows and columns of an image that shows all of a grid (D, H, W) in each of some views; see `fitted_size`."""
+    sizes = [fitted_size(shape, (azimuth, azimuth), (elevation, elevation)) for azimuth, elevation in views]
+    rows, columns = zip(*sizes, strict=True)
+    return max(rows), max(columns)
+
+
+def share_cut_off(density: np.ndarray, views: Sequence[View], size: tuple[int, int]) -> float:
+    """The largest share of the smoke of a density (D, H, W) outside the image, (rows, columns), of one of the views.
+
+    A cell is outside if its centre is.
+    """
+    box = smoke_box(density, 0)
+    if box is None:
+        return 0.0
+    smoke, places = density[box], [(np.arange(n) - (n - 1) / 2)[s] for n, s in zip(density.shape, box, strict=True)]
+
+    def lost(view: View) -> float:
+        right, up, _ = camera_frame(*view)
+        outside: np.ndarray | bool = False
+        for axis, half in ((right, size[1] / 2), (up, size[0] / 2)):
+            along = [part * place for part, place in zip(axis[::-1], places, strict=True)]
+            # Most boxes are inside as a whole.
+            if sum(np.abs(part).max() for part in along) > half or outside is not False:
+                distance = along[0][:, None, None] + along[1][:, None] + along[2]
+                outside = outside | (np.abs(distance) > half + 1e-6)
+        return 0.0 if outside is False else float(smoke[outside].sum(dtype=np.float64))
+
+    return max(map(lost, views)) / float(smoke.sum(dtype=np.float64))
+
+
+def _as_even_as(parity: int, size: int) -> int:
+    return size + (size - parity) % 2
 
 
 def _check_range(name: str, limits: tuple[float, float]) -> tuple[float, float]:
