@@ -1,5 +1,6 @@
-"""Our integrator checked against Mitsuba's path tracer, a closed form and finite differences (`tnst-mi compare`).
+"""Our integrator checked against Mitsuba's path tracer, float64 references, finite differences (`tnst-mi compare`).
 
-closed_form  float64 references    values  images    gradients  derivatives    quadrature_study  step size against error
+closed_form, inclusive_sum  float64 references    values  images    gradients  derivatives
+paper_quadrature  the sum that drives a stylization    quadrature_study  step size against error
 verdict  the checks    figures, report  the output    comparison  all of it
 """

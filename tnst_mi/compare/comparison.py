@@ -7,14 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tnst_mi.compare.closed_form import column_density
 from tnst_mi.compare.gradients import Directional, GradientFields, compare_directions, compare_fields
+from tnst_mi.compare.paper_quadrature import (
+    PaperGradient,
+    PaperImages,
+    compare_paper_gradients,
+    compare_paper_images,
+)
 from tnst_mi.compare.quadrature_study import QuadratureStudy, study_quadratures
-from tnst_mi.compare.values import Comparison, Convergence, References, compare_values
+from tnst_mi.compare.values import Comparison, Convergence, compare_values
 from tnst_mi.compare.verdict import (
     Check,
     convergence_check,
     directional_checks,
     field_checks,
+    paper_gradient_check,
+    paper_image_checks,
     quadrature_checks,
     value_checks,
 )
@@ -58,6 +67,8 @@ class Results:
     convergence: list[Convergence]
     directional: list[Directional]
     fields: list[GradientFields]
+    paper_images: list[PaperImages]
+    paper_gradients: list[PaperGradient]
     studies: list[QuadratureStudy]
 
     def checks(self) -> list[Check]:
@@ -67,6 +78,8 @@ class Results:
             (convergence_check(convergence) for convergence in self.convergence),
             *(directional_checks(directional) for directional in self.directional),
             *(field_checks(fields) for fields in self.fields),
+            *(paper_image_checks(images) for images in self.paper_images),
+            (paper_gradient_check(gradient) for gradient in self.paper_gradients),
             *(quadrature_checks(study) for study in self.studies),
         ]
         return [check for group in groups for check in group]
@@ -88,12 +101,12 @@ def compare(density: np.ndarray, settings: Settings, report: Report) -> Results:
         return lambda paths: report(name, work * paths / total)
 
     report("references", 0.0)
-    references = References.of(density, settings.views, settings.gammas)
+    columns = [column_density(density, view) for view in settings.views]
     values, convergence = [], []
     for i, gamma in enumerate(settings.gammas):
         advance = working(f"images, γ {gamma:g}", 1.0)
         compared, converged = compare_values(
-            density, settings.views, gamma, references, settings.spp, (settings.seed, 0, i), advance
+            density, settings.views, gamma, columns, settings.spp, (settings.seed, 0, i), advance
         )
         values += compared
         convergence.append(converged)
@@ -107,5 +120,7 @@ def compare(density: np.ndarray, settings: Settings, report: Report) -> Results:
         )
         fields.append(compare_fields(density, gamma, spp, (settings.seed, 2, i), advance))
     report("quadratures", 0.0)
+    paper_images = compare_paper_images(density, settings.views, settings.gammas, columns)
+    paper_gradients = compare_paper_gradients(density, settings.views, settings.gradient_gammas, (settings.seed, 3))
     studies = study_quadratures(density, settings.views)
-    return Results(values, convergence, directional, fields, studies)
+    return Results(values, convergence, directional, fields, paper_images, paper_gradients, studies)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from tnst_mi.compare.gradients import Directional, GradientFields
+    from tnst_mi.compare.paper_quadrature import PaperGradient, PaperImages
     from tnst_mi.compare.values import Comparison, Convergence
 
 _DIFFERENCES = "RdBu_r"
@@ -120,6 +121,26 @@ def field_figure(fields: GradientFields) -> Figure:
     return sheet.figure
 
 
+def paper_figure(images: Sequence[PaperImages], gradients: Sequence[PaperGradient]) -> Figure:
+    """A row for each γ: the first view and the gradient, by us and by the sum in float64, and the differences."""
+    sheet = _Sheet(images[0].ours[0].shape, len(images), (2, 1, 2, 1))
+    gradient_of = {gradient.gamma: gradient for gradient in gradients}
+    for row, compared in enumerate(images):
+        brightest, error = float(compared.sums[0].upper.max()), compared.errors[0]
+        sheet.show(row, 0, compared.ours[0], "paper", "gray", 0.0, brightest)
+        sheet.show(row, 1, compared.sums[0].upper, "sum in float64", "gray", 0.0, brightest)
+        sheet.show(row, 2, error, "difference", _DIFFERENCES, -_largest([error]), _largest([error]))
+        sheet.label(row, f"γ = {compared.gamma:g}, view {compared.views[0][0]:g}, {compared.views[0][1]:g}")
+        if gradient := gradient_of.get(compared.gamma):
+            shown = [_projected(gradient.ours), _projected(gradient.reference)]
+            difference = _projected(gradient.ours - gradient.reference)
+            limit = _largest(shown)
+            sheet.show(row, 3, shown[0], "gradient", _DIFFERENCES, -limit, limit)
+            sheet.show(row, 4, shown[1], "derivative in float64", _DIFFERENCES, -limit, limit)
+            sheet.show(row, 5, difference, "difference", _DIFFERENCES, -_largest([difference]), _largest([difference]))
+    return sheet.figure
+
+
 def order_figure(studies: Sequence[QuadratureStudy]) -> Figure:
     """Step size against error for both quadratures."""
     figure = Figure(figsize=(4.2 * len(studies), 3.8), layout="constrained")
@@ -188,6 +209,7 @@ class _Sheet:
         if column in self.bars:
             bar = self.figure.colorbar(shown, cax=self._axes(self.bars[column], row, 0.12))
             bar.ax.tick_params(labelsize=8)
+            bar.ax.ticklabel_format(axis="y", scilimits=(-3, 3))  # lest labels be too long for their place
 
     def label(self, row: int, text: str) -> None:
         """Write text to the left of a row."""

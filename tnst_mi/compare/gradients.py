@@ -148,8 +148,8 @@ def compare_directions(
     """Compare derivatives along `directions` random smooth directions; `step` is our step in cells."""
     weights = np.stack([weight_image(density.shape[1:], (*seed, i)) for i in range(len(views))])
     replicates = _traced_gradients(PathTracer(density, views, gamma), weights, spp, (*seed, len(views)), advance)
-    exact = _Objective(density, views, gamma, "exact", step, weights)
-    paper = _Objective(density, views, gamma, "paper", 1.0, weights)
+    exact = WeightedSum(density, views, gamma, "exact", step, weights)
+    paper = WeightedSum(density, views, gamma, "paper", 1.0, weights)
     fields = [exact.gradient(), *replicates, paper.gradient()]
     projected, differences = [], []
     for direction in random_directions(density, directions, (*seed, len(views) + 1)):
@@ -167,7 +167,7 @@ def compare_fields(
     weights = weight_image(density.shape[1:], (*seed, 0))[None]
     tracer = PathTracer(density, view, gamma)
     traced = np.mean(_traced_gradients(tracer, weights, spp, (*seed, 1), advance), axis=0)
-    objective = _Objective(density, view, gamma, "exact", 1.0, weights)
+    objective = WeightedSum(density, view, gamma, "exact", 1.0, weights)
     change = np.float32(_EXPONENT_CHANGE / gamma)
     central = np.empty_like(density)
     for z in range(len(density)):
@@ -195,8 +195,17 @@ def random_directions(density: np.ndarray, count: int, seed: Sequence[int]) -> I
         yield direction
 
 
-class _Objective:
-    """Σ w I of our images as a function of the density, its gradient, and its central differences."""
+class WeightedSum:
+    """Σ w I of our images, w one factor per pixel, as a function of the density (D, H, W); its derivatives.
+
+    Args:
+        density: where the derivatives are taken.
+        views: V pairs (azimuth, elevation) in degrees.
+        gamma: extinction per unit of density and cell.
+        quadrature: "paper" or "exact".
+        step: distance between samples in cells.
+        weights: w, (V, H, W).
+    """
 
     def __init__(
         self,
@@ -211,15 +220,18 @@ class _Objective:
         self.renderer = EmissionAbsorptionRenderer(density.shape, gamma, quadrature, 1.0, step)
 
     def images(self, density: np.ndarray) -> np.ndarray:
+        """The images (V, H, W) of another density."""
         return self.renderer.render(mi.TensorXf(density), self.views).numpy()
 
     def gradient(self) -> np.ndarray:
+        """The gradient (D, H, W) by reverse mode."""
         leaf = mi.TensorXf(self.density)
         dr.enable_grad(leaf)
         dr.backward(dr.sum(self.renderer.render(leaf, self.views) * mi.TensorXf(self.weights), axis=None))
         return dr.grad(leaf).numpy()
 
     def central_difference(self, direction: np.ndarray) -> float:
+        """The derivative along a direction (D, H, W) from two images."""
         change = _EXPONENT_CHANGE / (self.gamma * float(np.abs(direction.sum(0)).max()))
         upper, lower = (self.images(self.density + np.float32(sign * change) * direction) for sign in (1, -1))
         return float((self.weights * (upper.astype(np.float64) - lower)).sum() / (2 * change))

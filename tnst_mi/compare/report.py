@@ -1,4 +1,4 @@
-"""The output of a comparison: a self-contained HTML page, its figures, EXR images and numbers.
+"""The output of a comparison: the verdict, a self-contained HTML page, its figures, EXR images and numbers.
 
 report.html   everything, with pictures       report.json   every number and check
 figures/*.png                                 images/*.exr  exact, paper, prbvolpath, closed form and z-scores
@@ -18,8 +18,9 @@ from jinja2 import Environment, StrictUndefined
 from tnst_mi.compare import figures
 from tnst_mi.compare.comparison import Results, Settings
 from tnst_mi.compare.gradients import Directional
+from tnst_mi.compare.paper_quadrature import PaperGradient, PaperImages
 from tnst_mi.compare.quadrature_study import STEPS, QuadratureStudy
-from tnst_mi.compare.values import Comparison
+from tnst_mi.compare.values import Comparison, relative_rms
 from tnst_mi.compare.verdict import Check
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.pictures.exr import write_exr
@@ -37,7 +38,7 @@ def write_report(out: Path, name: str, settings: Settings, results: Results, env
     pictures = _draw(out / "figures", results)
     record = {
         "input": name,
-        "verdict": verdict_line(checks),
+        "verdict": verdict_line(results),
         "passed": passed,
         "settings": vars(settings),
         "checks": [vars(check) for check in checks],
@@ -45,20 +46,32 @@ def write_report(out: Path, name: str, settings: Settings, results: Results, env
         **environment,
     }
     _write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False, default=str) + "\n")
-    _write_text(out / "report.html", _page(name, settings, results, checks, pictures))
+    _write_text(out / "report.html", _page(name, settings, results, pictures))
     return passed
 
 
-def verdict_line(checks: Sequence[Check]) -> str:
-    """One line: whether the renderers agree, and otherwise the first check that failed."""
+def verdict_line(results: Results) -> str:
+    """One line: whether all checks passed, otherwise the first that failed, and what holds of each quadrature."""
+    checks = results.checks()
     failed = [check for check in checks if not check.passed]
-    if not failed:
-        return f"agree: all {len(checks)} checks passed"
-    first = failed[0]
+    outcome = f"agree: all {len(checks)} checks passed"
+    if failed:
+        first = failed[0]
+        outcome = (
+            f"DISAGREE: {len(failed)} of {len(checks)} checks failed, the first: {first.name}: {first.measured} "
+            f"(expected {first.expected})"
+        )
+    departures = ", ".join(f"{images.departure:.1%} at γ {images.gamma:g}" for images in results.paper_images)
     return (
-        f"DISAGREE: {len(failed)} of {len(checks)} checks failed, the first: {first.name}: {first.measured} "
-        f"(expected {first.expected})"
+        f"{outcome}; “exact” against prbvolpath, the closed form and central differences: {_passed(checks, 'exact')}; "
+        f"“paper”, another discretisation, which drives a stylization by default, against its own sum in float64 and "
+        f"central differences: {_passed(checks, 'paper')}; “paper” is {departures} (RMS) from the continuous integral"
     )
+
+
+def _passed(checks: Sequence[Check], quadrature: str) -> str:
+    about = [check.passed for check in checks if check.quadrature == quadrature]
+    return f"{sum(about)} of {len(about)} passed"
 
 
 def _write_images(folder: Path, values: Comparison) -> None:
@@ -82,6 +95,7 @@ def _draw(folder: Path, results: Results) -> dict[str, Path]:
     drawn["directions"] = figures.directional_figure(results.directional)
     for fields in results.fields:
         drawn[f"gradient_{fields.gamma:g}"] = figures.field_figure(fields)
+    drawn["paper"] = figures.paper_figure(results.paper_images, results.paper_gradients)
     drawn["orders"] = figures.order_figure(results.studies)
     drawn["departure"] = figures.departure_figure(results.studies)
     for name, figure in drawn.items():
@@ -102,6 +116,9 @@ def _numbers(results: Results) -> dict[str, Any]:
         "fields": [
             {"gamma": f.gamma, "spp": f.spp, "central_error": f.central_error, "slope": f.slope} for f in results.fields
         ],
+        "paper_images": [_paper_image_numbers(images) for images in results.paper_images],
+        "paper_gradients": [_paper_gradient_numbers(gradient) for gradient in results.paper_gradients],
+        "exact_departures": _exact_departures(results),
         "quadratures": [_study_numbers(study) for study in results.studies],
     }
 
@@ -109,7 +126,7 @@ def _numbers(results: Results) -> dict[str, Any]:
 def _value_numbers(values: Comparison) -> dict[str, Any]:
     names = (
         *("view", "gamma", "spp", "step", "outside", "mean_z", "untestable_difference", "untestable_paths"),
-        *("discretisation", "coarse_z", "paper_error", "paper_departure"),
+        *("discretisation", "coarse_z"),
     )
     return {"testable": int(values.testable.sum())} | {name: getattr(values, name) for name in names}
 
@@ -124,6 +141,25 @@ def _directional_numbers(directional: Directional) -> dict[str, Any]:
     )
 
 
+def _paper_image_numbers(images: PaperImages) -> dict[str, Any]:
+    largest = [float(np.abs(deviation).max()) for deviation in images.deviations]
+    names = ("gamma", "views", "relative_errors", "departure")
+    return {name: getattr(images, name) for name in names} | {"largest_deviations": largest}
+
+
+def _paper_gradient_numbers(gradient: PaperGradient) -> dict[str, Any]:
+    return {name: getattr(gradient, name) for name in ("gamma", "pixels", "error", "tolerance")}
+
+
+def _exact_departures(results: Results) -> dict[float, float]:
+    """For each γ, the RMS of "exact" with a step of one cell minus the closed form, over that of the closed form."""
+    departures = {}
+    for gamma in sorted({values.gamma for values in results.values}):
+        views = [values for values in results.values if values.gamma == gamma]
+        departures[gamma] = relative_rms(np.stack([v.coarse for v in views]), np.stack([v.closed for v in views]))
+    return departures
+
+
 def _study_numbers(study: QuadratureStudy) -> dict[str, Any]:
     names = ("gamma", "view", "exact", "paper", "exact_order", "paper_order", "densest", "departure")
     return {"steps": STEPS} | {name: getattr(study, name) for name in names} | {"in_words": study.in_words()}
@@ -134,7 +170,8 @@ def _study_numbers(study: QuadratureStudy) -> dict[str, Any]:
 # --------------------------------------------------------------------
 
 
-def _page(name: str, settings: Settings, results: Results, checks: Sequence[Check], pictures: dict[str, Path]) -> str:
+def _page(name: str, settings: Settings, results: Results, pictures: dict[str, Path]) -> str:
+    checks = results.checks()
     templates = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     return templates.from_string(_TEMPLATE.read_text("utf-8")).render(
         name=name,
@@ -142,7 +179,9 @@ def _page(name: str, settings: Settings, results: Results, checks: Sequence[Chec
         results=results,
         checks=checks,
         passed=all(check.passed for check in checks),
-        verdict=verdict_line(checks),
+        verdict=verdict_line(results),
+        passes={name: _passed(checks, name) for name in ("exact", "paper")},
+        exact_departures=_exact_departures(results),
         gammas=sorted({values.gamma for values in results.values}),
         encoded=lambda key: base64.b64encode(pictures[key].read_bytes()).decode("ascii"),
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.compare.closed_form import closed_form, column_density, inclusive_sums
+from tnst_mi.compare.closed_form import closed_form
 from tnst_mi.compare.path_tracing import PathTracer
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
@@ -44,7 +44,6 @@ class Comparison:
         paper: ours, quadrature "paper", with the step of one cell.
         traced: (1 − T)/γ with T by `prbvolpath`.
         closed: the continuous image, exact for the trilinear grid, float64.
-        inclusive: the sum that "paper" evaluates, in float64.
     """
 
     view: View
@@ -56,7 +55,6 @@ class Comparison:
     paper: np.ndarray
     traced: np.ndarray
     closed: np.ndarray
-    inclusive: np.ndarray
 
     @property
     def standard_error(self) -> np.ndarray:
@@ -108,16 +106,6 @@ class Comparison:
         error = np.abs(self.coarse - self.closed)[self.testable] / self.standard_error[self.testable]
         return float(error.max(initial=0.0))
 
-    @property
-    def paper_error(self) -> float:
-        """RMS of paper − inclusive over that of inclusive."""
-        return relative_rms(self.paper, self.inclusive)
-
-    @property
-    def paper_departure(self) -> float:
-        """RMS of paper − exact over that of exact: the effect of the discretisation in the paper's code."""
-        return relative_rms(self.paper, self.exact)
-
 
 @dataclass(frozen=True)
 class Convergence:
@@ -141,36 +129,16 @@ class Convergence:
         return float(np.polyfit(np.log(self.spp), np.log(self.error), 1)[0])
 
 
-@dataclass(frozen=True, eq=False)
-class References:
-    """The references for images at several γ, for a set of views.
-
-    Attributes:
-        columns: V images (H, W) of ∫ d, float64.
-        inclusive: for each γ, V images (H, W) of the inclusive sum, float64.
-    """
-
-    columns: list[np.ndarray]
-    inclusive: dict[float, list[np.ndarray]]
-
-    @classmethod
-    def of(cls, density: np.ndarray, views: Sequence[View], gammas: Sequence[float]) -> References:
-        """Compute them from a density (D, H, W)."""
-        sums = [inclusive_sums(density, view, gammas) for view in views]
-        inclusive = {gamma: [images[i] for images in sums] for i, gamma in enumerate(gammas)}
-        return cls([column_density(density, view) for view in views], inclusive)
-
-
 def compare_values(
     density: np.ndarray,
     views: Sequence[View],
     gamma: float,
-    references: References,
+    columns: Sequence[np.ndarray],
     spp: int,
     seed: Sequence[int],
     advance: Advance,
 ) -> tuple[list[Comparison], Convergence]:
-    """Compare the images of a density (D, H, W) at one γ, in every view."""
+    """Compare the images of a density (D, H, W) at one γ, in every view; `columns` holds each view's ∫ d (H, W)."""
     tracer = PathTracer(density, views, gamma, _VALUE_SLACK)
     estimates: dict[int, np.ndarray] = {}
     escaped, traced = 0.0, 0
@@ -194,8 +162,7 @@ def compare_values(
             coarse[i],
             paper[i],
             (1 - estimates[spp][i]) / gamma,
-            closed_form(references.columns[i], gamma),
-            references.inclusive[gamma][i],
+            closed_form(columns[i], gamma),
         )
         for i, view in enumerate(views)
     ]
