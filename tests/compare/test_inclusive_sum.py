@@ -64,6 +64,20 @@ def test_samples_on_walls_may_be_in_or_out() -> None:
     assert undecided((6, 5, 7), (90, 0)).all() and not undecided((6, 5, 7), (0, 0)).any()
 
 
+def test_the_samples_on_either_wall_may_be_in_or_out() -> None:
+    """Opaque at the near wall, bright at the far one: least without the far sample, largest without the near one."""
+    density = np.full((6, 1, 7), 0.2)
+    density[..., 0], density[..., 6] = 0.9, 3.0
+    (sums,) = inclusive_sums(density, (90, 0), [2.0])
+    between = np.interp(np.arange(0.5, 6), range(7), density[0, 0])
+    far, near = density[0, 0, 0], density[0, 0, 6]  # the camera is at +x
+    images = []
+    for samples in ([near, *between[::-1]], [*between[::-1], far]):
+        images.append(sum(d * np.exp(-2 * sum(samples[: k + 1])) for k, d in enumerate(samples)))
+    np.testing.assert_allclose(sums.lower[0, 1:6], images[0], rtol=1e-12)
+    np.testing.assert_allclose(sums.upper[0, 1:6], images[1], rtol=1e-12)
+
+
 @pytest.mark.parametrize("view", VIEWS)
 def test_oblique_views_are_those_of_another_march(view: tuple[float, float]) -> None:
     density = smoke(*SHAPE)

@@ -122,6 +122,8 @@ class RenderArguments(Arguments):
 class CompareArguments(Arguments):
     """Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.
 
+    That is the quadrature exact. The quadrature paper, which drives a stylization by default, is another one: it is
+    compared with its own sum in float64, and its distance from the continuous integral is stated for each γ.
     Writes report.html, report.json, figures and EXR images, and ends with a verdict: exit code 0 if all checks pass, 1
     if not. Of a folder of numbered files, the first is compared.
     """

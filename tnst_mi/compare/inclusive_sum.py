@@ -30,8 +30,8 @@ class InclusiveSums:
     An evaluation of the sum in float32 lies between `lower` and `upper`, but for `tolerance`.
 
     Attributes:
-        lower, upper: the sum with the samples on the walls of the grid's box and without them, whose positions rounding
-            puts in or out; equal at all other pixels, and where there is no smoke at the walls.
+        lower, upper: the least and the largest sum with or without the samples on the near and far walls of the grid's
+            box, which rounding puts in or out; equal at all other pixels, and where there is no smoke at the walls.
         tolerance: what moving the samples by the error of float32 positions, along each axis, changes at most, and the
             rounding of the sum.
     """
@@ -58,13 +58,13 @@ def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Seque
         values[inside], slopes[inside] = interpolation.of(density), interpolation.of(steepness)
         moved = _position_error(shape) * slopes
         walls = on_wall.any(0)
-        without_walls = np.where(on_wall, 0, values)[:, walls]
+        without = [np.where(hidden, 0, values)[:, walls] for hidden in _near_far_and_all(on_wall)]
         for gamma, result in zip(gammas, results, strict=True):
             image, tolerance = _sum_and_tolerance(values, moved, gamma)
-            other = image.copy()
-            other[walls], other_tolerance = _sum_and_tolerance(without_walls, moved[:, walls], gamma)
-            tolerance[walls] = np.maximum(tolerance[walls], other_tolerance)
-            result[:, pixels] = np.minimum(image, other), np.maximum(image, other), tolerance
+            others = [_sum_and_tolerance(samples, moved[:, walls], gamma) for samples in without]
+            sums, tolerances = np.moveaxis(np.array([(image[walls], tolerance[walls]), *others]), 1, 0)
+            result[:, pixels] = image, image, tolerance
+            result[:, pixels][:, walls] = sums.min(0), sums.max(0), tolerances.max(0)
     return [InclusiveSums(*images) for images in results.reshape(len(gammas), 3, *shape[1:])]
 
 
@@ -102,6 +102,12 @@ def gradient_tolerance(density: np.ndarray, gamma: float) -> float:
 def undecided(shape: tuple[int, int, int], view: tuple[float, float]) -> np.ndarray:
     """(H, W) bool: the pixels whose ray has a sample on a wall of the grid's box, up to the error of float32."""
     return np.concatenate([on_wall.any(0) for *_, on_wall in _samples(shape, view)]).reshape(shape[1:])
+
+
+def _near_far_and_all(on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the samples on walls (n, rays): those of the half nearer the camera, those of the other half, and all."""
+    nearer = (np.arange(len(on_wall)) < len(on_wall) / 2)[:, None]
+    return on_wall & nearer, on_wall & ~nearer, on_wall
 
 
 def _transmittance_and_sums(values: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
