@@ -70,8 +70,8 @@ def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Seque
 
 def inclusive_gradients(
     density: np.ndarray, view: tuple[float, float], gammas: Sequence[float], weights: np.ndarray
-) -> np.ndarray:
-    """Derivatives (gammas, D, H, W) of Σ weights · I with respect to the density.
+) -> list[np.ndarray]:
+    """For each γ, the derivative (D, H, W) of Σ weights · I with respect to the density.
 
     Args:
         density, view, gammas: as for `inclusive_sums`.
@@ -87,7 +87,7 @@ def inclusive_gradients(
             transmittance, at_and_behind = _transmittance_and_sums(values, gamma)
             derivative = transmittance - gamma * at_and_behind
             interpolation.add_transposed((weights.ravel()[pixels] * derivative)[inside], gradient)
-    return np.stack(gradients)
+    return gradients
 
 
 def gradient_tolerance(density: np.ndarray, gamma: float) -> float:

@@ -111,7 +111,10 @@ def compare_paper_gradients(
     shape = density.shape
     judged = ~np.stack([undecided(shape, view) for view in views])
     weights = judged * np.stack([weight_image(shape[1:], (*seed, i)) for i in range(len(views))])
-    by_view = [inclusive_gradients(density, view, gammas, image) for view, image in zip(views, weights, strict=True)]
+    references = [np.zeros(shape) for _ in gammas]
+    for view, image in zip(views, weights, strict=True):
+        for reference, gradient in zip(references, inclusive_gradients(density, view, gammas, image), strict=True):
+            reference += gradient
     return [
         PaperGradient(
             gamma,
@@ -120,5 +123,5 @@ def compare_paper_gradients(
             gradient_tolerance(density, gamma),
             int(judged.sum()),
         )
-        for gamma, reference in zip(gammas, np.sum(by_view, axis=0), strict=True)
+        for gamma, reference in zip(gammas, references, strict=True)
     ]
