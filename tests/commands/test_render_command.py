@@ -13,6 +13,8 @@ from command_line import Run, refused, run, smoke
 from PIL import Image
 
 import tnst_mi
+from tnst_mi.frame import Frame
+from tnst_mi.io import save_frames
 from tnst_mi.io.pictures import video
 from tnst_mi.machine import optix
 from tnst_mi.rendering.looks import gamma
@@ -136,3 +138,30 @@ def test_videos_need_their_package(run: Run, smoke: Path, tmp_path: Path, monkey
     monkeypatch.setattr(video, "_ffmpeg", None)
     arguments = ["render", smoke, "--out", tmp_path / "out", "--turntable", 4]
     refused(run, tmp_path, arguments, r"smoke_turntable\.mp4: videos need the package imageio-ffmpeg")
+
+
+def test_the_unit_of_density_can_be_chosen(run: Run, tmp_path: Path) -> None:
+    """Thin smoke, scaled, is rendered as if it had been stored so; left as it is, its unit is mentioned."""
+    density = np.random.default_rng(0).random((6, 8, 7)).astype(np.float32)
+    for name, factor in (("thick", 1.0), ("thin", 2.0**-7)):
+        save_frames(tmp_path / f"{name}.npz", Frame(density * np.float32(factor), name=name))
+
+    def rendered(name: str, *flags: str) -> tuple[np.ndarray, list[str]]:
+        arguments = ("render", tmp_path / f"{name}.npz", "--gamma", "0.5", "--overwrite", "--out", tmp_path / "out")
+        ran = run(*arguments, *flags)
+        assert ran.code == 0, ran.errors
+        image = exr(tmp_path / "out" / f"{name}_view_0_0.exr")[0]["Y"]
+        return image, [line for line in ran.errors if line.startswith("note")]
+
+    expected, notes = rendered("thick")
+    assert notes == []
+    as_it_is, notes = rendered("thin")
+    assert len(notes) == 1 and "the density of thick smoke is 0.0077" in notes[0] and "--density-scale auto" in notes[0]
+    assert np.abs(as_it_is - expected).max() > 0.05
+    by_hand, notes = rendered("thin", "--density-scale", "128")
+    np.testing.assert_array_equal(by_hand, expected)
+    assert notes == ["note: densities are taken times 128 (--density-scale)"]
+    units = [rendered(name, "--density-scale", "auto")[0] for name in ("thick", "thin")]
+    np.testing.assert_array_equal(*units)
+    ran = run("render", tmp_path / "thin.npz", "--density-scale", "0", "--out", tmp_path / "other")
+    assert (ran.code, ran.errors) == (2, ['tnst-mi: --density-scale 0: expected a number above 0 or "auto"'])

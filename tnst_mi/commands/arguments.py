@@ -25,6 +25,8 @@ _GoalFlags = recipe_flags(Goals.__annotations__)
 _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _RendererFlags = recipe_flags(("gamma", "quadrature", "variant"))
+
+_DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
 _NetworkFlags = recipe_flags(("weights", "variant"))
 
 
@@ -110,6 +112,9 @@ class RenderArguments(Arguments):
         tyro.conf.arg(help_behavior_hint="(default: medium for a path tracer)"),
     ] = None
     """How dense the smoke appears in the studio; for emission_absorption, the γ of the same optical thickness."""
+    density_scale: _DensityScale = "1"
+    """Factor of all densities; auto is 1 over the 99th percentile of the smoky cells of all frames, as stylize takes
+    it."""
     overwrite: bool = False
     """Write into a folder that is not empty, replacing pictures of the same names."""
     studio: StudioFlags = field(default_factory=StudioFlags)
@@ -146,6 +151,8 @@ class CompareArguments(Arguments):
     """Fewer paths and directions, and gradients only at the middle γ."""
     seed: Annotated[str, tyro.conf.arg(metavar="INTEGER")] = "0"
     """Seed of the paths and directions."""
+    density_scale: _DensityScale = "1"
+    """Factor of the density; auto is 1 over the 99th percentile of the smoky cells, as stylize takes it."""
     overwrite: bool = False
     """Write into a folder that is not empty, replacing files of the same names."""
 

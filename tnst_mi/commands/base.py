@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +12,13 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.recipe.keys import Number, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
+from tnst_mi.run.inputs import ScaledFrames
+
+#: Factor from 1 beyond which the unit of density is mentioned.
+_UNUSUAL = 4.0
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -47,6 +53,33 @@ def recipe_flags(keys: Iterable[str]) -> type:
 def given(flags: Any) -> dict[str, Any]:
     """The texts of the recipe flags that were given, by key."""
     return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
+
+
+def scaled_frames(frames: Sequence[Frame], density_scale: str) -> ScaledFrames:
+    """Frames with the factor of --density-scale.
+
+    Raises:
+        InputError: it is not a number above 0 nor "auto", or a frame cannot be read.
+    """
+    kind = KINDS["density_scale"]
+    try:
+        factor = kind.check(kind.read(density_scale))
+    except (ValueError, OverflowError):
+        raise InputError(f"--density-scale {density_scale}: expected {kind.expected}") from None
+    return ScaledFrames(frames, factor)
+
+
+def note_unit(frames: ScaledFrames) -> None:
+    """Say on stderr by what the densities are multiplied, or that their unit is unusual."""
+    reference = frames.reference * frames.factor
+    if frames.factor != 1:
+        print(f"note: densities are taken times {frames.factor:.4g} (--density-scale)", file=sys.stderr)
+    elif reference > 0 and not 1 / _UNUSUAL < reference < _UNUSUAL:
+        print(
+            f"note: the density of thick smoke is {reference:.4g} here, where gamma and looks mean that of 1: "
+            "--density-scale auto makes it 1",
+            file=sys.stderr,
+        )
 
 
 def view_of(text: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import view_of
+from tnst_mi.commands.base import note_unit, scaled_frames, view_of
 from tnst_mi.compare.comparison import Settings, compare
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
@@ -32,11 +32,13 @@ def run(arguments: CompareArguments) -> int:
     settings = _settings(arguments)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frame = open_frames(arguments.input)[0]
+    frames = scaled_frames(open_frames(arguments.input)[:1], arguments.density_scale)
+    frame = frames[0]
     if not frame.density.any():
         raise InputError(f"{arguments.input}: the density is 0 everywhere, expected smoke to compare renderers on")
     variant = activate()
     require_optix("compare")
+    note_unit(frames)
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     with tqdm(total=1.0, bar_format=layout, dynamic_ncols=True, file=sys.stderr) as bar:
 
@@ -49,6 +51,7 @@ def run(arguments: CompareArguments) -> int:
         environment = {
             "versions": versions(),
             "device": device(variant),
+            "density_scale": frames.factor,
             "seconds": bar.format_dict["elapsed"],
             "peak_memory": peak_memory(),
         }

@@ -6,19 +6,18 @@ import contextlib
 import itertools
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import RenderArguments
-from tnst_mi.commands.base import given, view_of
+from tnst_mi.commands.base import given, note_unit, scaled_frames, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import open_video
-from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
@@ -41,7 +40,7 @@ def run(arguments: RenderArguments) -> int:
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frames = open_frames(arguments.input)
+    frames = scaled_frames(open_frames(arguments.input), arguments.density_scale)
     activate(recipe.variant)
     if arguments.turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
@@ -69,11 +68,12 @@ def run(arguments: RenderArguments) -> int:
             recipe.quadrature,
             arguments.fit,
         )
+    note_unit(frames)
     _write(arguments, frames, shots, painter)
     return 0
 
 
-def _write(arguments: RenderArguments, frames: FrameFiles, shots: list[Shot], painter: Painter) -> None:
+def _write(arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter) -> None:
     """Render and write every picture, and the video of a turntable."""
     source, out = arguments.input.resolve(), arguments.out
     film = out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
@@ -96,7 +96,7 @@ def _write(arguments: RenderArguments, frames: FrameFiles, shots: list[Shot], pa
         print(f"video     {film}")
 
 
-def _with_frames(shots: list[Shot], frames: FrameFiles) -> Iterator[tuple[Shot, Frame]]:
+def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[Shot, Frame]]:
     """Every shot with the frame it shows, which is read once for consecutive shots of it."""
     for index, group in itertools.groupby(shots, key=lambda shot: shot.frame):
         frame = frames[index]

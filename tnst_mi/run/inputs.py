@@ -1,13 +1,16 @@
-"""Every accepted input, as a sequence of frames."""
+"""Every accepted input, as a sequence of frames; and frames in another unit of density."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import ReferenceDensity, scaled
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
@@ -33,3 +36,37 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
     if not isinstance(frames, Sequence) or not frames or not all(isinstance(frame, Frame) for frame in frames):
         raise InputError("frames: expected a path, a density grid, or frames (tnst_mi.Frame)")
     return frames
+
+
+class ScaledFrames(Sequence[Frame]):
+    """Frames with their densities scaled, on access.
+
+    Args:
+        frames: the frames as they are stored; each is read once for their reference density.
+        density_scale: the factor, or "auto" for 1 over the reference density.
+
+    Attributes:
+        reference: the reference density of the frames as they are stored.
+        factor: the factor.
+    """
+
+    def __init__(self, frames: Sequence[Frame], density_scale: float | str) -> None:
+        self._frames, reference = frames, ReferenceDensity()
+        for frame in frames:
+            reference.add(frame.density)
+        self.reference, self.factor = reference.value, reference.scale(density_scale)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        """A frame, or several."""
+        if isinstance(index, slice):
+            return ScaledFrames(self._frames[index], self.factor)
+        frame = self._frames[index]
+        return replace(frame, density=scaled(frame.density, self.factor))
