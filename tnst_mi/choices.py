@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-QUADRATURES = ("paper", "exact", "transmittance")
+QUADRATURES = ("paper", "exact", "transmittance", "integrated_transmittance")
 """How the emission–absorption integral along a ray (paper Eq. 11) is discretised.
 
 For density samples d_k with spacing h, ordered away from the sensor:
 
-    paper          h Σ_k d_k exp(−γ h Σ_{i≤k} d_i)     inclusive sum, as in the authors' program
-    exact          (1 − exp(−γ h Σ_k d_k)) / γ         every segment integrated exactly; the sum telescopes
-    transmittance  1 − exp(−γ h Σ_k d_k)               γ times exact: opacity alone
+    paper                     h Σ_k d_k exp(−γ h Σ_{i≤k} d_i)   inclusive sum, as in the authors' program
+    exact                     (1 − exp(−γ h Σ_k d_k)) / γ       every segment integrated exactly; the sum telescopes
+    transmittance             1 − exp(−γ h Σ_k d_k)             γ times exact: opacity alone
+    integrated_transmittance  h Σ_k exp(−γ h Σ_{i≤k} d_i)       transmittance without density, over the grid's box
 
-"exact" converges to the continuous integral. Where γ h d ≳ 1, "paper" deviates from it: dense smoke darkens.
+"exact" converges to the continuous integral. Where γ h d ≳ 1, "paper" deviates from it: dense smoke darkens. The last
+is what the paper's supplement compares the product of density and transmittance with. Empty space counts in it: a ray
+shows its length inside the box where there is no smoke, and less where there is.
 """
 
 STYLE_LOSSES = ("gram", "paper")

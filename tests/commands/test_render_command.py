@@ -51,6 +51,18 @@ def test_a_look_gives_linear_exr_and_srgb_png(run: Run, smoke: Path, tmp_path: P
     assert (again / "f_07_view_40_10.exr").read_bytes() == (out / "f_07_view_40_10.exr").read_bytes()
 
 
+def test_the_integrated_transmittance_is_a_quadrature_of_the_flag(run: Run, smoke: Path, tmp_path: Path) -> None:
+    file, out = smoke / "f_07.npz", tmp_path / "out"
+    ran = run("render", file, "--out", out, "--views", "0,0", "--quadrature", "integrated_transmittance")
+    assert ran.code == 0, ran.errors
+    (picture,) = out.glob("*.exr")
+    channels, header = exr(picture)
+    density = tnst_mi.load_frames(file)[0].density
+    image = tnst_mi.render(density, quadrature="integrated_transmittance", gamma=float(header["gamma"]))
+    assert header["quadrature"] == "integrated_transmittance"
+    np.testing.assert_allclose(channels["Y"], float(header["exposure"]) * image, rtol=1e-5)
+
+
 def test_a_turntable_of_a_sequence_is_a_video(run: Run, smoke: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ("--integrator", "prbvolpath", "--turntable", 4, "--views", "10,5", "--fps", 12, "--denoise")

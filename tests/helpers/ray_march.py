@@ -71,11 +71,16 @@ def samples(
     return trilinear(grid.astype(np.float64), local * size + (size - 1) / 2) * visible
 
 
-def radiance(values: np.ndarray, gamma: float, step: float, quadrature: str) -> np.ndarray:
-    """Images (rays,) of density samples (rays, samples)."""
+def radiance(
+    values: np.ndarray, gamma: float, step: float, quadrature: str, exists: np.ndarray | None = None
+) -> np.ndarray:
+    """Images (rays,) of density samples (rays, samples); "integrated_transmittance" needs 1 where samples `exist`."""
     depth = gamma * step * np.cumsum(values, -1)
     if quadrature == "paper":
         return step * (values * np.exp(-depth)).sum(-1)
+    if quadrature == "integrated_transmittance":
+        assert exists is not None
+        return step * (exists * np.exp(-depth)).sum(-1)
     opacity = -np.expm1(-depth[:, -1])
     return opacity if quadrature == "transmittance" else opacity / gamma
 
@@ -87,5 +92,6 @@ def render(
     towards = camera_axes(view)[2]
     edges = h * np.diag(density.shape[::-1]).astype(float)
     origins = pixel_centres(density.shape, view, h) + 2 * np.linalg.norm(edges) * towards
-    values = samples(density, edges, np.zeros(3), origins, np.broadcast_to(-towards, origins.shape), h)
-    return radiance(values, gamma, h, quadrature).reshape(density.shape[1:])
+    place = (edges, np.zeros(3), origins, np.broadcast_to(-towards, origins.shape), h)
+    values, exists = samples(density, *place), samples(np.ones_like(density), *place)
+    return radiance(values, gamma, h, quadrature, exists).reshape(density.shape[1:])

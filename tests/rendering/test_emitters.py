@@ -32,7 +32,7 @@ def smoke(seed: int) -> np.ndarray:
     return np.abs(smooth_noise(np.random.default_rng(seed), *SHAPE)) + 0.05
 
 
-@pytest.mark.parametrize("quadrature", ["paper", "exact", "transmittance"])
+@pytest.mark.parametrize("quadrature", ["paper", "exact", "transmittance", "integrated_transmittance"])
 def test_an_environment_behind_is_multiplied_by_the_transmittance(quadrature: str) -> None:
     rng = np.random.default_rng(9)
     density, sky = smoke(9), 0.7

@@ -26,7 +26,7 @@ from smoke_scenes import (
 import tnst_mi
 
 SHAPE = (11, 12, 8)
-QUADRATURES = ("paper", "exact", "transmittance")
+QUADRATURES = ("paper", "exact", "transmittance", "integrated_transmittance")
 VIEW = (37.0, -12.0)
 GAMMA = 0.5
 
@@ -241,7 +241,7 @@ def test_each_channel_of_a_coloured_medium_is_a_grey_medium(quadrature: str) -> 
         ({"step": 0.0}, '"step" is 0.0, expected'),
         ({"step": -1.0}, '"step" is -1.0, expected'),
         ({"step": float("inf")}, '"step" is inf, expected'),
-        ({"quadrature": "simpson"}, "\"quadrature\" is 'simpson', expected one of paper, exact, transmittance"),
+        ({"quadrature": "simpson"}, "\"quadrature\" is 'simpson', expected one of paper, exact, transmittance, "),
         ({"gama": 1.0}, '"gama"'),
     ],
 )

@@ -17,7 +17,7 @@ import tnst_mi
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 SHAPE = (10, 14, 9)
-QUADRATURES = ("paper", "exact", "transmittance")
+QUADRATURES = ("paper", "exact", "transmittance", "integrated_transmittance")
 VIEWS = [(0.0, 0.0), (-9.0, 4.0), (37.0, -12.0), (123.0, 48.0), (-80.0, 71.0)]
 FRAME = Path(__file__).resolve().parents[2] / "scenes" / "suzanne" / "frame_0010.npz"
 
@@ -63,7 +63,7 @@ def test_paper_is_the_inclusive_sum_on_a_rotated_lattice(shape: tuple, h: float,
         np.testing.assert_allclose(image, expected, rtol=0, atol=2e-3 * expected.max(), err_msg=str(view))
 
 
-@pytest.mark.parametrize("quadrature", ["exact", "transmittance"])
+@pytest.mark.parametrize("quadrature", ["exact", "transmittance", "integrated_transmittance"])
 def test_the_other_quadratures_on_a_rotated_lattice(quadrature: str) -> None:
     density = smoke(2, *SHAPE)
     for view, image in zip(VIEWS, tnst_mi.render(density, VIEWS, 0.5, quadrature), strict=True):
@@ -87,6 +87,26 @@ def test_uniform_smoke_is_a_geometric_series(gamma: float) -> None:
     expected = h * d * e * (1 - e ** SHAPE[0]) / (1 - e)
     image = tnst_mi.render(np.full(SHAPE, d), gamma=gamma, h=h)
     np.testing.assert_allclose(image, np.full(SHAPE[1:], expected), rtol=1e-5)
+
+
+@pytest.mark.parametrize("gamma", [0.05, 0.5, 5.0])
+@pytest.mark.parametrize("d", [0.0, 0.7])
+def test_integrated_transmittance_of_a_uniform_column(d: float, gamma: float) -> None:
+    """h Σ_{k=1..n} e^{−γhdk}: the length of the column where it is empty, else a geometric series."""
+    h, n = 1.5, SHAPE[0]
+    e = np.exp(-gamma * h * d)
+    expected = h * n if d == 0 else h * e * (1 - e**n) / (1 - e)
+    image = tnst_mi.render(np.full(SHAPE, d), gamma=gamma, quadrature="integrated_transmittance", h=h)
+    np.testing.assert_allclose(image, np.full(SHAPE[1:], expected), rtol=1e-5)
+
+
+def test_integrated_transmittance_is_dark_where_smoke_is_and_darker_the_nearer_it_is() -> None:
+    """Of a column of n cells with one opaque cell, only the empty cells in front of it are seen."""
+    density = np.zeros((6, 1, 6))
+    density[range(6), 0, range(6)] = 1e3
+    image = tnst_mi.render(density, quadrature="integrated_transmittance", gamma=1.0)
+    # The camera stands at +z: in column i, 5 − i cells are in front of the opaque one.
+    np.testing.assert_allclose(image[0], [5, 4, 3, 2, 1, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize(("shape", "h"), [((95, 33, 69), 1.8), ((29, 53, 29), 96 / 53)])
@@ -191,7 +211,11 @@ def test_views_rendered_together_are_those_rendered_alone(quadrature: str) -> No
     alone = np.stack([tnst_mi.render(density, view, 0.5, quadrature) for view in VIEWS])
     assert together.shape == (len(VIEWS), *SHAPE[1:])
     # The rays' origins differ by rounding, a view being a part of the stack of all; on a GPU by more.
-    atol = 1e-6 * (min(1.0, together.max()) if mi.variant().startswith("llvm") else together.max())
+    # Integrated transmittances are lengths of many cells, all other images of the order of 1 here.
+    largest = together.max()
+    if mi.variant().startswith("llvm") and quadrature != "integrated_transmittance":
+        largest = min(1.0, largest)
+    atol = 1e-6 * largest
     np.testing.assert_allclose(together, alone, rtol=0, atol=atol)
     one = tnst_mi.render(density, VIEWS[1:2], 0.5, quadrature)
     np.testing.assert_array_equal(one, alone[1:2])
@@ -269,7 +293,7 @@ def test_gradient_flows_on_through_what_the_density_was_computed_from() -> None:
     np.testing.assert_allclose(dr.grad(leaf).numpy(), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("quadrature", ["paper", "exact"])
+@pytest.mark.parametrize("quadrature", QUADRATURES)
 def test_gradient_has_the_same_bits_in_every_run(quadrature: str) -> None:
     shape = (24, 36, 24)
     density = np.random.default_rng(14).random(shape).astype(np.float32)
@@ -449,3 +473,12 @@ def test_no_scene_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     result = tnst_mi.stylize(tnst_mi.Frame(density), recipe, progress=False)
     assert image.max() > 0 and not np.array_equal(result.densities[0], density)
     assert set(described) == {"heterogeneous", "emission_absorption"}
+
+
+def test_a_recipe_can_follow_the_integrated_transmittance() -> None:
+    density = smoke(19, 6, 7, 9)
+    recipe = tnst_mi.Recipe(
+        style=("spirals",), octaves=1, iterations=1, views=2, quadrature="integrated_transmittance", weights="patterns"
+    )
+    stylized = tnst_mi.stylize(tnst_mi.Frame(density), recipe, progress=False).densities[0]
+    assert np.isfinite(stylized).all() and not np.array_equal(stylized, density)

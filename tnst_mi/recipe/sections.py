@@ -79,7 +79,8 @@ class Method:
     """Factor by which all densities are multiplied before γ, mask and steps see them; results come back in the input's
     units. auto is 1 over the 99th percentile of the smoky cells of all frames; 1 takes the input as it is."""
     quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
-    """Quadrature along the viewing rays: as in the paper's program, the exact integral, or opacity alone."""
+    """Quadrature along the viewing rays: as in the paper's program, the exact integral, opacity alone, or the
+    integrated transmittance, where smoke is dark and empty space bright."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8

@@ -97,7 +97,7 @@ class EmissionAbsorptionRenderer(Renderer):
     Args:
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
-        quadrature: "paper", "exact" or "transmittance".
+        quadrature: one of `tnst_mi.choices.QUADRATURES`.
         h: size of a cell in full-resolution cells; also the distance between pixels.
         step: distance between the samples of a ray in full-resolution cells; h if None.
         size: rows and columns of the images, around the grid's centre; those of the grid if None.
@@ -223,14 +223,15 @@ def render(
         density: (D, H, W), finite and ≥ 0 (not checked); 0 outside the grid.
         view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
         gamma: γ > 0, extinction per unit of density and full-resolution cell.
-        quadrature: "paper" (inclusive sum), "exact" or "transmittance" (= γ · exact).
+        quadrature: "paper" (inclusive sum), "exact", "transmittance" (= γ · exact) or "integrated_transmittance" (the
+            transmittance integrated over the grid's box: empty space is bright, smoke dark).
         h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
         fit: take the smallest image that shows all of the grid in every view, instead of (H, W).
 
     Returns:
         Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
-        and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1). Differentiable with respect to the
-        density.
+        and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1); "integrated_transmittance" is in
+        cells, up to the length of the ray inside the box. Differentiable with respect to the density.
 
     Raises:
         InputError: the shape or range of an argument is not as stated, or an array is too large to be indexed.

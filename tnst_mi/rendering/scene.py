@@ -57,7 +57,7 @@ def scene_description(
     Args:
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
-        quadrature: "paper", "exact" or "transmittance".
+        quadrature: one of `tnst_mi.choices.QUADRATURES`.
         h: size of a cell in full-resolution cells.
         view_count: number of views stacked in the image.
         step: distance between the samples of a ray in full-resolution cells; h if None.
