@@ -170,8 +170,8 @@ def wrong_adjoint(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any, Any, A
 
     adjoint = EmissionAbsorption._scatter_adjoint
 
-    def broken(self: Any, medium: object, lattice: object, L: object, δL: object, parallel: object) -> None:
-        adjoint(self, medium, lattice, *change(self, L, δL), parallel)
+    def broken(self: Any, segments: object, behind: object, L: object, δL: object, parallel: object) -> None:
+        adjoint(self, segments, behind, *change(self, L, δL), parallel)
 
     monkeypatch.setattr(EmissionAbsorption, "_scatter_adjoint", broken)
 
@@ -182,10 +182,11 @@ def moved_adjoint(monkeypatch: pytest.MonkeyPatch) -> None:
 
     adjoint = EmissionAbsorption._scatter_adjoint
 
-    def broken(self: Any, medium: object, lattice: Any, *rest: object) -> None:
-        stencil = lattice.stencil
-        lattice.stencil = lambda k: stencil(k + 1)
-        adjoint(self, medium, lattice, *rest)
+    def broken(self: Any, segments: list[Any], *rest: object) -> None:
+        (segment,) = segments
+        stencil = segment.lattice.stencil
+        segment.lattice.stencil = lambda k: stencil(k + 1)
+        adjoint(self, segments, *rest)
 
     monkeypatch.setattr(EmissionAbsorption, "_scatter_adjoint", broken)
 

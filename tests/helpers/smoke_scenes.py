@@ -47,6 +47,12 @@ def affine(edges: np.ndarray, centre: np.ndarray) -> mi.ScalarTransform4f:
     return mi.ScalarTransform4f(matrix.tolist())
 
 
+def cube(to_world: mi.ScalarTransform4f) -> dict[str, object]:
+    """The image of [-1, 1]³, with its normals outwards, which mirroring turns inwards."""
+    mirrored = np.linalg.det(np.array(to_world.matrix)) < 0
+    return {"type": "cube", "to_world": to_world, "flip_normals": bool(mirrored)}
+
+
 def medium(extinction: np.ndarray, to_world: mi.ScalarTransform4f, scale: float = 1.0) -> dict[str, object]:
     """A scattering `heterogeneous` medium of extinction (D, H, W[, C]) filling the image of [-1/2, 1/2]³."""
     grid = np.ascontiguousarray(extinction / scale, np.float32)
@@ -81,7 +87,7 @@ def smoke_scene(
     """
     edges = np.diag(extinction.shape[2::-1]).astype(float) if edges is None else edges
     to_world = affine(edges, np.zeros(3) if centre is None else centre)
-    box = {"type": "cube", "to_world": to_world @ mi.ScalarTransform4f().scale(0.5)}
+    box = cube(to_world @ mi.ScalarTransform4f().scale(0.5))
     return mi.load_dict(
         {
             "type": "scene",
@@ -109,6 +115,11 @@ def plate(view: tuple[float, float], distance: float, **what: object) -> dict[st
 def image_of(scene: mi.Scene) -> np.ndarray:
     """The first channel (H, W) of the scene's image."""
     return mi.render(scene).numpy()[..., 0]
+
+
+def extinction_of(scene: mi.Scene) -> np.ndarray:
+    """A copy of `sigma_t.data` (D, H, W, C): numpy's view of a parameter does not keep its memory."""
+    return mi.traverse(scene)[EXTINCTION].numpy().copy()
 
 
 def extinction_gradient(scene: mi.Scene, weights: np.ndarray) -> np.ndarray:

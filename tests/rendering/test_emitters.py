@@ -6,13 +6,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import ray_march
 from fields import directional_error, smooth_noise
 from smoke_scenes import (
     EXTINCTION,
     error_message,
     extinction_gradient,
     extinction_objective,
-    film,
+    extinction_of,
     image_of,
     orthographic,
     plate,
@@ -47,7 +48,7 @@ def test_an_environment_behind_is_multiplied_by_the_transmittance(quadrature: st
     np.testing.assert_allclose(image_of(scene), expected, rtol=0, atol=2e-5)
 
     weights = smooth_noise(rng, *SHAPE[1:], 1)
-    start, objective = mi.traverse(scene)[EXTINCTION].numpy(), extinction_objective(scene, weights)
+    start, objective = extinction_of(scene), extinction_objective(scene, weights)
     directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
     gradient = extinction_gradient(scene, weights)
     assert directional_error(objective, gradient, start, directions, 5e-3) <= 1e-3
@@ -72,9 +73,8 @@ def test_a_plate_is_attenuated_behind_the_smoke_and_hides_it_in_front(boundary: 
         shape = BOUNDARIES[boundary]
         return image_of(smoke_scene(extinction, orthographic(SHAPE, VIEW), integrator, boundary=shape, **others))
 
-    # A plate without a light hides what is behind it; the sky goes around the plate.
-    what = {"emitter": {"type": "area", "radiance": radiance}} if lit else {"bsdf": {"type": "diffuse"}}
-    placed = plate(VIEW, -40 if where == "behind" else 40, **what)
+    # A black plate hides what is behind it; the sky goes around the plate.
+    placed = plate(VIEW, -40 if where == "behind" else 40, emitter={"type": "area", "radiance": radiance})
     row, column = np.indices(SHAPE[1:])
     covered = (np.abs(row - (SHAPE[1] - 1) / 2) < 3) & (np.abs(column - (SHAPE[2] - 1) / 2) < 3)
     transmittance = 1 - image("transmittance")
@@ -98,7 +98,7 @@ def test_smoke_hidden_by_a_plate_has_no_gradient(boundary: str) -> None:
         scene = smoke_scene(extinction, orthographic(SHAPE, VIEW), {"gamma": GAMMA}, boundary=shape, **others)
         return extinction_gradient(scene, weights)
 
-    hidden = gradient(weights, plate=plate(VIEW, 40, bsdf={"type": "diffuse"}), **others)
+    hidden = gradient(weights, plate=plate(VIEW, 40, emitter={"type": "area", "radiance": 0.0}), **others)
     expected = gradient(weights * ~covered[..., None], **others)
     np.testing.assert_allclose(hidden, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
@@ -112,18 +112,55 @@ def test_rays_that_miss_the_smoke_see_the_sky() -> None:
     assert np.abs(image[rows:-rows, columns:-columns] - 0.25).min() > 1e-3
 
 
-@pytest.mark.parametrize("camera", ["outside", "inside"])
 @pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_a_surface_inside_the_medium_is_an_error(boundary: str, camera: str) -> None:
-    sensor = orthographic(SHAPE, VIEW)
-    if camera == "inside":
-        to_world = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
-        sensor = {"type": "perspective", "fov": 90, "near_clip": 1e-3, "to_world": to_world, **film(8, 8)}
-    ball = {"type": "sphere", "radius": 1.5}
-    scene = smoke_scene(GAMMA * smoke(12), sensor, {"gamma": GAMMA}, boundary=BOUNDARIES[boundary], ball=ball)
+def test_a_surface_inside_the_smoke_ends_the_march(boundary: str) -> None:
+    """A plate through the middle: in front of it half of the samples, behind it none; light and gradient alike."""
+    density, radiance = smoke(12), 0.8
+    sensor = orthographic(SHAPE)
+    scene = smoke_scene(
+        GAMMA * density,
+        sensor,
+        {"gamma": GAMMA},
+        boundary=BOUNDARIES[boundary],
+        wall={
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, 0.7]).scale(20),
+            "emitter": {"type": "area", "radiance": radiance},
+        },
+    )
+    edges, origins = np.diag(SHAPE[::-1]).astype(float), ray_march.pixel_centres(SHAPE, (0.0, 0.0), 1.0)
+    origins[:, 2] += 100
+    inside = {"box": lambda points: points[..., 2] > 0.7}
+    inside["sphere"] = lambda points: (points[..., 2] > 0.7) & ((points**2).sum(-1) <= 3.7**2)
+    directions = np.broadcast_to([0, 0, -1.0], origins.shape)
+    values = ray_march.samples(density, edges, np.zeros(3), origins, directions, 1.0, inside[boundary])
+    transmittance = 1 - ray_march.radiance(values, GAMMA, 1.0, "transmittance")
+    expected = ray_march.radiance(values, GAMMA, 1.0, "paper") + transmittance * radiance
+    np.testing.assert_allclose(image_of(scene), expected.reshape(SHAPE[1:]), rtol=0, atol=1e-4)
+
+    weights = smooth_noise(np.random.default_rng(12), *SHAPE[1:], 1)
+    start, objective = extinction_of(scene), extinction_objective(scene, weights)
+    directions = [smooth_noise(np.random.default_rng(seed), *SHAPE)[..., None] for seed in range(8)]
+    gradient = extinction_gradient(scene, weights)
+    assert np.abs(gradient[:5]).max() == 0 < np.abs(gradient[6:]).max()
+    assert directional_error(objective, gradient, start, directions, 1e-2) <= 1e-3
+
+
+@pytest.mark.parametrize("where", [-40, 0])
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_a_surface_that_is_not_an_emitter_needs_a_nested_integrator(boundary: str, where: float) -> None:
+    scene = smoke_scene(
+        GAMMA * smoke(12),
+        orthographic(SHAPE, VIEW),
+        {"gamma": GAMMA},
+        boundary=BOUNDARIES[boundary],
+        plate=plate(VIEW, where),
+        sky={"type": "constant"},
+    )
     with pytest.raises(RuntimeError) as error:
         mi.render(scene)
-    assert "a surface lies inside the medium, expected none" in error_message(error.value)
+    message = error_message(error.value)
+    assert message.startswith("emission_absorption: a surface is seen that is not an emitter") and "nested" in message
 
 
 def test_a_surface_beside_the_medium_is_none() -> None:

@@ -12,12 +12,13 @@ from ray_march import camera_axes
 from smoke_scenes import (
     EXTINCTION,
     affine,
+    cube,
     error_message,
     extinction_gradient,
     extinction_objective,
+    extinction_of,
     film,
     image_of,
-    medium,
     orthographic,
     plate,
     smoke_scene,
@@ -83,7 +84,7 @@ def test_any_transform_boundary_and_camera_against_a_numpy_march(placement: str,
     shapes, inside = {"box": None}, {"box": None}
     shapes["sphere"] = {"type": "sphere", "center": centre.tolist(), "radius": radius}
     inside["sphere"] = lambda points: ((points - centre) ** 2).sum(-1) <= radius**2
-    shapes["smaller box"] = {"type": "cube", "to_world": affine(0.35 * edges, centre)}
+    shapes["smaller box"] = cube(affine(0.35 * edges, centre))
     inside["smaller box"] = lambda points: (np.abs((points - centre) @ np.linalg.inv(edges).T) <= 0.35).all(-1)
     towards = np.array([0.36, 0.48, 0.8])
     origin = centre + towards * (0.3 * radius if camera == "inside" else 2 * np.linalg.norm(edges))
@@ -128,7 +129,7 @@ def test_gradient_against_central_differences_with_everything_at_once(quadrature
         sky={"type": "constant", "radiance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}},
     )
     weights = smooth_noise(rng, 8, 9, 3)
-    start, objective = mi.traverse(scene)[EXTINCTION].numpy(), extinction_objective(scene, weights)
+    start, objective = extinction_of(scene), extinction_objective(scene, weights)
     directions = [smooth_noise(rng, *SHAPE)[..., None] for _ in range(16)]
     gradient = extinction_gradient(scene, weights)
     assert directional_error(objective, gradient, start, directions, 1e-2) <= 1e-3
@@ -251,21 +252,10 @@ def test_bad_properties_are_named(properties: dict, named: str) -> None:
     assert named in str(error.value)
 
 
-@pytest.mark.parametrize("count", [0, 2])
-def test_a_scene_without_exactly_one_medium_is_an_error(count: int) -> None:
-    box = mi.ScalarTransform4f().scale(2.0)
-    spheres = {
-        f"sphere{i}": {
-            "type": "sphere",
-            "center": [10 * i, 0, 0],
-            "bsdf": {"type": "null"},
-            "interior": medium(np.ones((3, 3, 3)), box),
-        }
-        for i in range(count)
-    }
+def test_a_scene_without_a_medium_is_an_error() -> None:
     scene = mi.load_dict(
-        {"type": "scene", "integrator": {"type": "emission_absorption"}, "sensor": orthographic(SHAPE), **spheres}
+        {"type": "scene", "integrator": {"type": "emission_absorption"}, "sensor": orthographic(SHAPE)}
     )
     with pytest.raises(RuntimeError) as error:
         mi.render(scene)
-    assert f"the scene has {count} shapes with an interior medium, expected one" in error_message(error.value)
+    assert "the scene has no shape with an interior medium, expected one" in error_message(error.value)

@@ -9,9 +9,9 @@ import pytest
 from fields import smooth_noise
 from smoke_scenes import EXTINCTION, affine, medium, orthographic, smoke_scene
 
-from tnst_mi.rendering.march.boundary import SceneMedium
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium, GridTransform, probe_transform
+from tnst_mi.rendering.march.scene_media import SceneMedia
 
 SHAPE = (7, 9, 6)
 
@@ -97,7 +97,7 @@ def test_diagonal_of_a_sheared_box_is_its_longest() -> None:
 
 def resolve(density: np.ndarray, edges: np.ndarray, centre: np.ndarray, scale: float = 1.0) -> tuple:
     scene = smoke_scene(density, orthographic(SHAPE), {}, edges, centre, scale)
-    return scene, scene.integrator().resolve(scene)
+    return scene, scene.integrator().resolve(scene).media[0]
 
 
 def rays_through(edges: np.ndarray, centre: np.ndarray, count: int, rng: np.random.Generator) -> tuple:
@@ -221,7 +221,7 @@ def test_whether_the_shape_is_the_box_of_the_grid(boundary: dict, fills: bool) -
     placed = affine(edges, centre) if boundary["type"] == "cube" else mi.ScalarTransform4f().translate(centre.tolist())
     shape = {"type": boundary["type"], "to_world": placed @ scaled}
     scene = smoke_scene(np.ones(SHAPE), orthographic(SHAPE), {}, edges, centre, boundary=shape)
-    assert SceneMedium(scene).fills_box is fills
+    assert (SceneMedia(scene).box is not None) is fills
 
 
 def test_refresh_takes_over_new_data_and_scale() -> None:
@@ -239,7 +239,6 @@ def test_refresh_takes_over_new_data_and_scale() -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"interior": {"type": "homogeneous"}}, "`heterogeneous` with a `gridvolume`"),
         ({"interior": {"type": "heterogeneous", "sigma_t": 0.5}}, "`heterogeneous` with a `gridvolume`"),
         ({"bsdf": {"type": "diffuse"}}, "`null` BSDF"),
     ],
@@ -248,7 +247,7 @@ def test_media_that_cannot_be_resolved_are_named(change: dict, named: str) -> No
     ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": medium(np.ones(SHAPE), affine(np.eye(3), [0] * 3))}
     scene = mi.load_dict({"type": "scene", "ball": ball | change})
     with pytest.raises(RuntimeError, match=rf"emission_absorption: .*{named}"):
-        SceneMedium(scene)
+        SceneMedia(scene)
 
 
 def test_a_volume_without_a_gradient_is_named_and_keeps_its_data() -> None:

@@ -5,22 +5,24 @@ Importing this module registers the plugin for the active variant; `rendering.pl
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.choices import QUADRATURES
-from tnst_mi.fields.kernels import opaque
-from tnst_mi.fields.sums import RepeatableSum
 from tnst_mi.rendering.cameras.orthographic import ParallelRays
-from tnst_mi.rendering.march.back_projection import BackProjection
-from tnst_mi.rendering.march.boundary import SceneMedium, crossing, seen_behind
-from tnst_mi.rendering.march.grid_march import GridMarch
+from tnst_mi.rendering.march.behind import NestedIntegrator, emitters_seen
 from tnst_mi.rendering.march.lattice import Lattice
-from tnst_mi.rendering.march.medium import GridMedium
+from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
 from tnst_mi.rendering.march.quadratures import Quadrature, quadrature
+from tnst_mi.rendering.march.ray_path import RayEnd, escaped, first_surface, trace
+from tnst_mi.rendering.march.scene_media import SceneMedia
+from tnst_mi.rendering.march.segments import GridSegment, HomogeneousSegment, Segment
 
 
 class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
@@ -70,19 +72,23 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             )
         if "step" in props and not 0 < self.step < math.inf:
             raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
-        self._medium: SceneMedium | None = None
+        nested = [NestedIntegrator(value) for _, value in props.objects()]
+        if len(nested) > 1:
+            raise ValueError(f"emission_absorption: {len(nested)} nested integrators, expected one at most")
+        self._nested = nested[0] if nested else None
+        self._media: SceneMedia | None = None
 
     def parameters_changed(self, keys: list[str]) -> None:
         """Discard what was resolved from the scene."""
-        self._medium = None
+        self._media = None
 
-    def resolve(self, scene: mi.Scene) -> SceneMedium:
-        """The scene's medium, with its current extinction tensor."""
-        if self._medium is None or not self._medium.belongs_to(scene):
-            self._medium = SceneMedium(scene)
+    def resolve(self, scene: mi.Scene) -> SceneMedia:
+        """The scene's media, with their current extinctions."""
+        if self._media is None or not self._media.belongs_to(scene):
+            self._media = SceneMedia(scene)
         else:
-            self._medium.refresh()
-        return self._medium
+            self._media.refresh()
+        return self._media
 
     def sample(
         self,
@@ -102,81 +108,107 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         is needed. Declaring the rays `parallel` makes the adjoint faster.
         """
         if isinstance(scene, mi.Scene):
-            medium = self.resolve(scene)
-            lattice, background, valid = self._intersect(scene, medium, ray, active)
+            segments, end = self._segments(scene, ray, active)
+            behind, on_surface = self._behind(scene, sampler, ray, end, active), end.surface.is_valid()
         else:
-            medium, background = scene, None
-            lattice = Lattice(medium, ray, self._sample_distance(medium))
-            valid = active & (lattice.exit > lattice.entry)
+            lattice = Lattice(scene, ray, self._sample_distance(scene))
+            segments, behind, on_surface = [GridSegment(scene, lattice, self._quadrature)], None, False
         if mode == dr.ADMode.Primal:
-            L = self._radiance(medium, lattice, background)
+            L = self._radiance(segments, behind)
         elif mode == dr.ADMode.Backward:
             L = state_in
-            self._scatter_adjoint(medium, lattice, L, δL, parallel)
+            self._scatter_adjoint(segments, behind, L, δL, parallel)
         else:
-            L = self._tangent(medium, lattice, background)
+            L = self._tangent(segments, behind)
+        valid = active & (functools.reduce(operator.or_, [segment.crossed for segment in segments], on_surface))
         return mi.Spectrum(L), valid, [], L
 
     # --------------------------------------------------------------------
-    # Where a ray passes through the medium, and what is behind it
+    # Where a ray passes through media, and what is behind them
     # --------------------------------------------------------------------
 
     def _sample_distance(self, medium: GridMedium) -> float:
         return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
 
-    def _intersect(
-        self, scene: mi.Scene, medium: SceneMedium, ray: mi.Ray3f, active: mi.Bool
-    ) -> tuple[Lattice, mi.Spectrum | None, mi.Bool]:
-        bounds = None if medium.fills_box else crossing(scene, medium.shape, ray, active)
-        lattice = Lattice(medium, ray, self._sample_distance(medium), bounds)
-        return lattice, *seen_behind(scene, medium, lattice, ray, active)
+    def _segments(self, scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[Sequence[Segment], RayEnd]:
+        """The segments of the rays in media, nearest first, and the ends of the rays."""
+        media = self.resolve(scene)
+        if media.box is None:
+            stretches, end = trace(scene, ray, active)
+            return [
+                self._segment(medium, ray, *bounds)
+                for stretch in stretches
+                for medium in media.media
+                if (bounds := stretch.inside(medium.medium)) is not None
+            ], end
+        end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
+        lattice = Lattice(media.box, ray, self._sample_distance(media.box), (mi.Float(0), end.distance))
+        inside = end.surface.is_valid() & (end.distance > lattice.entry) & (end.distance <= lattice.exit)
+        end.medium[inside] = mi.MediumPtr(media.box.medium)
+        return [GridSegment(media.box, lattice, self._quadrature)], end
+
+    def _segment(
+        self, medium: GridMedium | HomogeneousMedium, ray: mi.Ray3f, entry: mi.Float, exit: mi.Float
+    ) -> Segment:
+        if isinstance(medium, HomogeneousMedium):
+            return HomogeneousSegment(medium, entry, exit, self._quadrature)
+        lattice = Lattice(medium, ray, self._sample_distance(medium), (entry, exit))
+        return GridSegment(medium, lattice, self._quadrature)
+
+    def _behind(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, end: RayEnd, active: mi.Bool
+    ) -> mi.Spectrum | None:
+        media = self.resolve(scene)
+        if media.only_boundaries and scene.environment() is None:
+            return None
+        if self._nested is None:
+            return emitters_seen(scene, end, active)
+        return self._nested.radiance(scene, sampler, ray, end, [medium.medium for medium in media.media], active)
 
     # --------------------------------------------------------------------
-    # The march
+    # The march, composed of segments
     # --------------------------------------------------------------------
 
-    def _radiance(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
-        L, τ = self._quadrature.radiance(GridMarch(medium, lattice))
-        return L if background is None else mi.Spectrum(L) + dr.exp(-τ) * background
+    def _radiance(self, segments: Sequence[Segment], behind: mi.Spectrum | None) -> Any:
+        L = behind
+        for segment in reversed(segments):
+            L = segment.in_front_of(L)
+        return 0 if L is None else L
 
     def _scatter_adjoint(
-        self, medium: GridMedium, lattice: Lattice, L: Any, δL: mi.Spectrum, parallel: ParallelRays | None
+        self,
+        segments: Sequence[Segment],
+        behind: mi.Spectrum | None,
+        L: Any,
+        δL: mi.Spectrum,
+        parallel: ParallelRays | None,
     ) -> None:
-        """Accumulate δL · ∂L/∂σ_t into the gradient of the extinction tensor."""
-        # `RBIntegrator` suspends derivatives around this function.
-        with dr.resume_grad():
-            if not dr.grad_enabled(medium.extinction):
-                return
-        L, march = mi.Spectrum(L), GridMarch(medium, lattice)
-        if medium.channels == 1:
-            A, B = dr.sum(δL), dr.sum(δL * L)
-        else:
-            A, B = mi.Color3f(δL), mi.Color3f(δL * L)
+        """Accumulate δL · ∂L/∂p into the gradients of all media's parameters p."""
+        if len(segments) == 1:
+            segments[0].scatter_adjoint(L, δL, behind, parallel)
+            return
+        # What each segment and everything behind it show, and its transmittance: from the back to the front.
+        shown, transmittances = [behind], []
+        for segment in reversed(segments):
+            L, T = segment.radiance()
+            shown.append(mi.Spectrum(L) if shown[-1] is None else mi.Spectrum(L) + T * shown[-1])
+            transmittances.append(T)
+        dr.eval(shown, transmittances)
+        for i, segment in enumerate(segments):
+            segment.scatter_adjoint(shown[-1 - i], δL, shown[-2 - i], parallel)
+            δL = δL * transmittances[-1 - i]
 
-        if parallel is not None and medium.channels == 1:
-            projection = BackProjection(medium, lattice, parallel)
-            self._quadrature.adjoint(march, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
-            with dr.resume_grad():
-                # Removed from the AD graph, whose reference would make the in-place addition copy the array.
-                total = dr.grad(medium.extinction).array
-                dr.clear_grad(medium.extinction)
-            projection.add_to(total)
-        else:
-            limit = self._quadrature.limit(lattice)
-            bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * lattice.step * dr.abs(opaque(medium.scale))
-            size, addends = dr.width(medium.extinction.array), dr.width(lattice.count) * lattice.longest
-            sums = RepeatableSum(size, bound, addends)
-            self._quadrature.adjoint(march, A, B, lambda _, stencil, adjoint: stencil.splat(sums, adjoint))
-            total = sums.result()
-        with dr.resume_grad():
-            dr.accum_grad(medium.extinction, mi.TensorXf(total, tuple(medium.extinction.shape)))
-
-    def _tangent(self, medium: GridMedium, lattice: Lattice, background: mi.Spectrum | None) -> Any:
-        """Derivative of the radiance along the tangent of the extinction tensor."""
-        with dr.resume_grad():
-            σ_dot = dr.grad(medium.extinction)
-        L_dot, τ, τ_dot = self._quadrature.tangent(GridMarch(medium, lattice), σ_dot)
-        return L_dot if background is None else mi.Spectrum(L_dot) - dr.exp(-τ) * τ_dot * background
+    def _tangent(self, segments: Sequence[Segment], behind: mi.Spectrum | None) -> Any:
+        """Derivative of the radiance along the tangents of the media's parameters."""
+        L_dot = None
+        for i, segment in enumerate(reversed(segments)):
+            if i > 0:
+                behind = mi.Spectrum(segments[-i].in_front_of(behind))
+            own, T, T_dot = segment.tangent()
+            if behind is not None:
+                own = mi.Spectrum(own) + T_dot * behind
+            L_dot = own if L_dot is None else mi.Spectrum(own) + T * L_dot
+        return 0 if L_dot is None else L_dot
 
     @property
     def _quadrature(self) -> Quadrature:

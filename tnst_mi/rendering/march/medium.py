@@ -1,4 +1,4 @@
-"""What marching through a `heterogeneous` medium needs: its extinction tensor, and the map from world to cells.
+"""Media that can be marched: of a `heterogeneous` one the extinction tensor, and the map from world to cells.
 
 Resolving them once lets the integrator gather from the tensor instead of calling the medium's virtual functions for
 every sample.
@@ -101,7 +101,8 @@ class GridMedium:
         transform: world space to the grid's unit cube.
 
     Raises:
-        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` is not a `gridvolume`.
+        RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` is not a `gridvolume` that interpolates
+            linearly.
     """
 
     def __init__(self, medium: mi.Medium) -> None:
@@ -110,7 +111,9 @@ class GridMedium:
         self._occupancy: Occupancy | None = None
         volume = _children(medium).get("sigma_t")
         if volume is None or "data" not in mi.traverse(volume):
-            raise RuntimeError("emission_absorption: the medium must be `heterogeneous` with a `gridvolume` as sigma_t")
+            raise RuntimeError(
+                "emission_absorption: a medium must be `homogeneous`, or `heterogeneous` with a `gridvolume` as sigma_t"
+            )
         self.transform = probe_transform(volume)
         self.refresh()
 
@@ -137,3 +140,17 @@ class GridMedium:
         if self._occupancy is None or self._occupancy.values.index != values.index:
             self._occupancy = Occupancy(values, self.grid_shape, self.channels)
         return self._occupancy
+
+
+class HomogeneousMedium:
+    """A medium of the same extinction everywhere."""
+
+    def __init__(self, medium: mi.Medium) -> None:
+        self.medium = medium
+
+    def refresh(self) -> None:
+        """Nothing: the extinction is not kept."""
+
+    def extinction(self) -> mi.Spectrum:
+        """The current extinction per world unit, attached to the AD graph if the medium's parameters are."""
+        return self.medium.get_scattering_coefficients(dr.zeros(mi.MediumInteraction3f))[2]

@@ -47,6 +47,10 @@ class Quadrature(ABC):
     def limit(self, lattice: Lattice) -> mi.Float:
         """Upper limit of the radiance in front of black."""
 
+    @abstractmethod
+    def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
+        """What extinction σ_t emits per length: in small steps, the radiance is the integral of this times T."""
+
 
 class InclusiveSum(Quadrature):
     """paper: L = Σ h σ_k T_k / γ.
@@ -103,6 +107,10 @@ class InclusiveSum(Quadrature):
         """1/γ, the radiance of opaque smoke in small steps."""
         return self.inv_gamma
 
+    def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
+        """The density σ_t/γ."""
+        return σ_t * self.inv_gamma
+
 
 class Exact(Quadrature):
     """exact: L = (1 − T)/γ. The integrals of the segments between samples telescope: only τ is needed.
@@ -147,6 +155,10 @@ class Exact(Quadrature):
         """1/γ, the radiance of opaque smoke."""
         return self.inv_gamma
 
+    def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
+        """The density σ_t/γ."""
+        return σ_t * self.inv_gamma
+
 
 class Transmittance(Exact):
     """transmittance: L = 1 − T, γ times exact."""
@@ -154,6 +166,10 @@ class Transmittance(Exact):
     def limit(self, lattice: Lattice) -> mi.Float:
         """1, the opacity of opaque smoke."""
         return opaque(1.0)
+
+    def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
+        """γ times the density."""
+        return σ_t
 
 
 class IntegratedTransmittance(Quadrature):
@@ -210,6 +226,10 @@ class IntegratedTransmittance(Quadrature):
     def limit(self, lattice: Lattice) -> mi.Float:
         """The length of the longest ray inside the box."""
         return opaque(lattice.longest * lattice.spacing)
+
+    def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
+        """1, with or without smoke."""
+        return mi.Spectrum(1)
 
 
 def _expm1(x: Any) -> Any:

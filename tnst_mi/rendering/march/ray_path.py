@@ -1,0 +1,134 @@
+"""Tracing rays through a scene: the parts of them that lie in media, and the surface at which they end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of every ray between two boundaries.
+
+    Attributes:
+        medium: the medium there, null for rays that have no such part.
+        entry, exit: distances along the rays at which it begins and ends.
+    """
+
+    medium: mi.MediumPtr
+    entry: mi.Float
+    exit: mi.Float
+
+    def inside(self, medium: mi.Medium) -> tuple[mi.Float, mi.Float] | None:
+        """Entry and exit of the stretches that lie in `medium`, empty for other rays; None if there are none."""
+        here = (self.medium == mi.MediumPtr(medium)) & (self.exit > self.entry)
+        if not dr.any(here):
+            return None
+        return dr.select(here, self.entry, dr.inf), dr.select(here, self.exit, -dr.inf)
+
+
+@dataclass(frozen=True)
+class RayEnd:
+    """Where rays end.
+
+    Attributes:
+        surface: the first surface that rays do not pass through; invalid for rays that leave the scene or reach
+            their `maxt` before.
+        distance: to that surface, or the ray's `maxt`.
+        medium: the medium just in front of the surface, null if there is none.
+    """
+
+    surface: mi.SurfaceInteraction3f
+    distance: mi.Float
+    medium: mi.MediumPtr
+
+
+def _passes(hit: mi.SurfaceInteraction3f) -> mi.Bool:
+    """Whether rays pass straight through the surface: it has a `null` BSDF, and no other."""
+    return (hit.bsdf().flags() & mi.UInt32(mi.BSDFFlags.All)) == mi.UInt32(mi.BSDFFlags.Null)
+
+
+def _nothing_hit(ray: mi.Ray3f) -> mi.SurfaceInteraction3f:
+    """The interaction of rays that leave the scene, as the environment expects it."""
+    surface = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
+    surface.wi, surface.t = -ray.d, dr.inf
+    return surface
+
+
+def escaped(ray: mi.Ray3f) -> RayEnd:
+    """The end of rays that meet no surface at all."""
+    return RayEnd(_nothing_hit(ray), ray.maxt, dr.zeros(mi.MediumPtr, dr.width(ray)))
+
+
+def first_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> RayEnd:
+    """The end of rays whose media do not matter."""
+
+    def body(here: mi.Ray3f, active: mi.Bool, seen: mi.SurfaceInteraction3f, end: mi.Float) -> tuple:
+        hit = scene.ray_intersect(here, active)
+        distance = dr.dot(hit.p - ray.o, ray.d)
+        passed = active & hit.is_valid() & _passes(hit)
+        stopped = active & hit.is_valid() & ~passed
+        here = hit.spawn_ray(ray.d)
+        here.maxt = ray.maxt - distance
+        return here, passed, dr.select(stopped, hit, seen), dr.select(stopped, distance, end)
+
+    n = dr.width(ray)
+    state = (mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n), _nothing_hit(ray), mi.Float(ray.maxt))
+    result = dr.while_loop(state, lambda here, active, *_: active, body, label="first surface")
+    return RayEnd(result[2], result[3], dr.zeros(mi.MediumPtr, n))
+
+
+def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch], RayEnd]:
+    """The stretches of rays in media, nearest first, and where the rays end.
+
+    A boundary says what is on its near side and what on its far side. The far side of one and the near side of the next
+    describe the same stretch; before the first boundary, the near side alone tells whether the ray starts in a medium.
+    Where two boundaries touch, a ray meets only one of them, so that one of the two descriptions may be missing.
+
+    Raises:
+        RuntimeError: the two contradict each other: media overlap.
+    """
+    n = dr.width(ray)
+    nothing = dr.zeros(mi.MediumPtr, n)
+    here, active = mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n)
+    # Boundaries beyond the far end, too, tell what a ray starts in.
+    here.maxt = dr.full(mi.Float, dr.inf, n)
+    medium, lost = dr.zeros(mi.MediumPtr, n), dr.zeros(mi.MediumPtr, n)
+    start, end = dr.zeros(mi.Float, n), mi.Float(ray.maxt) + dr.zeros(mi.Float, n)
+    known, overlap = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
+    surface, at_surface = _nothing_hit(ray), dr.zeros(mi.MediumPtr, n)
+    stretches = []
+    state = (here, active, medium, lost, start, end, known, overlap, surface, at_surface)
+    # Not part of the generated code, so that every crossing runs the same kernel.
+    dr.make_opaque(state)
+    while dr.any(active):
+        hit = scene.ray_intersect(here, active)
+        met = active & hit.is_valid()
+        distance = dr.select(met, dr.dot(hit.p - ray.o, ray.d), dr.inf)
+        passes = _passes(hit)
+        boundary = met & passes & hit.is_medium_transition()
+        stops = met & ~passes & (distance < end)
+        surface, end = dr.select(stops, hit, surface), dr.select(stops, distance, end)
+
+        near = dr.select(boundary, hit.target_medium(-ray.d), nothing)
+        in_medium = medium != nothing
+        overlap |= boundary & (start < end) & (near != nothing) & dr.select(in_medium, near != medium, near == lost)
+        lost = dr.select(boundary & in_medium & (near == nothing), medium, lost)
+        medium = dr.select(in_medium, medium, near)
+
+        done = active & (~met | ((distance >= end) & (known | boundary)))
+        closed = boundary | done
+        stretches.append(Stretch(dr.select(closed, medium, nothing), start, dr.minimum(distance, end)))
+        at_surface = dr.select(done & surface.is_valid() & (start < end), medium, at_surface)
+
+        medium = dr.select(boundary, hit.target_medium(ray.d), medium)
+        start, known = dr.select(boundary, distance, start), known | boundary
+        here, active = hit.spawn_ray(ray.d), active & ~done
+        dr.eval(here, active, medium, lost, start, end, known, overlap, surface, at_surface, stretches[-1])
+    if dr.any(overlap):
+        raise RuntimeError(
+            "emission_absorption: media overlap: a shape inside a medium must name that medium as its `exterior`"
+        )
+    return stretches, RayEnd(surface, end, at_surface)

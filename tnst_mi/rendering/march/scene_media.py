@@ -1,0 +1,115 @@
+"""The media of a scene and the shapes around them, checked and resolved once."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
+
+
+class SceneMedia:
+    """The media of a scene.
+
+    Attributes:
+        media: every medium once, in the order of the scene's shapes.
+        only_boundaries: the scene has no shapes but those around its media.
+        box: the only medium, if the only shape around one is the box of its grid; else None. No rays need to be traced
+            to find such a medium.
+
+    Raises:
+        RuntimeError: the scene has no medium, or one that the integrator cannot march through.
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        self._scene = scene
+        self._boundaries = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
+        if not self._boundaries:
+            raise RuntimeError("emission_absorption: the scene has no shape with an interior medium, expected one")
+        found: list[mi.Medium] = []
+        for shape in scene.shapes():
+            for medium in (shape.interior_medium(), shape.exterior_medium()):
+                if medium is not None and not any(medium is other for other in found):
+                    found.append(medium)
+        self.media = [HomogeneousMedium(m) if m.is_homogeneous() else GridMedium(m) for m in found]
+        self.only_boundaries = len(self._boundaries) == len(scene.shapes())
+        self._meshes = [mi.traverse(shape) for shape in self._boundaries if isinstance(shape, mi.Mesh)]
+        self._look_at_shapes()
+
+    def belongs_to(self, scene: mi.Scene) -> bool:
+        """Whether these are the media of `scene`."""
+        return any(shape is self._boundaries[0] for shape in scene.shapes())
+
+    def refresh(self) -> None:
+        """Follow what `parameters.update()` may have changed: extinctions, scales, and the vertices of meshes."""
+        for medium in self.media:
+            medium.refresh()
+        # Those seen last are kept alive, so that no other array can reuse their index.
+        if [a.index for a in self._positions()] != [b.index for b in self._seen_positions]:
+            self._look_at_shapes()
+
+    def _positions(self) -> list[mi.Float]:
+        """The vertices of the shapes that are meshes. Copies: the parameters are references."""
+        return [mi.Float(mesh["vertex_positions"]) for mesh in self._meshes]
+
+    def _look_at_shapes(self) -> None:
+        self._seen_positions = self._positions()
+        for shape in self._boundaries:
+            self._check(shape)
+        self.box: GridMedium | None = None
+        if len(self._boundaries) == len(self.media) == 1:
+            shape, medium = self._boundaries[0], self.media[0]
+            self.box = medium if isinstance(medium, GridMedium) and _is_the_box(shape, medium) else None
+
+    def _check(self, shape: mi.Shape) -> None:
+        if not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
+            raise RuntimeError("emission_absorption: the shape around a medium must have a `null` BSDF")
+        if shape.emitter() is not None:
+            raise RuntimeError("emission_absorption: the shape around a medium must not be an emitter")
+        if _seen_from_inside(self._scene, shape) > 0.5:
+            raise RuntimeError(
+                "emission_absorption: the normals of the shape around a medium point inwards, as those of mirrored "
+                "shapes do, so that Mitsuba takes its outside for the medium: set its `flip_normals`"
+            )
+
+
+def _is_the_box(shape: mi.Shape, medium: GridMedium) -> bool:
+    """Whether the shape around a medium is the box of its grid."""
+    if not isinstance(shape, mi.Mesh) or shape.face_count() != 12:
+        return False
+    vertices = np.array(mi.traverse(shape)["vertex_positions"], np.float64).reshape(-1, 3)
+    local = (vertices - medium.transform.centre) @ medium.transform.matrix.T + 0.5
+    corners = np.round(local)
+    on_corners = np.abs(local - corners).max() < 1e-4 and np.isin(corners, (0, 1)).all()
+    return bool(on_corners and len(np.unique(corners, axis=0)) == 8)
+
+
+def _seen_from_inside(scene: mi.Scene, shape: mi.Shape) -> float:
+    """The share of rays from outside a shape's bounding box that meet it from the inner side first; 0 if none meet it.
+
+    The rays, 16×16 of them, are parallel. Mitsuba's normals of sampled positions do not serve: those of mirrored meshes
+    differ from those of rays' intersections.
+    """
+    box, side = shape.bbox(), 16
+    size = float(dr.norm(box.max - box.min))
+    index = dr.arange(mi.UInt32, side * side)
+    across = (mi.Vector2f(mi.Float(index % side), mi.Float(index // side)) + 0.5) / side - 0.5
+    # Oblique, so that boxes do not show an edge.
+    frame = mi.Frame3f(mi.Vector3f(0.36, 0.48, 0.8))
+    centre = mi.Point3f((box.max + box.min) / 2)
+    start = centre + size * (frame.s * across.x + frame.t * across.y - frame.n)
+    target = mi.ShapePtr(shape)
+
+    def body(ray: mi.Ray3f, active: mi.Bool, facing: mi.Float) -> tuple:
+        hit = scene.ray_intersect(ray, active)
+        met = active & hit.is_valid() & (hit.shape == target)
+        facing = dr.select(met, dr.dot(hit.n, ray.d), facing)
+        return hit.spawn_ray(ray.d), active & hit.is_valid() & ~met, facing
+
+    rays = mi.Ray3f(start, frame.n + dr.zeros(mi.Vector3f, side * side))
+    state = (rays, dr.full(mi.Bool, True, side * side), dr.zeros(mi.Float, side * side))
+    # Not part of the generated code, so that every shape runs the same kernel.
+    dr.make_opaque(state)
+    facing = dr.while_loop(state, lambda _, active, *rest: active, body, label="orientation of a shape")[2].numpy()
+    return float((facing > 0).sum() / max((facing != 0).sum(), 1))
