@@ -169,13 +169,21 @@ def test_a_derivative_flows_on_through_what_a_homogeneous_extinction_was_compute
     )  # fmt: skip
     parameters = mi.traverse(scene)
     (key,) = (key for key in parameters.keys() if key.endswith("sigma_t.value.value"))
-    s = mi.Float(0.05)
-    dr.enable_grad(s)
-    parameters[key] = 2 * s
-    parameters.update()
-    dr.backward(dr.mean(mi.render(scene, parameters), axis=None))
+
+    def rendered(s: mi.Float) -> mi.TensorXf:
+        dr.enable_grad(s)
+        parameters[key] = 2 * s
+        parameters.update()
+        return mi.render(scene, parameters)
+
     expected = 2 * 6 * np.exp(-0.1 * 6) / GAMMA
+    s = mi.Float(0.05)
+    dr.backward(dr.mean(rendered(s), axis=None))
     assert dr.grad(s).numpy() == pytest.approx(expected, rel=1e-3)
+    s = mi.Float(0.05)
+    image = rendered(s)
+    dr.set_grad(s, 1.0)
+    np.testing.assert_allclose(dr.forward_to(image).numpy(), expected, rtol=1e-3)
 
 
 def test_the_derivative_of_a_scale_is_that_of_a_number_the_extinction_is_multiplied_by() -> None:
@@ -272,7 +280,7 @@ def test_a_mirrored_shape_is_an_error_and_flipped_it_is_what_volpath_shows(kind:
     sensor["sampler"] = {"type": "independent", "sample_count": 1024}
     shown = image_of(scene_of({"quadrature": "transmittance", "step": 0.02}, sensor, smoke=shape))
     traced = 1 - volpath(sensor, smoke=shape, sky=sky(1.0))
-    assert shown.mean() > 0.1
+    assert shown.mean() > 0.04
     assert abs(traced.mean() - shown.mean()) < 0.005
 
 

@@ -23,7 +23,6 @@ class SceneMedia:
     """
 
     def __init__(self, scene: mi.Scene) -> None:
-        self._scene = scene
         self._boundaries = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
         if not self._boundaries:
             raise RuntimeError("emission_absorption: the scene has no shape with an interior medium, expected one")
@@ -67,7 +66,7 @@ class SceneMedia:
             raise RuntimeError("emission_absorption: the shape around a medium must have a `null` BSDF")
         if shape.emitter() is not None:
             raise RuntimeError("emission_absorption: the shape around a medium must not be an emitter")
-        if _seen_from_inside(self._scene, shape) > 0.5:
+        if _seen_from_inside(shape) > 0.5:
             raise RuntimeError(
                 "emission_absorption: the normals of the shape around a medium point inwards, as those of mirrored "
                 "shapes do, so that Mitsuba takes its outside for the medium: set its `flip_normals`"
@@ -85,31 +84,26 @@ def _is_the_box(shape: mi.Shape, medium: GridMedium) -> bool:
     return bool(on_corners and len(np.unique(corners, axis=0)) == 8)
 
 
-def _seen_from_inside(scene: mi.Scene, shape: mi.Shape) -> float:
+def _seen_from_inside(shape: mi.Shape) -> float:
     """The share of rays from outside a shape's bounding box that meet it from the inner side first; 0 if none meet it.
 
-    The rays, 16×16 of them, are parallel. Mitsuba's normals of sampled positions do not serve: those of mirrored meshes
-    differ from those of rays' intersections.
+    The rays, 16×16 of them, are parallel, and the shape is alone, since others may touch it. Mitsuba's normals of
+    sampled positions do not serve: those of mirrored meshes differ from those of rays' intersections.
     """
     box, side = shape.bbox(), 16
-    size = float(dr.norm(box.max - box.min))
     index = dr.arange(mi.UInt32, side * side)
     across = (mi.Vector2f(mi.Float(index % side), mi.Float(index // side)) + 0.5) / side - 0.5
     # Oblique, so that boxes do not show an edge.
     frame = mi.Frame3f(mi.Vector3f(0.36, 0.48, 0.8))
-    centre = mi.Point3f((box.max + box.min) / 2)
-    start = centre + size * (frame.s * across.x + frame.t * across.y - frame.n)
-    target = mi.ShapePtr(shape)
-
-    def body(ray: mi.Ray3f, active: mi.Bool, facing: mi.Float) -> tuple:
-        hit = scene.ray_intersect(ray, active)
-        met = active & hit.is_valid() & (hit.shape == target)
-        facing = dr.select(met, dr.dot(hit.n, ray.d), facing)
-        return hit.spawn_ray(ray.d), active & hit.is_valid() & ~met, facing
-
+    start = mi.Point3f((box.max + box.min) / 2) + dr.norm(box.max - box.min) * (
+        frame.s * across.x + frame.t * across.y - frame.n
+    )
     rays = mi.Ray3f(start, frame.n + dr.zeros(mi.Vector3f, side * side))
-    state = (rays, dr.full(mi.Bool, True, side * side), dr.zeros(mi.Float, side * side))
     # Not part of the generated code, so that every shape runs the same kernel.
-    dr.make_opaque(state)
-    facing = dr.while_loop(state, lambda _, active, *rest: active, body, label="orientation of a shape")[2].numpy()
-    return float((facing > 0).sum() / max((facing != 0).sum(), 1))
+    dr.make_opaque(rays)
+    # Not by `mi.load_dict`, which would rename the shape.
+    alone = mi.Properties("scene")
+    alone["shape"] = shape
+    hit = mi.PluginManager.instance().create_object(alone).ray_intersect(rays)
+    met = hit.is_valid().numpy()
+    return float((dr.dot(hit.n, rays.d).numpy()[met] > 0).sum() / max(met.sum(), 1))

@@ -138,8 +138,11 @@ class HomogeneousSegment(Segment):
         """Derivative of that radiance along the tangent of the extinction, T, and the derivative of T."""
         with dr.resume_grad():
             L, T = self._integrals(self.medium.extinction())
-            dr.forward_to(L, T, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-            return dr.grad(L), dr.detach(T), dr.grad(T)
+            if not dr.grad_enabled(L, T):
+                return dr.zeros(mi.Spectrum), T, dr.zeros(mi.Spectrum)
+            # The parameters' tangents are kept: rays may pass through the medium again.
+            L_dot, T_dot = dr.forward_to(L, T, flags=dr.ADFlag.ClearNone)
+            return L_dot, dr.detach(T), T_dot
 
     def scatter_adjoint(
         self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, parallel: ParallelRays | None
