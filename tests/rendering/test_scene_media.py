@@ -303,16 +303,21 @@ def test_a_box_moved_by_its_vertices_is_followed() -> None:
     np.testing.assert_array_equal(image_of(scene), whole)
 
 
-@pytest.mark.parametrize("change", ["dielectric", "emitter", "nearest"])
+@pytest.mark.parametrize("change", ["dielectric", "emitter", "nearest", "repeat"])
 def test_what_cannot_be_marched_is_named(change: str) -> None:
-    named = {"dielectric": "`null` BSDF", "emitter": "must not be an emitter", "nearest": 'filter_type "trilinear"'}
+    named = {
+        "dielectric": "`null` BSDF",
+        "emitter": "must not be an emitter",
+        "nearest": 'filter_type "trilinear"',
+        "repeat": 'wrap_mode "clamp"',
+    }
     shape = grid_box(smoke(9), [0, 0, 0])
     if change == "dielectric":
         shape["bsdf"] = {"type": "dielectric"}
     elif change == "emitter":
         shape["emitter"] = {"type": "area"}
     else:
-        shape["interior"]["sigma_t"]["filter_type"] = "nearest"
+        shape["interior"]["sigma_t"]["filter_type" if change == "nearest" else "wrap_mode"] = change
     with pytest.raises(RuntimeError) as error:
         mi.render(scene_of({}, camera(), smoke=shape))
     assert error_message(error.value).startswith("emission_absorption:") and named[change] in error_message(error.value)

@@ -1,4 +1,4 @@
-"""The `emission_absorption` integrator plugin (paper Eq. 11).
+"""The `emission_absorption` integrator plugin (paper Eq. 11): its properties, and a ray composed of its segments.
 
 Importing this module registers the plugin for the active variant; `rendering.plugins` does so for every variant.
 """
@@ -48,15 +48,38 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
        - |float|
        - Distance h between samples in world units. (Default: the shortest edge of the grid's cells)
 
-    Works in any scene with one ``heterogeneous`` medium, its ``sigma_t`` a ``gridvolume``, inside a convex shape with a
-    ``null`` BSDF, and with any sensor. The medium emits and absorbs; its albedo and phase function are ignored.
-    Emitters seen through the medium are attenuated and added. Surfaces inside the medium are an error. The sample
-    positions are the same in every view of a grid: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`.
+     * - (nested)
+       - |integrator|
+       - Renders the surfaces behind and inside the smoke, and the environment: ``volpath``, ``path``, ``direct``,
+         ``prb`` or any other that samples rays, under any name. It decides, too, how light reaches a surface through
+         smoke: ``volpath`` attenuates it, for ``path`` the shape around a medium blocks it. (Default: none; only
+         emitters can be seen)
 
-    Derivatives are with respect to ``sigma_t.data``. The reverse-mode pass replays the march. For parallel rays it
-    stores the adjoint of every sample, and each voxel gathers its own; for others it scatters them and stores nothing
-    per step. The result is bit-identical in every run. With one extinction channel the march is scalar, with three it
-    is done per channel.
+    Works in any scene, with any sensor. Rays are traced once: they pass the ``null`` shapes around media, are marched
+    through each medium in order, and end at the first other surface, inside a medium or behind all. What is there, or
+    the environment where they leave the scene, is attenuated and added. Media emit and absorb; their albedo and phase
+    function are ignored. A ray starts in a medium if it meets the boundary of one from the inside, whether or not the
+    sensor names it. Smoke and surfaces nearer than ``near_clip`` or beyond ``far_clip`` do not count. (Mitsuba's path
+    tracers forget the far plane once a ray has entered a medium.)
+
+    A ``heterogeneous`` medium is sampled at positions that are the same in every view of a grid: see
+    :py:class:`tnst_mi.rendering.march.lattice.Lattice`. A ``homogeneous`` one is integrated exactly, the limit of each
+    quadrature for small steps.
+
+    Derivatives are with respect to the ``sigma_t`` of every medium; what lies behind counts as constant. Mitsuba keeps
+    ``scale`` as a plain number, without a derivative: multiply ``sigma_t.data`` by a differentiable number instead. The
+    reverse-mode pass replays the march. For parallel rays it stores the adjoint of every sample, and each voxel gathers
+    its own; for others it scatters them and stores nothing per step. The derivatives of grids are bit-identical in
+    every run. With one extinction channel the march is scalar, with three it is done per channel.
+
+    Errors, of one line each:
+
+    - a medium that is neither ``homogeneous`` nor ``heterogeneous`` with a ``gridvolume`` of filter type ``trilinear``
+      and wrap mode ``clamp`` as ``sigma_t``; no medium at all;
+    - a shape around a medium that is an emitter, or has a BSDF other than ``null``, or normals that point inwards, as
+      mirroring leaves them (``flip_normals`` turns them);
+    - media that overlap; one inside another must name that as its ``exterior``;
+    - without a nested integrator, a surface in sight that is not an emitter.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -108,8 +131,9 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         is needed. Declaring the rays `parallel` makes the adjoint faster.
         """
         if isinstance(scene, mi.Scene):
-            segments, end = self._segments(scene, ray, active)
-            behind, on_surface = self._behind(scene, sampler, ray, end, active), end.surface.is_valid()
+            media = self.resolve(scene)
+            segments, end = self._segments(scene, media, ray, active)
+            behind, on_surface = self._behind(scene, media, sampler, ray, end, active), end.surface.is_valid()
         else:
             lattice = Lattice(scene, ray, self._sample_distance(scene))
             segments, behind, on_surface = [GridSegment(scene, lattice, self._quadrature)], None, False
@@ -130,22 +154,21 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     def _sample_distance(self, medium: GridMedium) -> float:
         return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
 
-    def _segments(self, scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[Sequence[Segment], RayEnd]:
+    def _segments(
+        self, scene: mi.Scene, media: SceneMedia, ray: mi.Ray3f, active: mi.Bool
+    ) -> tuple[Sequence[Segment], RayEnd]:
         """The segments of the rays in media, nearest first, and the ends of the rays."""
-        media = self.resolve(scene)
-        if media.box is None:
-            stretches, end = trace(scene, ray, active)
-            return [
-                self._segment(medium, ray, *bounds)
-                for stretch in stretches
-                for medium in media.media
-                if (bounds := stretch.inside(medium.medium)) is not None
-            ], end
-        end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
-        lattice = Lattice(media.box, ray, self._sample_distance(media.box), (mi.Float(0), end.distance))
-        inside = end.surface.is_valid() & (end.distance > lattice.entry) & (end.distance <= lattice.exit)
-        end.medium[inside] = mi.MediumPtr(media.box.medium)
-        return [GridSegment(media.box, lattice, self._quadrature)], end
+        if media.box is not None and (media.only_boundaries or self._nested is None):
+            end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
+            lattice = Lattice(media.box, ray, self._sample_distance(media.box), (mi.Float(0), end.distance))
+            return [GridSegment(media.box, lattice, self._quadrature)], end
+        stretches, end = trace(scene, ray, active)
+        return [
+            self._segment(medium, ray, *bounds)
+            for stretch in stretches
+            for medium in media.media
+            if (bounds := stretch.inside(medium.medium)) is not None
+        ], end
 
     def _segment(
         self, medium: GridMedium | HomogeneousMedium, ray: mi.Ray3f, entry: mi.Float, exit: mi.Float
@@ -156,9 +179,15 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         return GridSegment(medium, lattice, self._quadrature)
 
     def _behind(
-        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, end: RayEnd, active: mi.Bool
+        self,
+        scene: mi.Scene,
+        media: SceneMedia,
+        sampler: mi.Sampler | None,
+        ray: mi.Ray3f,
+        end: RayEnd,
+        active: mi.Bool,
     ) -> mi.Spectrum | None:
-        media = self.resolve(scene)
+        """Radiance at the ends of the rays, None if there is none."""
         if media.only_boundaries and scene.environment() is None:
             return None
         if self._nested is None:

@@ -57,6 +57,9 @@ def probe_transform(volume: mi.Volume) -> GridTransform:
     The grid's centre is the centre of its bounding box. The rest is probed: temporarily, the volume holds 2×2×2 cells
     whose values rise along one axis, and the gradient of its interpolated value at the centre gives that axis' row of
     the matrix. After three probes, the volume's own data are restored.
+
+    Raises:
+        RuntimeError: the volume does not interpolate linearly, or repeats itself beyond its box.
     """
     box = volume.bbox()
     centre = np.array((box.min + box.max) * 0.5, dtype=np.float64).ravel().tolist()
@@ -77,16 +80,20 @@ def probe_transform(volume: mi.Volume) -> GridTransform:
                 dr.enable_grad(interaction.p)
                 dr.backward(volume.eval(interaction)[0], flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
                 rows.append(np.array(dr.grad(interaction.p), dtype=np.float64).ravel())
+            # Two cells span the unit interval: their values differ by 1 over a distance of 1/2.
+            matrix = np.stack(rows) / 2
+            if abs(np.linalg.det(matrix)) == 0:
+                raise RuntimeError(
+                    "emission_absorption: sigma_t does not vary with the position; "
+                    'use a gridvolume with filter_type "trilinear" and an invertible to_world'
+                )
+            # The last ramp is 0 at low z: by the face there, only a grid that repeats itself is not 0.
+            interaction.p = mi.Point3f(*(np.array(centre) - 0.48 * np.linalg.inv(matrix)[:, 2]).tolist())
+            if dr.detach(volume.eval(interaction)[0]).numpy()[0] > 0.1:
+                raise RuntimeError('emission_absorption: sigma_t repeats itself; use a gridvolume of wrap_mode "clamp"')
         finally:
             parameters["data"] = data
             parameters.update()
-    # Two cells span the unit interval: their values differ by 1 over a distance of 1/2.
-    matrix = np.stack(rows) / 2
-    if abs(np.linalg.det(matrix)) == 0:
-        raise RuntimeError(
-            "emission_absorption: sigma_t does not vary with the position; "
-            'use a gridvolume with filter_type "trilinear" and an invertible to_world'
-        )
     return GridTransform(matrix, np.array(centre))
 
 

@@ -63,7 +63,7 @@ def escaped(ray: mi.Ray3f) -> RayEnd:
 
 
 def first_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> RayEnd:
-    """The end of rays whose media do not matter."""
+    """The end of rays whose medium there does not matter: it is left null."""
 
     def body(here: mi.Ray3f, active: mi.Bool, seen: mi.SurfaceInteraction3f, end: mi.Float) -> tuple:
         hit = scene.ray_intersect(here, active)
