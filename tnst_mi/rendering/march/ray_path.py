@@ -95,7 +95,10 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
     here, active = mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n)
     # Boundaries beyond the far end, too, tell what a ray starts in.
     here.maxt = dr.full(mi.Float, dr.inf, n)
+    # `lost` is the medium that a ray was in when it met a boundary whose near side did not name it. If the ray meets that
+    # medium's own end later on, it was in both.
     medium, lost = dr.zeros(mi.MediumPtr, n), dr.zeros(mi.MediumPtr, n)
+    # Where the stretch at hand begins, where the ray ends, and whether a boundary has told what the ray started in.
     start, end = dr.zeros(mi.Float, n), mi.Float(ray.maxt) + dr.zeros(mi.Float, n)
     known, overlap = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
     surface, at_surface = _nothing_hit(ray), dr.zeros(mi.MediumPtr, n)
