@@ -233,6 +233,19 @@ def test_media_that_overlap_are_an_error(low: float, high: float) -> None:
     assert "media overlap" in error_message(error.value) and "`exterior`" in error_message(error.value)
 
 
+def test_an_instance_of_a_medium_is_an_error() -> None:
+    scene = scene_of(
+        {},
+        camera(),
+        group={"type": "shapegroup", "fog": box(-1, 1, homogeneous(0.5))},
+        instance={"type": "instance", "group": {"type": "ref", "id": "group"}},
+        smoke=grid_box(smoke(12), [0, 0, 8]),
+    )
+    with pytest.raises(RuntimeError) as error:
+        mi.render(scene)
+    assert "a medium is in a shape group" in error_message(error.value)
+
+
 def test_touching_boxes_are_one_column() -> None:
     scene = {"a": box(-4, 1, homogeneous(0.2)), "b": box(1, 3, homogeneous(0.7)), "c": box(3, 4, homogeneous(0.1))}
     transmittance = np.exp(-0.2 * 5 - 0.7 * 2 - 0.1)

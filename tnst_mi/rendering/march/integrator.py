@@ -78,6 +78,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
       and wrap mode ``clamp`` as ``sigma_t``; no medium at all;
     - a shape around a medium that is an emitter, or has a BSDF other than ``null``, or normals that point inwards, as
       mirroring leaves them (``flip_normals`` turns them);
+    - a medium in a shape group;
     - media that overlap; one inside another must name that as its ``exterior``;
     - without a nested integrator, a surface in sight that is not an emitter.
     """

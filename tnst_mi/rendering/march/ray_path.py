@@ -88,22 +88,22 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
     Where two boundaries touch, a ray meets only one of them, so that one of the two descriptions may be missing.
 
     Raises:
-        RuntimeError: the two contradict each other: media overlap.
+        RuntimeError: the two contradict each other: media overlap. Or a ray meets an instance of a medium.
     """
     n = dr.width(ray)
     nothing = dr.zeros(mi.MediumPtr, n)
     here, active = mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n)
     # Boundaries beyond the far end, too, tell what a ray starts in.
     here.maxt = dr.full(mi.Float, dr.inf, n)
-    # `lost` is the medium that a ray was in when it met a boundary whose near side did not name it. If the ray meets that
-    # medium's own end later on, it was in both.
+    # `lost` is the medium that a ray was in when it met a boundary whose near side did not name it. If the ray meets
+    # that medium's own end later on, it was in both.
     medium, lost = dr.zeros(mi.MediumPtr, n), dr.zeros(mi.MediumPtr, n)
     # Where the stretch at hand begins, where the ray ends, and whether a boundary has told what the ray started in.
     start, end = dr.zeros(mi.Float, n), mi.Float(ray.maxt) + dr.zeros(mi.Float, n)
-    known, overlap = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
+    known, overlap, instanced = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
     surface, at_surface = _nothing_hit(ray), dr.zeros(mi.MediumPtr, n)
     stretches = []
-    state = (here, active, medium, lost, start, end, known, overlap, surface, at_surface)
+    state = (here, active, medium, lost, start, end, known, overlap, instanced, surface, at_surface)
     # Not part of the generated code, so that every crossing runs the same kernel.
     dr.make_opaque(state)
     while dr.any(active):
@@ -118,6 +118,7 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
         near = dr.select(boundary, hit.target_medium(-ray.d), nothing)
         in_medium = medium != nothing
         overlap |= boundary & (start < end) & (near != nothing) & dr.select(in_medium, near != medium, near == lost)
+        instanced |= boundary & (hit.instance != dr.zeros(mi.ShapePtr))
         lost = dr.select(boundary & in_medium & (near == nothing), medium, lost)
         medium = dr.select(in_medium, medium, near)
 
@@ -129,9 +130,11 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
         medium = dr.select(boundary, hit.target_medium(ray.d), medium)
         start, known = dr.select(boundary, distance, start), known | boundary
         here, active = hit.spawn_ray(ray.d), active & ~done
-        dr.eval(here, active, medium, lost, start, end, known, overlap, surface, at_surface, stretches[-1])
+        dr.eval(here, active, medium, lost, start, end, known, overlap, instanced, surface, at_surface, stretches[-1])
     if dr.any(overlap):
         raise RuntimeError(
             "emission_absorption: media overlap: a shape inside a medium must name that medium as its `exterior`"
         )
+    if dr.any(instanced):
+        raise RuntimeError("emission_absorption: a medium is in a shape group, expected none in instances")
     return stretches, RayEnd(surface, end, at_surface)

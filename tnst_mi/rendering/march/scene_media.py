@@ -33,6 +33,8 @@ class SceneMedia:
                     found.append(medium)
         self.media = [HomogeneousMedium(m) if m.is_homogeneous() else GridMedium(m) for m in found]
         self.only_boundaries = len(self._boundaries) == len(scene.shapes())
+        # Media in shape groups are found by tracing rays alone.
+        self._instances = any(shape.class_name() == "Instance" for shape in scene.shapes())
         self._meshes = [mi.traverse(shape) for shape in self._boundaries if isinstance(shape, mi.Mesh)]
         self._look_at_shapes()
 
@@ -57,7 +59,7 @@ class SceneMedia:
         for shape in self._boundaries:
             self._check(shape)
         self.box: GridMedium | None = None
-        if len(self._boundaries) == len(self.media) == 1:
+        if len(self._boundaries) == len(self.media) == 1 and not self._instances:
             shape, medium = self._boundaries[0], self.media[0]
             self.box = medium if isinstance(medium, GridMedium) and _is_the_box(shape, medium) else None
 
