@@ -226,22 +226,17 @@ def test_a_broken_integrator_is_found(
 
 def exclusive_sum(monkeypatch: pytest.MonkeyPatch) -> None:
     """A sample is not dimmed by itself: of the same first order, a neighbour of the authors' sum."""
-    from tnst_mi.rendering.march.integrator import EmissionAbsorption
+    from tnst_mi.rendering.march.quadratures import InclusiveSum
 
-    radiance = EmissionAbsorption._radiance
-
-    def exclusive(self: Any, medium: Any, lattice: Any, background: object) -> Any:
-        if self.quadrature != "paper":
-            return radiance(self, medium, lattice, background)
-
+    def exclusive(self: Any, march: Any) -> tuple:
         def emit(stencil: object, τ: Any, L: Any) -> tuple:
-            added = lattice.step * self._extinction(medium, dr.detach(medium.extinction), stencil)
+            added = march.lattice.step * march.extinction(march.σ_t, stencil)
             return τ + added, L + added * dr.exp(-τ)
 
-        zeros = self._zeros(medium, lattice)
-        return self._march_smoke(medium, lattice, (zeros, zeros), emit, "exclusive")[1] / self.gamma
+        τ, L = march.visit_smoke((march.zeros(), march.zeros()), emit, "exclusive")
+        return L * self.inv_gamma, τ
 
-    monkeypatch.setattr(EmissionAbsorption, "_radiance", exclusive)
+    monkeypatch.setattr(InclusiveSum, "radiance", exclusive)
 
 
 def changed_for_paper(monkeypatch: pytest.MonkeyPatch, **changes: Callable[[float], float]) -> None:

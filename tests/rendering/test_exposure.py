@@ -111,3 +111,10 @@ def test_views_cover_the_ranges() -> None:
     wide = np.array(views_around(dataclasses.replace(RECIPE, azimuth=(-180.0, 180.0), elevation=(5.0, 5.0))))
     assert wide.min(0).tolist() == [-180, 5] and wide.max(0).tolist() == [180, 5]
     assert np.diff(np.unique(wide[:, 0])).max() <= 15 and [0.0, 5.0] in wide.tolist()
+
+
+def test_where_empty_space_is_bright_empty_frames_still_take_no_steps() -> None:
+    recipe = dataclasses.replace(RECIPE, quadrature="integrated_transmittance")
+    half, whole, empty = found([0.5 * block(), block(), 0 * block()], [recipe] * 3)
+    assert (whole.step_scale, empty.step_scale) == (1.0, 0.0) and 0.4 < half.step_scale < 1.0
+    assert 0.85 < brightest(0 * block(), recipe, 0) * empty.exposure <= 1.0

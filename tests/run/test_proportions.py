@@ -45,6 +45,31 @@ def test_a_run_ends_whatever_the_proportions(shape: tuple[int, int, int], weight
     assert (tmp_path / "out" / "images" / "contact_sheet.png").exists()
 
 
+def random_shapes(count: int) -> list[tuple[int, int, int]]:
+    """Grids of 1 to 200 cells along each axis, one up to 40 times as long as another, of bounded size."""
+    generator, shapes = np.random.default_rng(7), []
+    while len(shapes) < count:
+        shape = tuple(int(n) for n in np.exp(generator.uniform(0, np.log(200.5), 3)))
+        if max(shape) <= 40 * min(shape) and np.prod(shape) <= 60_000:
+            shapes.append(shape)
+    return shapes
+
+
+@pytest.mark.parametrize("window", [1, 3])
+@pytest.mark.parametrize("shape", random_shapes(20), ids=lambda shape: "x".join(map(str, shape)))
+def test_random_proportions(shape: tuple[int, int, int], window: int, weights: Path, tmp_path: Path) -> None:
+    """Whole runs end, say nothing untrue, and change smoke; whatever the octaves make of thin axes."""
+    recipe = Recipe(
+        style=("net",), style_layers={"conv2/3x3": 1.0}, weights=str(weights), iterations=1, views=2, window=window
+    )
+    result = tnst_mi.stylize([puff(shape, number) for number in range(3)], recipe, out=tmp_path / "out", progress=False)
+    for density, frame in zip(result.densities, result.frames, strict=True):
+        assert np.isfinite(density).all() and density.min() >= 0
+        assert np.linalg.norm(density - frame.density) < np.linalg.norm(frame.density)
+    assert [frame["note"] for frame in result.run["frames"]] == [None] * 3
+    assert (tmp_path / "out" / "images" / "contact_sheet.png").exists()
+
+
 @pytest.mark.parametrize(
     ("picture", "joined"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,10 +41,11 @@ class GreyImage:
                 bad = int((~np.isfinite(plane)).sum())
                 raise InputError(f"{self.name}: {bad} of {plane.size} pixels are not finite, expected values in [0, 1]")
 
-    @property
-    def flat(self) -> bool:
-        """Whether the picture has the same grey, to 8 bits, wherever it counts."""
-        grey = self.grey if self.alpha is None else self.grey[self.alpha > 0]
+    def flat(self, height: int, width: int) -> bool:
+        """Whether the largest centred crop of aspect width:height has the same grey, to 8 bits, wherever it counts."""
+        left, top, right, bottom = centred_box(self.grey.shape, height, width)
+        crop = slice(int(top), math.ceil(bottom)), slice(int(left), math.ceil(right))
+        grey = self.grey[crop] if self.alpha is None else self.grey[crop][self.alpha[crop] > 0]
         return not grey.size or float(np.ptp(grey)) < 1 / 255
 
     def fitted(self, height: int, width: int) -> GreyImage:

@@ -171,7 +171,8 @@ class Style(Term):
         picture = self.picture.fitted(height, width)
         where = f"where it is used (its centre, with the aspect {width}:{height})"
         _require_opaque(picture.alpha, picture.name, where)
-        if picture.flat:
+        # The picture itself is judged, since in images of a few pixels any is flat.
+        if self.picture.flat(height, width):
             raise InputError(
                 f"{picture.name}: one grey all over {where}, which is no style; use a picture with structure there"
             )

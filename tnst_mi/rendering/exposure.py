@@ -156,7 +156,9 @@ def brightness(
     cut_off: list[float] = []
     for frame, recipe in zip(frames, recipes, strict=True):
         density, views = scaled(frame.density, density_scale), views_around(recipe)
-        images = (main_view(density, replace(recipe, gamma=gamma), sizes[-1]) for gamma in gammas)
+        # Where empty space is the brightest, smoke in view is measured by what else drives stylizations.
+        shown = replace(recipe, quadrature="paper") if recipe.quadrature == "integrated_transmittance" else recipe
+        images = (main_view(density, replace(shown, gamma=gamma), sizes[-1]) for gamma in gammas)
         sums.append([float(image.sum(dtype=np.float64)) for image in images])
         columns.append(largest_columns(density, levels, sizes, views, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, sizes[-1]))
