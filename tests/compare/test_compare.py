@@ -123,6 +123,9 @@ def test_what_is_refused(run: Run, smoke: Path, tmp_path: Path) -> None:
     refuse("--gamma: expected one or more different values", smoke, *out, "--gamma", "1", "1.0")
     refuse("no such file", tmp_path / "nowhere.npz", *out)
     refuse("is not empty; .*--overwrite", smoke, "--out", tmp_path)
+    np.savez(tmp_path / "opaque.npz", density=np.full((8, 10, 9), 0.7, np.float32))
+    opaque = "at gamma 200 no light gets through the smoke in the view 0,0, .*; give a smaller --gamma"
+    refuse(opaque, tmp_path / "opaque.npz", "--gamma", "200", *out)
     refuse("empty.npz: the density is 0 everywhere, expected smoke", empty_frame(tmp_path), *out)
 
 

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
 from tnst_mi.commands.base import note_unit, scaled_frames, view_of
-from tnst_mi.compare.comparison import Settings, compare
+from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
 from tnst_mi.io import open_frames
@@ -36,6 +36,7 @@ def run(arguments: CompareArguments) -> int:
     frame = frames[0]
     if not frame.density.any():
         raise InputError(f"{arguments.input}: the density is 0 everywhere, expected smoke to compare renderers on")
+    require_light(frame.density, settings)
     variant = activate()
     require_optix("compare")
     note_unit(frames)

@@ -27,10 +27,14 @@ from tnst_mi.compare.verdict import (
     quadrature_checks,
     value_checks,
 )
+from tnst_mi.errors import InputError
 from tnst_mi.rendering.cameras.views import View
 
 #: Called with the name of the current measurement and the share of all work, 0 to 1, done since the last call.
 Report = Callable[[str, float], None]
+
+#: Optical depth from which on float32 knows no transmittance beside 1.
+_OPAQUE = 16.0
 
 #: Cost of a path whose derivative is taken, relative to one that is only traced.
 _GRADIENT_WORK = 6.0
@@ -83,6 +87,20 @@ class Results:
             *(quadrature_checks(study) for study in self.studies),
         ]
         return [check for group in groups for check in group]
+
+
+def require_light(density: np.ndarray, settings: Settings) -> None:
+    """Check that there are derivatives to compare.
+
+    Raises:
+        InputError: no light gets through the smoke in the view of the gradients of every voxel.
+    """
+    for gamma in settings.gradient_gammas:
+        if gamma * column_density(density, (0.0, 0.0)).min() > _OPAQUE:
+            raise InputError(
+                f"compare: at gamma {gamma:g} no light gets through the smoke in the view 0,0, so that all derivatives "
+                "are 0 and cannot be compared; give a smaller --gamma"
+            )
 
 
 def compare(density: np.ndarray, settings: Settings, report: Report) -> Results:
