@@ -402,7 +402,7 @@ def test_frames_that_are_finished_are_not_iterated_again(
 def test_changes_too_large_for_half_precision_are_refused(network: GoogLeNet) -> None:
     frames = [dataclasses.replace(frame, density=1e8 * frame.density) for frame in moving_smoke(2)]
     recipe = Recipe(**GOAL | {"window": 3, "coherence": 1.0, "gamma": 1e-9, "iterations": 3})
-    with pytest.raises(InputError, match=r"s_005: steps or changes of the density exceed 65504; scale the density"):
+    with pytest.raises(InputError, match=r"s_005: steps or changes of the density exceed 65504; take density_scale"):
         stylized(frames, recipe, network)
 
 

@@ -105,7 +105,7 @@ class Launched:
             found = "a gradient is not finite, or changes" if self._raw else "steps or changes"
             raise InputError(
                 f"{frame.name}: {found} of the density exceed {np.finfo(np.float16).max:g}; "
-                "scale the density to about 1 and gamma accordingly"
+                'take density_scale = "auto" or a smaller eta'
             )
         terms = dict(zip(self._terms, others, strict=False))
         return Outcome(frame, self.iteration, loss, terms, time.perf_counter() - max(self._since, earliest))
