@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
@@ -43,6 +43,7 @@ def test_hot_cells_and_haze_do_not_count() -> None:
 
 
 @given(st.integers(-100, 100), st.integers(0, 5))
+@settings(deadline=None)
 def test_a_power_of_two_gives_the_same_bits(exponent: int, seed: int) -> None:
     densities = [plume(seed), plume(seed + 1)]
     expected = [scaled(d, 1 / reference(*densities)) for d in densities]
@@ -55,6 +56,7 @@ def test_a_power_of_two_gives_the_same_bits(exponent: int, seed: int) -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.integers(0, 5))
+@settings(deadline=None)
 def test_another_factor_gives_nearly_the_same(factor: float, seed: int) -> None:
     densities = [plume(seed), plume(seed + 1)]
     other = reference(*(np.float32(factor) * density for density in densities))
