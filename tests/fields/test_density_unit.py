@@ -27,8 +27,9 @@ def plume(seed: int, shape: tuple[int, int, int] = (12, 20, 14)) -> np.ndarray:
 
 def test_the_reference_is_a_high_percentile_of_the_smoky_cells() -> None:
     densities = [plume(0), plume(1), plume(2)]
-    smoky = np.concatenate([density[density > 0.01] for density in densities])
-    assert reference(*densities) == pytest.approx(np.percentile(smoky, 99), rel=2e-3)
+    smoky = np.concatenate([density[density > 0.1] for density in densities])
+    # But for four cells of each frame, which may be stray.
+    assert reference(*densities) == pytest.approx(np.percentile(smoky, 99), rel=0.01)
     assert reference(np.full((2, 3, 4), 0.05)) == pytest.approx(0.05, rel=1e-7)
     assert reference(np.zeros((2, 3, 4))) == 0.0
 
@@ -39,7 +40,23 @@ def test_hot_cells_and_haze_do_not_count() -> None:
     hot[5, 6, 5], hot[4, 8, 9] = 1e6, 1e9
     assert reference(hot) == pytest.approx(calm, rel=0.02)
     clear = np.where(plume(0) > 1e-6, plume(0), 0)
-    assert reference(clear) == pytest.approx(calm, rel=1e-3)
+    assert reference(clear) == pytest.approx(calm, rel=0.01)
+
+
+@pytest.mark.parametrize("edge", [1, 3, 6, 12, 30])
+@pytest.mark.parametrize("haze", [1e-12, 1e-9, 1e-6])
+def test_a_puff_of_any_size_is_told_from_the_haze_around_it(edge: int, haze: float) -> None:
+    """From 27 cells of a grid of 96,000 to a quarter of it; a single cell may be stray, and is not smoke."""
+    density = (haze * np.random.default_rng(1).random((40, 60, 40))).astype(np.float32)
+    middle = slice(20 - (edge + 1) // 2, 20 + edge // 2)
+    density[middle, 30 - (edge + 1) // 2 : 30 + edge // 2, middle] = 1 - 0.5 * np.random.default_rng(2).random(
+        (edge,) * 3
+    )
+    if edge > 1:
+        assert 0.8 < reference(density) <= 1.0
+        assert 0.8 < reference(0 * density, density, (haze * (density < 0.5)).astype(np.float32)) <= 1.0
+    else:
+        assert reference(density) <= haze
 
 
 @given(st.integers(-100, 100), st.integers(0, 5))

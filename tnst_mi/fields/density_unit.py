@@ -10,12 +10,19 @@ import math
 
 import numpy as np
 
-#: The reference density is this percentile of the smoky cells: a few hot cells do not count.
+#: The reference density is this percentile of the smoky cells.
 PERCENTILE = 0.99
 
-#: Cells with less than this share of the same percentile of a frame's own cells are haze and not smoke: advection
-#: leaves tails of tiny values over much of a grid, which would decide any percentile of all cells.
-HAZE = 0.01
+#: Smoky cells are the densest ones that hold this share of all smoke. The others are haze: advection leaves tails of
+#: tiny values over much of a grid, often in more cells than there are in the smoke.
+SMOKE = 0.99
+
+#: So many of a frame's densest cells, but no more than 1% of those that are not empty, may be stray: they count as
+#: being as dense as the next one, lest a single hot cell hold nearly all of the smoke.
+STRAY = 4
+
+#: Cells with less than this share of a frame's densest ones need not be counted: together they are less than a few.
+_NEGLIGIBLE = 1e-7
 
 #: Low bits of a float32 that do not distinguish values: they are counted to a relative 2⁻¹⁵.
 _IGNORED_BITS = 8
@@ -28,7 +35,7 @@ class ReferenceDensity:
     """
 
     def __init__(self) -> None:
-        # By class of nearly equal values: the number of cells, and their sum.
+        # By class of nearly equal values, in rising order: the number of cells, and the sum of their densities.
         self._classes, self._counts, self._sums = np.zeros(0, np.uint32), np.zeros(0), np.zeros(0)
 
     def add(self, density: np.ndarray) -> None:
@@ -36,12 +43,13 @@ class ReferenceDensity:
         filled = density[density > 0]
         if not filled.size:
             return
-        rank = int(PERCENTILE * (filled.size - 1))
-        smoky = np.sort(filled[filled >= HAZE * float(np.partition(filled, rank)[rank])])
+        rank = filled.size - 1 - min(STRAY, filled.size // 100)
+        densest = np.partition(filled, rank)[rank]
+        counted = np.sort(np.minimum(filled[filled >= _NEGLIGIBLE * float(densest)], densest))
         # The bits of positive floats are in the order of their values, and a power of two changes their exponent alone.
-        classes, first = np.unique(smoky.view(np.uint32) >> _IGNORED_BITS, return_index=True)
-        counts = np.diff(np.append(first, smoky.size)).astype(float)
-        sums = np.add.reduceat(smoky.astype(np.float64), first)
+        classes, first = np.unique(counted.view(np.uint32) >> _IGNORED_BITS, return_index=True)
+        counts = np.diff(np.append(first, counted.size)).astype(float)
+        sums = np.add.reduceat(counted.astype(np.float64), first)
         self._classes, place = np.unique(np.concatenate([self._classes, classes]), return_inverse=True)
         self._counts, self._sums = (
             np.bincount(place, np.concatenate([earlier, new]))
@@ -53,8 +61,10 @@ class ReferenceDensity:
         """The reference density; 0 if there is no smoke."""
         if not self._classes.size:
             return 0.0
-        below = np.cumsum(self._counts)
-        at = int(np.searchsorted(below, PERCENTILE * below[-1]))
+        held = np.cumsum(self._sums)
+        smoky = int(np.searchsorted(held, (1 - SMOKE) * held[-1]))
+        below = np.cumsum(self._counts[smoky:])
+        at = smoky + int(np.searchsorted(below, PERCENTILE * below[-1]))
         return float(self._sums[at] / self._counts[at])
 
     def scale(self, given: float | str = "auto") -> float:

@@ -10,78 +10,22 @@ inclusive sum of thick smoke with sharp edges is brighter by orders of magnitude
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.fields.grid import Octave
-from tnst_mi.fields.resampling import resample_density
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, camera_frame, share_cut_off
+from tnst_mi.rendering.columns import largest_columns, views_around
 from tnst_mi.rendering.driving import main_view, stills
-from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
-#: Largest distance in degrees between the views in which columns are measured.
-_SPACING = 15.0
-
-#: Number of values of γ at which the smoke in view is measured, where more occur; between them it is interpolated.
+#: Number of values of γ at which all frames are compared, where more occur: those that have the most smoke in view at
+#: one of them are then compared with every frame at its own γ.
 _MOST_GAMMAS = 5
-
-
-def views_around(recipe: Recipe) -> list[View]:
-    """Views that cover the camera ranges of a recipe evenly: the main view, the ends of the ranges, some between."""
-    azimuths, elevations = (
-        np.linspace(low, high, 1 + 2 * math.ceil((high - low) / (2 * _SPACING)) if high > low else 1)
-        for low, high in (recipe.azimuth, recipe.elevation)
-    )
-    return [(float(azimuth), float(elevation)) for azimuth in azimuths for elevation in elevations]
-
-
-@dataclass(frozen=True)
-class Columns:
-    """How much smoke there is along a ray, at most, in density × full-resolution cells.
-
-    Attributes:
-        ray: the largest ∫ d of all rays, in all views and octaves; infinite where nothing at all gets through.
-        cell: the largest h d of all cells, in all octaves.
-    """
-
-    ray: float
-    cell: float
-
-
-def largest_columns(
-    density: np.ndarray,
-    octaves: Sequence[Octave],
-    sizes: Sequence[tuple[int, int]],
-    views: Sequence[View],
-    gamma: float,
-) -> Columns:
-    """Measure the smoke of a frame.
-
-    Args:
-        density: (D, H, W) at full resolution.
-        octaves: of the run.
-        sizes: rows and columns of the images of each octave.
-        views: from `views_around`.
-        gamma: the smallest γ of the run: columns that hide everything behind them need not be told apart.
-    """
-    ray = cell = 0.0
-    for octave, size in zip(octaves, sizes, strict=True):
-        seen = resample_density(mi.TensorXf(density), 1.0, octave.shape, octave.cell_size)
-        renderer = EmissionAbsorptionRenderer(octave.shape, gamma, "transmittance", octave.cell_size, size=size)
-        with dr.suspend_grad():
-            opacity = float(dr.max(renderer.render(seen, views).array)[0])
-        column = -math.log1p(-opacity) / gamma if opacity < 1.0 else math.inf
-        thickest = octave.cell_size * float(dr.max(seen.array)[0])
-        # In other views, a ray may meet the same smoke with a sample more.
-        ray, cell = max(ray, column + thickest), max(cell, thickest)
-    return Columns(ray, cell)
 
 
 def brightest_possible(column: float, recipe: Recipe, octaves: Sequence[Octave]) -> float:
@@ -130,11 +74,12 @@ class Brightness:
 
 
 def brightness(
-    frames: Iterable[Frame],
+    frames: Sequence[Frame],
     recipes: Sequence[Recipe],
     levels: Sequence[Octave],
     sizes: Sequence[tuple[int, int]],
     density_scale: float,
+    watch: Callable[[Sequence[Frame]], Iterable[Frame]] = iter,
 ) -> list[Brightness]:
     """Render the frames of a run, each with its own γ and cameras.
 
@@ -147,45 +92,44 @@ def brightness(
         levels: the octaves of the run.
         sizes: rows and columns of the images of each octave.
         density_scale: factor of all densities.
+        watch: passes the frames on, and shows the progress.
     """
-    gammas = _measured_gammas(recipes)
-    # By frame: sums of the main view at each of `gammas`, the largest columns, the brightest pixel if path traced.
-    sums: list[list[float]] = []
-    columns: list[Columns] = []
-    pixels: list[float] = []
-    cut_off: list[float] = []
-    for frame, recipe in zip(frames, recipes, strict=True):
+    gammas, own_gammas = _measured_gammas(recipes), [recipe.gamma for recipe in recipes]
+    # By frame: the smoke in view by γ, the largest columns, the brightest pixel if path traced, what is cut off.
+    in_view, columns, pixels, cut_off = [], [], [], []
+    for frame, recipe in zip(watch(frames), recipes, strict=True):
         density, views = scaled(frame.density, density_scale), views_around(recipe)
-        # Where empty space is the brightest, smoke in view is measured by what else drives stylizations.
-        shown = replace(recipe, quadrature="paper") if recipe.quadrature == "integrated_transmittance" else recipe
-        images = (main_view(density, replace(shown, gamma=gamma), sizes[-1]) for gamma in gammas)
-        sums.append([float(image.sum(dtype=np.float64)) for image in images])
-        columns.append(largest_columns(density, levels, sizes, views, gammas[0]))
+        in_view.append({g: _in_view(density, recipe, g, sizes[-1]) for g in {*gammas, recipe.gamma}})
+        columns.append(largest_columns(density, levels, sizes, recipe, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, sizes[-1]))
         if recipe.integrator != "emission_absorption":
             pixels.append(float(stills(density, views, recipe, sizes[-1]).max()))
+    others = {*own_gammas} - {*gammas}
+    for leader in {max(range(len(frames)), key=lambda i: in_view[i][g]) for g in gammas} if others else ():
+        density = scaled(frames[leader].density, density_scale)
+        in_view[leader] |= {g: _in_view(density, recipes[leader], g, sizes[-1]) for g in others}
     longest = max(column.ray for column in columns)
     found = []
     for index, recipe in enumerate(recipes):
         if pixels:
-            brightest = max(p for p, other in zip(pixels, recipes, strict=True) if other.gamma == recipe.gamma)
+            brightest = max(p for p, gamma in zip(pixels, own_gammas, strict=True) if gamma == recipe.gamma)
         else:
             brightest = brightest_possible(longest, recipe, levels)
-        in_view = [_at(recipe.gamma, gammas, of_frame) for of_frame in sums]
-        step_scale = in_view[index] / max(in_view) if in_view[index] > 0 else 0.0
+        own, most = in_view[index][recipe.gamma], max(sums.get(recipe.gamma, 0.0) for sums in in_view)
+        step_scale = own / most if own > 0 else 0.0
         thickest = recipe.gamma * columns[index].cell
         found.append(Brightness(exposure_for(brightest), step_scale, thickest, cut_off[index]))
     return found
+
+
+def _in_view(density: np.ndarray, recipe: Recipe, gamma: float, size: tuple[int, int]) -> float:
+    """The sum of the pixels of the main view at some γ."""
+    # Where empty space is the brightest, smoke in view is measured by what else drives stylizations.
+    quadrature = "paper" if recipe.quadrature == "integrated_transmittance" else recipe.quadrature
+    return float(main_view(density, replace(recipe, gamma=gamma, quadrature=quadrature), size).sum(dtype=np.float64))
 
 
 def _measured_gammas(recipes: Sequence[Recipe]) -> list[float]:
     """The values of γ that occur, in rising order; of many, evenly spaced ones between the ends."""
     gammas = sorted({recipe.gamma for recipe in recipes})
     return gammas if len(gammas) <= _MOST_GAMMAS else np.geomspace(gammas[0], gammas[-1], _MOST_GAMMAS).tolist()
-
-
-def _at(gamma: float, gammas: Sequence[float], sums: Sequence[float]) -> float:
-    """A frame's sum of pixels at one γ, from those at some others: a power law between neighbours."""
-    if gamma in gammas or not all(sums):
-        return float(np.interp(gamma, gammas, sums))
-    return math.exp(np.interp(math.log(gamma), np.log(gammas), np.log(sums)))

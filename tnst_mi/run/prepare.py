@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,8 @@ def prepare(
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
     sizes = [image_size(recipe, octave.shape) for octave in levels]
-    bright = brightness(_watched(sequence, "measuring", progress), recipes, levels, sizes, density_scale)
+    watch = partial(_watched, doing="measuring", shown=progress)
+    bright = brightness(sequence, recipes, levels, sizes, density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
     record: dict[str, Any] = {
