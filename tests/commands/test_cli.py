@@ -161,6 +161,31 @@ def test_an_interrupted_run_says_where_its_results_are(
     assert optimiser.names == ["f_07", "f_08", "f_09"]
 
 
+def test_ctrl_c_before_the_work_says_that_nothing_has_changed(
+    run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tnst_mi.run.prepare.brightness", interrupt)
+    ran = run("stylize", smoke, "--out", tmp_path / "out", "--tag", "spiral", "--weights", "patterns")
+    told = "tnst-mi: interrupted before the run began: nothing has changed, the same command begins anew"
+    assert (ran.code, ran.errors[-1]) == (3, told)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_preset_that_the_recipe_overrules_says_so(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    arguments = ("stylize", smoke, "--out", tmp_path / "out", "--overwrite", "--tag", "volcano", "--preset", "paper")
+    notes = [line for line in run(*arguments).errors if line.startswith(("note", "warning"))]
+    assert notes == []
+    notes = [line for line in run(*arguments, "--sigma", "step", "--steps", "1").errors if line.startswith("note")]
+    assert notes == ['note: preset = "paper" leaves sigma as the recipe gives them']
+    thin = ("--density-scale", "0.1")
+    assert any(line.startswith("warning: the density of thick smoke is 0.04") for line in run(*arguments, *thin).errors)
+
+
 def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
@@ -220,7 +245,7 @@ def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, mo
 
 def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:
     """Of a wall in units of its own no light gets out. In the wall's units, the other frame is next to nothing."""
-    save_frames(tmp_path / "smoke", frames(1e30, 0.3, 0.0))
+    save_frames(tmp_path / "smoke", frames(1e6, 3e-4, 0.0))
 
     def warnings(*flags: str) -> list[str]:
         arguments = ("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--overwrite", "--tag", "volcano")
@@ -228,9 +253,14 @@ def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimi
         assert ran.code == 0, ran.errors
         return [line for line in ran.errors if line.startswith("warning")]
 
-    assert warnings("--density-scale", "1") == ["warning: f_07 renders black at gamma 0.5 in the main view"]
+    black = "warning: f_07 renders black at gamma 0.5 in the main view"
+    assert warnings("--density-scale", "1")[1:] == [black]
     faint = "warning: f_08: hardly changed, since in view is less than 0.1% of the smoke of another frame"
     assert warnings() == [faint]
+    save_frames(tmp_path / "smoke", frames(1e30, 0.3, 0.0))
+    arguments = ("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--overwrite", "--tag", "volcano")
+    ran = run(*arguments, "--density-scale", "1")
+    assert ran.code == 2 and "makes the density of 1e+30 larger than 1e+15" in ran.errors[-1]
 
 
 def test_demo_replaces_an_earlier_demo_only(

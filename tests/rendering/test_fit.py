@@ -119,7 +119,10 @@ def test_a_run_says_what_is_cut_off_and_fits_if_asked(
     density = np.exp(-(((z - 24) / 12) ** 2 + ((y - 8) / 4) ** 2 + ((x - 6) / 3) ** 2)).astype(np.float32)
     keys = {"semantic": ["inception_3a/3x3:2"], "iterations": 1, "octaves": 2, "views": 2, "azimuth": [60, 100]}
     keys |= {"weights": str(tmp_path / "random.safetensors"), "integrator": integrator, "spp": 1}
-    changes, warned = [], "of the smoke is outside the images of views from the side; fit = true makes room for it"
+    changes, warned = (
+        [],
+        "of the smoke is outside the images of views from the side; fit = true",
+    )
     for fit in (False, True):
         result = tnst_mi.stylize(density, Recipe.from_dict(keys | {"fit": fit}), tmp_path / f"{integrator}{fit}")
         changes.append(np.abs(result.densities[0] - density)[:12].sum())

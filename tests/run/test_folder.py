@@ -88,7 +88,7 @@ def test_cells_too_thick_for_the_inclusive_sum_are_told(
     lines = [line for line in capsys.readouterr().err.splitlines() if "inclusive sum" in line]
     assert len(lines) == (thickness is not None)
     if lines:
-        assert lines[0].startswith(f"warning: gamma times the thickness of a cell is up to {thickness}: ")
+        assert lines[0].startswith(f"warning: gamma times density and size of a cell is up to {thickness}: ")
         assert 'quadrature = "exact" does not' in lines[0]
 
 

@@ -41,7 +41,9 @@ def test_a_run_takes_about_what_was_said() -> None:
 
 @pytest.mark.parametrize("views", [0, 9])
 def test_what_would_fit_does_and_no_more(views: int) -> None:
-    need = Need((100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=views, size=(160, 140))
+    need = Need(
+        (100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=9, at_once=views, size=(160, 140)
+    )
     free = (memory.PROCESS + need.total) // 2
     shape = need.largest_that_fits(free)
 

@@ -112,7 +112,10 @@ class RenderArguments(Arguments):
         tyro.conf.arg(help_behavior_hint="(default: medium for a path tracer)"),
     ] = None
     """How dense the smoke appears in the studio; for emission_absorption, the γ of the same optical thickness."""
-    density_scale: _DensityScale = "1"
+    density_scale: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NUMBER|auto", help_behavior_hint="(default: auto for path tracers and looks, else 1)"),
+    ] = None
     """Factor of all densities; auto is 1 over the 99th percentile of the smoky cells of all frames, as stylize takes
     it."""
     overwrite: bool = False

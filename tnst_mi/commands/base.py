@@ -15,7 +15,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.keys import Number, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
-from tnst_mi.run.inputs import ScaledFrames
+from tnst_mi.run.inputs import reference_density
 
 #: Factor from 1 beyond which the unit of density is mentioned.
 _UNUSUAL = 4.0
@@ -55,31 +55,44 @@ def given(flags: Any) -> dict[str, Any]:
     return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
 
 
-def scaled_frames(frames: Sequence[Frame], density_scale: str) -> ScaledFrames:
-    """Frames with the factor of --density-scale.
+@dataclass(frozen=True)
+class Unit:
+    """The unit of density of a command's frames.
+
+    Attributes:
+        reference: their reference density as they are stored.
+        factor: of all densities.
+    """
+
+    reference: float
+    factor: float
+
+    def note(self) -> None:
+        """Say on stderr by what the densities are multiplied, or that their unit is unusual."""
+        thick = self.reference * self.factor
+        if self.factor != 1:
+            print(f"note: densities are taken times {self.factor:.4g} (--density-scale)", file=sys.stderr)
+        elif thick > 0 and not 1 / _UNUSUAL < thick < _UNUSUAL:
+            print(
+                f"note: the density of thick smoke is {thick:.4g} here, where gamma and looks mean that of 1: "
+                "--density-scale auto makes it 1",
+                file=sys.stderr,
+            )
+
+
+def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
+    """The unit of frames that are read for it, by the text of --density-scale.
 
     Raises:
         InputError: it is not a number above 0 nor "auto", or a frame cannot be read.
     """
     kind = KINDS["density_scale"]
     try:
-        factor = kind.check(kind.read(density_scale))
+        given = kind.check(kind.read(density_scale))
     except (ValueError, OverflowError):
         raise InputError(f"--density-scale {density_scale}: expected {kind.expected}") from None
-    return ScaledFrames(frames, factor)
-
-
-def note_unit(frames: ScaledFrames) -> None:
-    """Say on stderr by what the densities are multiplied, or that their unit is unusual."""
-    reference = frames.reference * frames.factor
-    if frames.factor != 1:
-        print(f"note: densities are taken times {frames.factor:.4g} (--density-scale)", file=sys.stderr)
-    elif reference > 0 and not 1 / _UNUSUAL < reference < _UNUSUAL:
-        print(
-            f"note: the density of thick smoke is {reference:.4g} here, where gamma and looks mean that of 1: "
-            "--density-scale auto makes it 1",
-            file=sys.stderr,
-        )
+    reference = reference_density(frames)
+    return Unit(reference.value, reference.scale(given))
 
 
 def view_of(text: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import note_unit, scaled_frames, view_of
+from tnst_mi.commands.base import unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
@@ -20,6 +20,7 @@ from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.recipe.keys import Integer, Kind
 from tnst_mi.recipe.recipe import KINDS
+from tnst_mi.run.inputs import ScaledFrames
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
@@ -32,14 +33,15 @@ def run(arguments: CompareArguments) -> int:
     settings = _settings(arguments)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frames = scaled_frames(open_frames(arguments.input)[:1], arguments.density_scale)
-    frame = frames[0]
+    stored = open_frames(arguments.input)[:1]
+    unit = unit_of(stored, arguments.density_scale)
+    frame = ScaledFrames(stored, unit.factor)[0]
     if not frame.density.any():
         raise InputError(f"{arguments.input}: the density is 0 everywhere, expected smoke to compare renderers on")
     require_light(frame.density, settings)
     variant = activate()
     require_optix("compare")
-    note_unit(frames)
+    unit.note()
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     with tqdm(total=1.0, bar_format=layout, dynamic_ncols=True, file=sys.stderr) as bar:
 
@@ -52,7 +54,7 @@ def run(arguments: CompareArguments) -> int:
         environment = {
             "versions": versions(),
             "device": device(variant),
-            "density_scale": frames.factor,
+            "density_scale": unit.factor,
             "seconds": bar.format_dict["elapsed"],
             "peak_memory": peak_memory(),
         }

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import RenderArguments
-from tnst_mi.commands.base import given, note_unit, scaled_frames, view_of
+from tnst_mi.commands.base import given, unit_of, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
@@ -24,6 +24,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import pictures
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
+from tnst_mi.run.inputs import ScaledFrames
 
 #: Longest edge of a picture in pixels, the maximum of the video standard.
 _LARGEST_SIDE = 8192
@@ -40,7 +41,9 @@ def run(arguments: RenderArguments) -> int:
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frames = scaled_frames(open_frames(arguments.input), arguments.density_scale)
+    stored = open_frames(arguments.input)
+    unit = unit_of(stored, arguments.density_scale or ("auto" if path_traced else "1"))
+    frames = ScaledFrames(stored, unit.factor)
     activate(recipe.variant)
     if arguments.turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
@@ -68,7 +71,7 @@ def run(arguments: RenderArguments) -> int:
             recipe.quadrature,
             arguments.fit,
         )
-    note_unit(frames)
+    unit.note()
     _write(arguments, frames, shots, painter)
     return 0
 
@@ -117,8 +120,10 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
         raise InputError(f"--fps {arguments.fps:g}: expected pictures per second from 0.1 to 1000")
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
+    if path_traced and arguments.fit:
+        raise InputError("--fit: is of emission_absorption; a path tracer's camera always shows all of the grid")
     if path_traced:
-        others = {"gamma": renderer.gamma, "quadrature": renderer.quadrature, "fit": arguments.fit or None}
+        others = {"gamma": renderer.gamma, "quadrature": renderer.quadrature}
         remedy = "is of emission_absorption; for a path tracer use --look"
     else:
         others = {"spp": studio.spp, "seed": studio.seed, "resolution": studio.resolution}

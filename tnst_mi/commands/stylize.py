@@ -9,6 +9,7 @@ from tqdm import tqdm
 
 from tnst_mi.commands.arguments import StylizeArguments
 from tnst_mi.commands.base import given
+from tnst_mi.errors import StoppedError
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -19,9 +20,13 @@ def run(arguments: StylizeArguments) -> int:
     recipe = Recipe() if arguments.recipe is None else Recipe.from_toml(arguments.recipe)
     for flags in (arguments.goals, arguments.method, arguments.resources):
         recipe = recipe.updated_by_flags(given(flags))
-    prepared = prepare(
-        arguments.input, recipe, arguments.out, resume=arguments.resume, overwrite=arguments.overwrite, progress=True
-    )
+    resume, overwrite = arguments.resume, arguments.overwrite
+    try:
+        prepared = prepare(arguments.input, recipe, arguments.out, resume=resume, overwrite=overwrite, progress=True)
+    except KeyboardInterrupt:
+        raise StoppedError(
+            "interrupted before the run began: nothing has changed, give the same command again"
+        ) from None
     return reported(Run(prepared))
 
 

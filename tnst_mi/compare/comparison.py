@@ -16,7 +16,7 @@ from tnst_mi.compare.paper_quadrature import (
     compare_paper_images,
 )
 from tnst_mi.compare.quadrature_study import QuadratureStudy, study_quadratures
-from tnst_mi.compare.values import Comparison, Convergence, compare_values
+from tnst_mi.compare.values import TESTABLE, Comparison, Convergence, compare_values
 from tnst_mi.compare.verdict import (
     Check,
     convergence_check,
@@ -90,11 +90,22 @@ class Results:
 
 
 def require_light(density: np.ndarray, settings: Settings) -> None:
-    """Check that there are derivatives to compare.
+    """Check that there are pixels to test, and derivatives to compare.
 
     Raises:
-        InputError: no light gets through the smoke in the view of the gradients of every voxel.
+        InputError: the smoke lets nearly everything or nearly nothing through at some γ, in all of a view, or nothing
+            in the view of the gradients of every voxel.
     """
+    for view in settings.views:
+        column = column_density(density, view)
+        for gamma in settings.gammas:
+            transmittance = np.exp(-gamma * column)
+            if (settings.spp * transmittance * (1 - transmittance)).max() < TESTABLE:
+                raise InputError(
+                    f"compare: at gamma {gamma:g} the smoke lets nearly all paths through or nearly none, in all pixels "
+                    f"of the view {view[0]:g},{view[1]:g}: nothing can be tested; give another --gamma, more --spp, or "
+                    "--density-scale auto"
+                )
     for gamma in settings.gradient_gammas:
         if gamma * column_density(density, (0.0, 0.0)).min() > _OPAQUE:
             raise InputError(

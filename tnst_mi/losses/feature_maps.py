@@ -37,9 +37,11 @@ def read_map(path: str | Path) -> np.ndarray:
         raise InputError(
             f"{path}: array {name!r} has shape {shape}, expected a map (C, H, W) of 1 to {LARGEST_MAP} values"
         )
-    found = read_arrays(path, [name])[name].astype(np.float32)
+    # Values that overflow float32 become infinite here and are reported as such.
+    with np.errstate(over="ignore"):
+        found = read_arrays(path, [name])[name].astype(np.float32)
     if bad := int((~np.isfinite(found)).sum()):
-        raise InputError(f"{path}: {bad} of {found.size} values of array {name!r} are not finite")
+        raise InputError(f"{path}: {bad} of {found.size} values of array {name!r} are not finite in single precision")
     return found
 
 

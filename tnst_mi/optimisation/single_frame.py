@@ -38,8 +38,7 @@ def optimise(
         exposure: factor from rendered images to the network's [0, 1]; None takes that of a run of this frame alone.
         on_iteration: called after every iteration.
         step_scale: factor of η for this frame, S_t / max_t S_t (the σ of paper Eq. 2; 1 for a single frame).
-        objective: what to minimise instead of the recipe's terms; for terms that no recipe can name, such as
-            `losses.terms.Match`.
+        objective: what to minimise instead of the recipe's terms; for terms that no recipe can name.
 
     Raises:
         InputError: the network lacks a layer, channel or class, a picture cannot be used, or the loss is not finite.

@@ -146,7 +146,7 @@ class Method:
     blend: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
     seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
-    """Seed of the random views; equal seeds give bit-identical results."""
+    """Seed of the random views, together with the number of the frame; equal seeds give bit-identical results."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.fields.density_unit import STRAY
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.recipe.recipe import Recipe
@@ -49,7 +50,7 @@ class Columns:
 
     Attributes:
         ray: the largest ∫ d of all rays, in all views and octaves; infinite where nothing at all gets through.
-        cell: the largest h d of all cells, in all octaves.
+        cell: the largest h d of a cell, in all octaves, but for a few that may be stray.
     """
 
     ray: float
@@ -77,9 +78,11 @@ def largest_columns(
     for octave, size in zip(octaves, sizes, strict=True):
         seen = resample_density(mi.TensorXf(density), 1.0, octave.shape, octave.cell_size)
         column = float(_columns(seen, octave.cell_size, size, views, gamma).max())
-        thickest = octave.cell_size * float(dr.max(seen.array)[0])
+        densities = seen.numpy().ravel()
         # In other views, a ray may meet the same smoke with a sample more.
-        ray, cell = max(ray, column + thickest), max(cell, thickest)
+        ray = max(ray, column + octave.cell_size * float(densities.max()))
+        rank = densities.size - 1 - min(STRAY, densities.size // 100)
+        cell = max(cell, octave.cell_size * float(np.partition(densities, rank)[rank]))
     return Columns(ray, cell)
 
 

@@ -52,14 +52,18 @@ def main_view(density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None 
 
 
 def stills(
-    density: np.ndarray, views: Sequence[View], recipe: Recipe, size: tuple[int, int] | None = None
+    density: np.ndarray,
+    views: Sequence[View],
+    recipe: Recipe,
+    size: tuple[int, int] | None = None,
+    spp: int = STILL_SPP,
 ) -> np.ndarray:
     """Render a density (D, H, W) from V views as a recipe's renderer sees it: (V, rows, columns), unexposed.
 
-    If they are path traced, the same density has the same noise each time. `size` and errors are those of
+    If they are path traced, the same density has the same noise each time. `size`, `spp` and errors are those of
     `driving_renderer`.
     """
-    renderer = driving_renderer(recipe, density.shape, 1.0, STILL_SPP, size)
+    renderer = driving_renderer(recipe, density.shape, 1.0, spp, size)
     return renderer.render(mi.TensorXf(density), views, [recipe.seed]).numpy()
 
 

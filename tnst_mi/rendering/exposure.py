@@ -9,6 +9,7 @@ inclusive sum of thick smoke with sharp edges is brighter by orders of magnitude
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -53,6 +54,10 @@ def _way_through(octave: Octave, view: View) -> float:
 def exposure_for(brightest: float) -> float:
     """Factor from rendered images to the network's [0, 1]: 1 / the brightest pixel, 1 where everything is black."""
     return 1.0 / brightest if brightest > 0.0 else 1.0
+
+
+#: Paths per pixel of the path-traced views whose brightest pixel counts.
+_GLIMPSE_SPP = 64
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,8 @@ def brightness(
         columns.append(largest_columns(density, levels, sizes, recipe, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, sizes[-1]))
         if recipe.integrator != "emission_absorption":
-            pixels.append(float(stills(density, views, recipe, sizes[-1]).max()))
+            ends = [recipe.main_view, *itertools.product(recipe.azimuth, recipe.elevation)]
+            pixels.append(float(stills(density, ends, recipe, sizes[-1], _GLIMPSE_SPP).max()))
     others = {*own_gammas} - {*gammas}
     for leader in {max(range(len(frames)), key=lambda i: in_view[i][g]) for g in gammas} if others else ():
         density = scaled(frames[leader].density, density_scale)

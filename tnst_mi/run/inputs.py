@@ -42,19 +42,15 @@ class ScaledFrames(Sequence[Frame]):
     """Frames with their densities scaled, on access.
 
     Args:
-        frames: the frames as they are stored; each is read once for their reference density.
-        density_scale: the factor, or "auto" for 1 over the reference density.
+        frames: the frames as they are stored.
+        factor: the factor.
 
     Attributes:
-        reference: the reference density of the frames as they are stored.
-        factor: the factor.
+        factor: as given.
     """
 
-    def __init__(self, frames: Sequence[Frame], density_scale: float | str) -> None:
-        self._frames, reference = frames, ReferenceDensity()
-        for frame in frames:
-            reference.add(frame.density)
-        self.reference, self.factor = reference.value, reference.scale(density_scale)
+    def __init__(self, frames: Sequence[Frame], factor: float) -> None:
+        self._frames, self.factor = frames, factor
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -70,3 +66,11 @@ class ScaledFrames(Sequence[Frame]):
             return ScaledFrames(self._frames[index], self.factor)
         frame = self._frames[index]
         return replace(frame, density=scaled(frame.density, self.factor))
+
+
+def reference_density(frames: Sequence[Frame]) -> ReferenceDensity:
+    """The reference density of some frames, each of which is read once."""
+    reference = ReferenceDensity()
+    for frame in frames:
+        reference.add(frame.density)
+    return reference

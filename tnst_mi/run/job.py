@@ -22,19 +22,11 @@ from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.rendering.driving import main_view
+from tnst_mi.run.announcement import announcement
 from tnst_mi.run.folder import RunFolder, StoredArrays
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
-
-#: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
-_THICK = 3.0
-
-#: Share of the steps of the frame with the most smoke in view from which on a frame is practically left alone.
-_FAINT = 1e-3
-
-#: Share of the smoke from which on it is mentioned that images do not show it.
-_CUT_OFF = 0.01
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -124,7 +116,10 @@ class Run(Iterator[StylizedFrame]):
             folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix)
             folder.write_run(self.record)
             store = FolderStore(folder.work)
-        self._announce()
+        for line in announcement(prepared):
+            self._bar.say(line)
+        if prepared.network.fallback:
+            announce_fallback()
         optimisation = self._optimiser(prepared.plan, prepared.frames, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
@@ -145,52 +140,6 @@ class Run(Iterator[StylizedFrame]):
             folder.write_run(self.record)
         else:
             self._conclude(folder)
-
-    def _announce(self) -> None:
-        """Report the device, the network and the memory of the run, and what in its recipe has no effect."""
-        prepared, network = self.prepared, self.prepared.network
-        self._bar.say(f"device: {environment.device_line(prepared.record['device']['variant'])}")
-        self._bar.say(f"network: {network.model.flavour}, {network.model.source}")
-        self._bar.say(prepared.memory)
-        if network.fallback:
-            announce_fallback()
-        if prepared.recipe.coherence > 0 and prepared.plan.window == 1:
-            self._bar.say(f"warning: coherence = {prepared.recipe.coherence:g} has no effect without a window")
-        self._announce_density()
-        for measure, plan in zip(prepared.measures, prepared.plan.frames, strict=True):
-            if plan.still and measure.mass > 0.0:
-                self._bar.say(f"warning: {measure.name} renders black at gamma {plan.recipe.gamma:g} in the main view")
-        cut_off = max(bright.cut_off for bright in prepared.brightness)
-        if cut_off > _CUT_OFF:
-            self._bar.say(
-                f"warning: up to {cut_off:.0%} of the smoke is outside the images of views from the side; fit = true "
-                "makes room for it"
-            )
-        faint = [plan.name for plan in prepared.plan.frames if 0 < plan.step_scale < _FAINT]
-        if faint:
-            names = ", ".join(faint[:3]) + (f" and {len(faint) - 3} others" if len(faint) > 3 else "")
-            self._bar.say(
-                f"warning: {names}: hardly changed, since in view is less than {_FAINT:.1%} of the smoke of another "
-                "frame"
-            )
-
-    def _announce_density(self) -> None:
-        """Report the range of the density, its factor, and whether it is too thick for the quadrature."""
-        prepared = self.prepared
-        densest, scale = max(measure.densest for measure in prepared.measures), prepared.plan.density_scale
-        line = f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale)"
-        if prepared.recipe.density_scale == "auto":
-            line += f", so that gamma is per cell of density {1 / scale:.4g}"
-        self._bar.say(line)
-        # Frames that are black altogether are named below.
-        seen = zip(prepared.brightness, prepared.plan.frames, strict=True)
-        thickness = max((bright.thickest for bright, plan in seen if not plan.still), default=0.0)
-        inclusive = prepared.recipe.integrator == "emission_absorption" and prepared.recipe.quadrature == "paper"
-        if inclusive and thickness > _THICK:
-            self._bar.say(
-                f"warning: gamma times the thickness of a cell is up to {thickness:.3g}: the paper's inclusive sum "
-                'hides such cells from the network, quadrature = "exact" does not; or lower gamma'
-            )
 
     def _write(self, folder: RunFolder, frame: StylizedFrame, plan: FramePlan) -> None:
         run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure

@@ -18,6 +18,9 @@ from tnst_mi.rendering.renderer import LARGEST_SAMPLES, view_samples
 #: Bytes of a process that has loaded Mitsuba, Dr.Jit, LLVM, torch and a GoogLeNet, and compiled its kernels.
 PROCESS = 450_000_000
 
+#: Bytes per pixel of every view: the image, exposed and as a tensor of torch, and its derivative, likewise.
+_IMAGES = 20
+
 
 @dataclass(frozen=True)
 class Costs:
@@ -62,7 +65,8 @@ class Need:
         fixed: whatever the grid.
         by_cell: of the grids, per cell; with the state of all frames, if that is not on disk.
         by_pixel: of the network, per pixel of an image, for all views of a batch.
-        views: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
+        views: number of views.
+        at_once: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
         size: rows and columns of an image of the finest grid.
     """
 
@@ -71,14 +75,16 @@ class Need:
     by_cell: float
     by_pixel: float
     views: int
+    at_once: int
     size: tuple[int, int]
 
     @property
     def total(self) -> int:
         """The sum."""
         samples = view_samples(self.shape, self.size)
-        samples = min(self.views * samples, max(samples, LARGEST_SAMPLES))
-        return self.fixed + samples + int(self.by_cell * math.prod(self.shape) + self.by_pixel * math.prod(self.size))
+        samples = min(self.at_once * samples, max(samples, LARGEST_SAMPLES))
+        by_pixel = self.by_pixel + _IMAGES * self.views
+        return self.fixed + samples + int(self.by_cell * math.prod(self.shape) + by_pixel * math.prod(self.size))
 
     def largest_that_fits(self, free: int) -> tuple[int, int, int] | None:
         """The largest grid (D, H, W) of these proportions that needs no more than `free` bytes; None if none does."""
@@ -101,18 +107,19 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    costs, components, views, size = COSTS[torch_device().type], recipe.components, 0, image_size(recipe, shape)
+    costs, components, at_once, size = COSTS[torch_device().type], recipe.components, 0, image_size(recipe, shape)
     by_cell: float = costs.transport_cell + costs.transport_component * components
     if recipe.parameterisation == "density":
         by_cell = costs.density_cell
     if recipe.window > 1:
         by_cell += costs.window_cell + costs.window_component * components
     if torch_device().type != "cpu":
-        views = recipe.views
-        saved *= views_at_once(views, saved * math.prod(size))
+        at_once = recipe.views
+        saved *= views_at_once(at_once, saved * math.prod(size))
     elif not on_disk:
         by_cell += working_bytes(shape, count, recipe) / math.prod(shape)
-    return Need(shape, costs.process, by_cell, costs.network_factor * saved + costs.network_pixel, views, size)
+    by_pixel = costs.network_factor * saved + costs.network_pixel
+    return Need(shape, costs.process, by_cell, by_pixel, recipe.views, at_once, size)
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:

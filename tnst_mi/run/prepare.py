@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -14,7 +15,7 @@ from tqdm import tqdm
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import octaves
-from tnst_mi.fields.kernels import require_indexable
+from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
@@ -45,6 +46,9 @@ _TRIAL_ROWS = 64
 
 #: Bytes from which on memory for items is mentioned.
 _WORTH_TELLING = 50_000_000
+
+#: Largest density that can be rendered: sums along rays and squares must stay within single precision.
+_DENSEST = 1e15
 
 #: Entries of its earlier record that a resumed run keeps.
 _KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
@@ -151,11 +155,16 @@ def prepare(
     # Reading the first frame finds most bad inputs before the network is loaded.
     shape = sequence[0].density.shape
     require_indexable(3 * math.prod(shape), f"{sequence[0].name}: its velocity is an array")
+    rows, columns = image_size(recipe, shape)
+    if recipe.views * rows * columns >= LARGEST_COUNT:
+        raise InputError(
+            f"views = {recipe.views}: images of {rows}×{columns} pixels have {recipe.views * rows * columns} values "
+            f"together, expected fewer than {LARGEST_COUNT}; take fewer views"
+        )
     variant = activate(recipe.variant)
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
     objective = objective_of(recipe)
-    rows, columns = image_size(recipe, shape)
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows))
     saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
@@ -166,7 +175,15 @@ def prepare(
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
+    densest = max(measure.densest for measure in measures)
+    if densest * density_scale > _DENSEST:
+        raise InputError(
+            f"density_scale = {density_scale:g}: makes the density of {densest:g} larger than {_DENSEST:g}, with which "
+            'images cannot be computed; take density_scale = "auto"'
+        )
     sizes = [image_size(recipe, octave.shape) for octave in levels]
+    if progress and recipe.integrator != "emission_absorption":
+        tqdm.write("measuring how bright the frames are path traced …", file=sys.stderr)
     watch = partial(_watched, doing="measuring", shown=progress)
     bright = brightness(sequence, recipes, levels, sizes, density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]

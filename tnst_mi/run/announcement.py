@@ -1,0 +1,76 @@
+"""What a run says before it starts: its device, network and memory, what it took for granted, and what to beware of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tnst_mi.machine import environment
+from tnst_mi.recipe.presets import PRESETS
+from tnst_mi.run.prepare import Prepared
+
+#: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
+_THICK = 3.0
+
+#: Share of the steps of the frame with the most smoke in view below which a frame is practically left alone.
+_FAINT = 1e-3
+
+#: Factor from 1 beyond which the unit of density is unusual.
+_UNUSUAL = 4.0
+
+#: Share of the smoke from which on it is mentioned that images do not show it.
+_CUT_OFF = 0.01
+
+
+def announcement(prepared: Prepared) -> Iterator[str]:
+    """The lines, in the order of their interest."""
+    recipe, model = prepared.recipe, prepared.network.model
+    yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
+    yield f"network: {model.flavour}, {model.source}"
+    yield prepared.memory
+    if recipe.coherence > 0 and prepared.plan.window == 1:
+        yield f"warning: coherence = {recipe.coherence:g} has no effect without a window"
+    preset = PRESETS.get(recipe.preset or "", {})
+    if own := [key for key, value in preset.items() if getattr(recipe, key) != value]:
+        yield f'note: preset = "{recipe.preset}" leaves {", ".join(own)} as the recipe gives them'
+    yield from _of_density(prepared)
+    yield from _of_images(prepared)
+
+
+def _of_density(prepared: Prepared) -> Iterator[str]:
+    """The range of the density, its factor, and whether the quadrature can cope with it."""
+    recipe, scale = prepared.recipe, prepared.plan.density_scale
+    densest, reference = max(measure.densest for measure in prepared.measures), prepared.record["reference_density"]
+    auto = f", so that gamma is per cell of density {reference:.4g}" if recipe.density_scale == "auto" else ""
+    if reference > 0:
+        yield f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale){auto}"
+    thick = reference * scale
+    if thick > 0 and not 1 / _UNUSUAL < thick < _UNUSUAL:
+        yield (
+            f"warning: the density of thick smoke is {thick:.4g} here, where mask and gamma mean that of 1: thin smoke "
+            'is hardly changed, and dense smoke hides its inside; density_scale = "auto" makes it 1'
+        )
+    # Frames that are black altogether are named below.
+    seen = zip(prepared.brightness, prepared.plan.frames, strict=True)
+    thickness = max((bright.thickest for bright, plan in seen if not plan.still), default=0.0)
+    if recipe.integrator == "emission_absorption" and recipe.quadrature == "paper" and thickness > _THICK:
+        yield (
+            f"warning: gamma times density and size of a cell is up to {thickness:.3g}: the paper's inclusive sum hides"
+            ' such cells from the network, quadrature = "exact" does not; or lower gamma'
+        )
+
+
+def _of_images(prepared: Prepared) -> Iterator[str]:
+    """Frames and smoke that images do not show."""
+    frames = prepared.plan.frames
+    for measure, plan in zip(prepared.measures, frames, strict=True):
+        if plan.still and measure.mass > 0.0:
+            yield f"warning: {measure.name} renders black at gamma {plan.recipe.gamma:g} in the main view"
+    cut_off = max(bright.cut_off for bright in prepared.brightness)
+    if cut_off > _CUT_OFF:
+        yield (
+            f"warning: up to {cut_off:.0%} of the smoke is outside the images of views from the side; fit = true "
+            "(--fit true) makes room for it"
+        )
+    if faint := [plan.name for plan in frames if 0 < plan.step_scale < _FAINT]:
+        names = ", ".join(faint[:3]) + (f" and {len(faint) - 3} others" if len(faint) > 3 else "")
+        yield f"warning: {names}: hardly changed, since in view is less than {_FAINT:.1%} of the smoke of another frame"
