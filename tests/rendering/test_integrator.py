@@ -258,4 +258,4 @@ def test_a_scene_without_a_medium_is_an_error() -> None:
     )
     with pytest.raises(RuntimeError) as error:
         mi.render(scene)
-    assert "the scene has no shape with an interior medium, expected one" in error_message(error.value)
+    assert "the scene has no medium, expected one" in error_message(error.value)

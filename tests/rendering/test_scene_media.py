@@ -316,10 +316,11 @@ def test_a_box_moved_by_its_vertices_is_followed() -> None:
     np.testing.assert_array_equal(image_of(scene), whole)
 
 
-@pytest.mark.parametrize("change", ["dielectric", "emitter", "nearest", "repeat"])
+@pytest.mark.parametrize("change", ["dielectric", "mask", "emitter", "nearest", "repeat"])
 def test_what_cannot_be_marched_is_named(change: str) -> None:
     named = {
         "dielectric": "`null` BSDF",
+        "mask": "`null` BSDF",
         "emitter": "must not be an emitter",
         "nearest": 'filter_type "trilinear"',
         "repeat": 'wrap_mode "clamp"',
@@ -327,6 +328,9 @@ def test_what_cannot_be_marched_is_named(change: str) -> None:
     shape = grid_box(smoke(9), [0, 0, 0])
     if change == "dielectric":
         shape["bsdf"] = {"type": "dielectric"}
+    elif change == "mask":
+        # In part `null`: rays end at it.
+        shape["bsdf"] = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
     elif change == "emitter":
         shape["emitter"] = {"type": "area"}
     else:
@@ -334,6 +338,26 @@ def test_what_cannot_be_marched_is_named(change: str) -> None:
     with pytest.raises(RuntimeError) as error:
         mi.render(scene_of({}, camera(), smoke=shape))
     assert error_message(error.value).startswith("emission_absorption:") and named[change] in error_message(error.value)
+
+
+def test_a_grid_that_mirrors_itself_beyond_its_box_is_that_which_ends_there() -> None:
+    shape, sensor = grid_box(smoke(14), [0, 0, 0]), camera(fov=14, width=9, height=8)
+    ends = image_of(scene_of({}, sensor, smoke=shape))
+    shape["interior"]["sigma_t"]["wrap_mode"] = "mirror"
+    np.testing.assert_array_equal(image_of(scene_of({}, sensor, smoke=shape)), ends)
+
+
+def test_a_second_scene_that_shares_a_boundary_has_media_of_its_own() -> None:
+    """One integrator, two scenes: fog behind the smoke in the second one only."""
+    sensor = camera(fov=14, width=9, height=8)
+    shape, integrator = mi.load_dict(grid_box(smoke(13), [0, 0, 0])), {"type": "emission_absorption", "gamma": GAMMA}
+    fog = box(-9, -5, homogeneous(0.2))
+    scenes = [mi.load_dict({"type": "scene", "sensor": sensor, "a": shape} | more) for more in ({}, {"fog": fog})]
+    shared = mi.load_dict(integrator)
+    for scene in (*scenes, *scenes):
+        alone, shown = (mi.render(scene, integrator=i).numpy() for i in (mi.load_dict(integrator), shared))
+        np.testing.assert_array_equal(shown, alone)
+    assert np.abs(mi.render(scenes[0], integrator=shared).numpy() - alone).max() > 0.1
 
 
 # --------------------------------------------------------------------

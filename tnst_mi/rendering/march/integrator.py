@@ -25,6 +25,18 @@ from tnst_mi.rendering.march.scene_media import SceneMedia
 from tnst_mi.rendering.march.segments import GridSegment, HomogeneousSegment, Segment
 
 
+class SensorRays(mi.RayDifferential3f):
+    """Rays of a sensor that names a medium: what Mitsuba passes from `sample_rays` to `sample` is the rays alone.
+
+    Attributes:
+        medium: the medium in which they start.
+    """
+
+    def __init__(self, rays: mi.RayDifferential3f, medium: mi.Medium) -> None:
+        super().__init__(rays)
+        self.medium = medium
+
+
 class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     r"""
     Emission–absorption integrator (:monosp:`emission_absorption`)
@@ -58,9 +70,11 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     Works in any scene, with any sensor. Rays are traced once: they pass the ``null`` shapes around media, are marched
     through each medium in order, and end at the first other surface, inside a medium or behind all. What is there, or
     the environment where they leave the scene, is attenuated and added. Media emit and absorb; their albedo and phase
-    function are ignored. A ray starts in a medium if it meets the boundary of one from the inside, whether or not the
-    sensor names it. Smoke and surfaces nearer than ``near_clip`` or beyond ``far_clip`` do not count. (Mitsuba's path
-    tracers forget the far plane once a ray has entered a medium.)
+    function are ignored. A ray starts in the ``medium`` that its sensor names. Where that names none, it starts in a
+    medium if it meets the boundary of one from the inside, or first of all a surface at which it ends and that names
+    one on that side, mostly as its ``exterior``. (Mitsuba's path tracers know the sensor's word alone.) Smoke and
+    surfaces nearer than ``near_clip`` or beyond ``far_clip`` do not count. (Mitsuba's path tracers forget the far plane
+    once a ray has entered a medium.)
 
     A ``heterogeneous`` medium is sampled at positions that are the same in every view of a grid: see
     :py:class:`tnst_mi.rendering.march.lattice.Lattice`. A ``homogeneous`` one is integrated exactly, the limit of each
@@ -75,11 +89,12 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     Errors, of one line each:
 
     - a medium that is neither ``homogeneous`` nor ``heterogeneous`` with a ``gridvolume`` of filter type ``trilinear``
-      and wrap mode ``clamp`` as ``sigma_t``; no medium at all;
-    - a shape around a medium that is an emitter, or has a BSDF other than ``null``, or normals that point inwards, as
-      mirroring leaves them (``flip_normals`` turns them);
+      as ``sigma_t``; a grid that repeats itself, of wrap mode ``repeat``; no medium at all;
+    - a shape around a medium that is an emitter, or has a BSDF other than ``null``, such as a ``mask``, or normals that
+      point inwards, as mirroring leaves them (``flip_normals`` turns them);
     - a medium in a shape group;
-    - media that overlap; one inside another must name that as its ``exterior``;
+    - media that overlap; one inside another must name that as its ``exterior``, and the boundaries that rays meet must
+      not contradict the medium that their sensor names;
     - without a nested integrator, a surface in sight that is not an emitter.
     """
 
@@ -106,13 +121,21 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         """Discard what was resolved from the scene."""
         self._media = None
 
-    def resolve(self, scene: mi.Scene) -> SceneMedia:
-        """The scene's media, with their current extinctions."""
-        if self._media is None or not self._media.belongs_to(scene):
-            self._media = SceneMedia(scene)
+    def resolve(self, scene: mi.Scene, named: mi.Medium | None = None) -> SceneMedia:
+        """The scene's media and the one that a sensor names, with their current extinctions."""
+        if self._media is None or not self._media.belongs_to(scene, named):
+            self._media = SceneMedia(scene, named)
         else:
             self._media.refresh()
         return self._media
+
+    def sample_rays(
+        self, scene: mi.Scene, sensor: mi.Sensor, sampler: mi.Sampler
+    ) -> tuple[mi.RayDifferential3f, mi.Spectrum, mi.Vector2f]:
+        """Rays of the sensor, with the medium that it names; their weights and positions. See `RBIntegrator`."""
+        rays, weight, position = super().sample_rays(scene, sensor, sampler)
+        medium = sensor.get_medium()
+        return rays if medium is None else SensorRays(rays, medium), weight, position
 
     def sample(
         self,
@@ -132,8 +155,9 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         is needed. Declaring the rays `parallel` makes the adjoint faster.
         """
         if isinstance(scene, mi.Scene):
-            media = self.resolve(scene)
-            segments, end = self._segments(scene, media, ray, active)
+            named = ray.medium if isinstance(ray, SensorRays) else None
+            media = self.resolve(scene, named)
+            segments, end = self._segments(scene, media, ray, named, active)
             behind, on_surface = self._behind(scene, media, sampler, ray, end, active), end.surface.is_valid()
         else:
             lattice = Lattice(scene, ray, self._sample_distance(scene))
@@ -156,14 +180,15 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
 
     def _segments(
-        self, scene: mi.Scene, media: SceneMedia, ray: mi.Ray3f, active: mi.Bool
+        self, scene: mi.Scene, media: SceneMedia, ray: mi.Ray3f, named: mi.Medium | None, active: mi.Bool
     ) -> tuple[Sequence[Segment], RayEnd]:
         """The segments of the rays in media, nearest first, and the ends of the rays."""
-        if media.box is not None and (media.only_boundaries or self._nested is None):
+        box = media.box if named is None or (media.box is not None and media.box.medium is named) else None
+        if box is not None and (media.only_boundaries or self._nested is None):
             end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
-            lattice = Lattice(media.box, ray, self._sample_distance(media.box), (mi.Float(0), end.distance))
-            return [GridSegment(media.box, lattice, self._quadrature)], end
-        stretches, end = trace(scene, ray, active)
+            lattice = Lattice(box, ray, self._sample_distance(box), (mi.Float(0), end.distance))
+            return [GridSegment(box, lattice, self._quadrature)], end
+        stretches, end = trace(scene, ray, active, named)
         return [
             self._segment(medium, ray, *bounds)
             for stretch in stretches

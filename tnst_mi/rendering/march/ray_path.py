@@ -45,9 +45,9 @@ class RayEnd:
     medium: mi.MediumPtr
 
 
-def _passes(hit: mi.SurfaceInteraction3f) -> mi.Bool:
-    """Whether rays pass straight through the surface: it has a `null` BSDF, and no other."""
-    return (hit.bsdf().flags() & mi.UInt32(mi.BSDFFlags.All)) == mi.UInt32(mi.BSDFFlags.Null)
+def passes_straight(bsdf: mi.BSDF | mi.BSDFPtr) -> bool | mi.Bool:
+    """Whether rays pass straight through surfaces of the BSDF: it is `null`, and nothing else in part."""
+    return (bsdf.flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null)
 
 
 def _nothing_hit(ray: mi.Ray3f) -> mi.SurfaceInteraction3f:
@@ -68,7 +68,7 @@ def first_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> RayEnd:
     def body(here: mi.Ray3f, active: mi.Bool, seen: mi.SurfaceInteraction3f, end: mi.Float) -> tuple:
         hit = scene.ray_intersect(here, active)
         distance = dr.dot(hit.p - ray.o, ray.d)
-        passed = active & hit.is_valid() & _passes(hit)
+        passed = active & hit.is_valid() & passes_straight(hit.bsdf())
         stopped = active & hit.is_valid() & ~passed
         here = hit.spawn_ray(ray.d)
         here.maxt = ray.maxt - distance
@@ -80,15 +80,26 @@ def first_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> RayEnd:
     return RayEnd(result[2], result[3], dr.zeros(mi.MediumPtr, n))
 
 
-def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch], RayEnd]:
+def trace(
+    scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool, named: mi.Medium | None = None
+) -> tuple[list[Stretch], RayEnd]:
     """The stretches of rays in media, nearest first, and where the rays end.
 
     A boundary says what is on its near side and what on its far side. The far side of one and the near side of the next
-    describe the same stretch; before the first boundary, the near side alone tells whether the ray starts in a medium.
+    describe the same stretch; before the first boundary, the sensor and the near side tell what the ray starts in.
     Where two boundaries touch, a ray meets only one of them, so that one of the two descriptions may be missing.
 
+    The surface at which a ray ends says what is on its near side, too, if it names media. That counts where nothing
+    else tells, and is no contradiction otherwise: the surface may touch a boundary, and hide it. One in a shape group
+    tells nothing, since its media may not be among those of the scene.
+
+    Args:
+        scene: what the rays are traced through.
+        ray, active: the rays, and which of them to trace.
+        named: the medium in which their sensor says that they start, if it names one.
+
     Raises:
-        RuntimeError: the two contradict each other: media overlap. Or a ray meets an instance of a medium.
+        RuntimeError: two descriptions contradict each other: media overlap. Or a ray meets an instance of a medium.
     """
     n = dr.width(ray)
     nothing = dr.zeros(mi.MediumPtr, n)
@@ -97,10 +108,12 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
     here.maxt = dr.full(mi.Float, dr.inf, n)
     # `lost` is the medium that a ray was in when it met a boundary whose near side did not name it. If the ray meets
     # that medium's own end later on, it was in both.
-    medium, lost = dr.zeros(mi.MediumPtr, n), dr.zeros(mi.MediumPtr, n)
-    # Where the stretch at hand begins, where the ray ends, and whether a boundary has told what the ray started in.
+    medium = nothing if named is None else dr.select(active, mi.MediumPtr(named), nothing)
+    lost = dr.zeros(mi.MediumPtr, n)
+    # Where the stretch at hand begins, where the ray ends, and whether it is known what the ray started in.
     start, end = dr.zeros(mi.Float, n), mi.Float(ray.maxt) + dr.zeros(mi.Float, n)
-    known, overlap, instanced = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
+    known = dr.full(mi.Bool, named is not None, n)
+    overlap, instanced = dr.zeros(mi.Bool, n), dr.zeros(mi.Bool, n)
     surface, at_surface = _nothing_hit(ray), dr.zeros(mi.MediumPtr, n)
     stretches = []
     state = (here, active, medium, lost, start, end, known, overlap, instanced, surface, at_surface)
@@ -110,30 +123,37 @@ def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> tuple[list[Stretch
         hit = scene.ray_intersect(here, active)
         met = active & hit.is_valid()
         distance = dr.select(met, dr.dot(hit.p - ray.o, ray.d), dr.inf)
-        passes = _passes(hit)
+        passes = passes_straight(hit.bsdf())
         boundary = met & passes & hit.is_medium_transition()
         stops = met & ~passes & (distance < end)
+        in_instance = hit.instance != dr.zeros(mi.ShapePtr)
+        tells = boundary | (stops & hit.is_medium_transition() & ~in_instance)
         surface, end = dr.select(stops, hit, surface), dr.select(stops, distance, end)
 
-        near = dr.select(boundary, hit.target_medium(-ray.d), nothing)
+        near, far = (dr.select(tells, hit.target_medium(side), nothing) for side in (-ray.d, ray.d))
         in_medium = medium != nothing
-        overlap |= boundary & (start < end) & (near != nothing) & dr.select(in_medium, near != medium, near == lost)
-        instanced |= boundary & (hit.instance != dr.zeros(mi.ShapePtr))
+        differs = dr.select(in_medium, boundary & (near != medium), near == lost)
+        overlap |= tells & (start < end) & (near != nothing) & differs
+        if named is not None and named.is_homogeneous():
+            # A ray that starts in the medium meets its boundary from outside. (A grid is empty beyond its box anyway.)
+            overlap |= boundary & (start == 0) & (near == nothing) & (far == mi.MediumPtr(named))
+        instanced |= boundary & in_instance
         lost = dr.select(boundary & in_medium & (near == nothing), medium, lost)
         medium = dr.select(in_medium, medium, near)
 
-        done = active & (~met | ((distance >= end) & (known | boundary)))
+        done = active & (~met | ((distance >= end) & (known | tells)))
         closed = boundary | done
         stretches.append(Stretch(dr.select(closed, medium, nothing), start, dr.minimum(distance, end)))
         at_surface = dr.select(done & surface.is_valid() & (start < end), medium, at_surface)
 
-        medium = dr.select(boundary, hit.target_medium(ray.d), medium)
+        medium = dr.select(boundary, far, medium)
         start, known = dr.select(boundary, distance, start), known | boundary
         here, active = hit.spawn_ray(ray.d), active & ~done
         dr.eval(here, active, medium, lost, start, end, known, overlap, instanced, surface, at_surface, stretches[-1])
     if dr.any(overlap):
         raise RuntimeError(
-            "emission_absorption: media overlap: a shape inside a medium must name that medium as its `exterior`"
+            "emission_absorption: media overlap: a shape inside a medium must name that medium as its `exterior`, "
+            "and a sensor no other medium than the one it is in"
         )
     if dr.any(instanced):
         raise RuntimeError("emission_absorption: a medium is in a shape group, expected none in instances")

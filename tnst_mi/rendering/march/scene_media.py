@@ -2,45 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
+from tnst_mi.rendering.march.ray_path import passes_straight
 
 
 class SceneMedia:
     """The media of a scene.
 
+    Args:
+        scene: the scene.
+        named: the medium that the sensor names, if it names one.
+
     Attributes:
-        media: every medium once, in the order of the scene's shapes.
+        media: every medium once, in the order of the scene's shapes, and last the sensor's if no shape has it.
         only_boundaries: the scene has no shapes but those around its media.
-        box: the only medium, if the only shape around one is the box of its grid; else None. No rays need to be traced
-            to find such a medium.
+        box: the only medium of the shapes, if the only shape around one is the box of its grid; else None. No rays need
+            to be traced to find such a medium.
 
     Raises:
         RuntimeError: the scene has no medium, or one that the integrator cannot march through.
     """
 
-    def __init__(self, scene: mi.Scene) -> None:
-        self._boundaries = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
-        if not self._boundaries:
-            raise RuntimeError("emission_absorption: the scene has no shape with an interior medium, expected one")
-        found: list[mi.Medium] = []
-        for shape in scene.shapes():
-            for medium in (shape.interior_medium(), shape.exterior_medium()):
-                if medium is not None and not any(medium is other for other in found):
-                    found.append(medium)
+    def __init__(self, scene: mi.Scene, named: mi.Medium | None = None) -> None:
+        self._shapes = scene.shapes()
+        self._boundaries = [shape for shape in self._shapes if shape.interior_medium() is not None]
+        of_shapes = _distinct([m for shape in self._shapes for m in (shape.interior_medium(), shape.exterior_medium())])
+        found = _distinct([*of_shapes, named])
+        if not found:
+            raise RuntimeError("emission_absorption: the scene has no medium, expected one")
         self.media = [HomogeneousMedium(m) if m.is_homogeneous() else GridMedium(m) for m in found]
-        self.only_boundaries = len(self._boundaries) == len(scene.shapes())
+        self.only_boundaries = len(self._boundaries) == len(self._shapes)
         # Media in shape groups are found by tracing rays alone.
-        self._instances = any(shape.class_name() == "Instance" for shape in scene.shapes())
+        instances = any(shape.class_name() == "Instance" for shape in self._shapes)
+        self._may_be_box = len(self._boundaries) == len(of_shapes) == 1 and not instances
         self._meshes = [mi.traverse(shape) for shape in self._boundaries if isinstance(shape, mi.Mesh)]
         self._look_at_shapes()
 
-    def belongs_to(self, scene: mi.Scene) -> bool:
-        """Whether these are the media of `scene`."""
-        return any(shape is self._boundaries[0] for shape in scene.shapes())
+    def belongs_to(self, scene: mi.Scene, named: mi.Medium | None = None) -> bool:
+        """Whether these are the media of `scene`, among them the one that the sensor names."""
+        shapes = scene.shapes()
+        same = len(shapes) == len(self._shapes) and all(a is b for a, b in zip(shapes, self._shapes, strict=True))
+        return same and (named is None or any(medium.medium is named for medium in self.media))
 
     def refresh(self) -> None:
         """Follow what `parameters.update()` may have changed: extinctions, scales, and the vertices of meshes."""
@@ -59,12 +67,12 @@ class SceneMedia:
         for shape in self._boundaries:
             self._check(shape)
         self.box: GridMedium | None = None
-        if len(self._boundaries) == len(self.media) == 1 and not self._instances:
+        if self._may_be_box:
             shape, medium = self._boundaries[0], self.media[0]
             self.box = medium if isinstance(medium, GridMedium) and _is_the_box(shape, medium) else None
 
     def _check(self, shape: mi.Shape) -> None:
-        if not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
+        if not passes_straight(shape.bsdf()):
             raise RuntimeError("emission_absorption: the shape around a medium must have a `null` BSDF")
         if shape.emitter() is not None:
             raise RuntimeError("emission_absorption: the shape around a medium must not be an emitter")
@@ -73,6 +81,15 @@ class SceneMedia:
                 "emission_absorption: the normals of the shape around a medium point inwards, as those of mirrored "
                 "shapes do, so that Mitsuba takes its outside for the medium: set its `flip_normals`"
             )
+
+
+def _distinct(media: Sequence[mi.Medium | None]) -> list[mi.Medium]:
+    """Every medium once, in the same order."""
+    found: list[mi.Medium] = []
+    for medium in media:
+        if medium is not None and not any(medium is other for other in found):
+            found.append(medium)
+    return found
 
 
 def _is_the_box(shape: mi.Shape, medium: GridMedium) -> bool:
