@@ -22,7 +22,7 @@ def homogeneous(extinction: float, **others: object) -> dict[str, object]:
 def smoke(**others: object) -> dict[str, object]:
     """Absorbing smoke of a 5×4×6 grid in its box, about the origin."""
     density = np.abs(smooth_noise(np.random.default_rng(1), 5, 4, 6)) + 0.1
-    placed = affine(np.diag([6.0, 4, 5]), np.zeros(3))
+    placed = affine(np.diag([4.0, 2.5, 5]), np.zeros(3))
     shape = cube(placed @ mi.ScalarTransform4f().scale(0.5))
     return shape | NULL | {"interior": medium(GAMMA * density, placed) | {"albedo": 0.0}, **others}
 

@@ -80,9 +80,7 @@ def first_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> RayEnd:
     return RayEnd(result[2], result[3], dr.zeros(mi.MediumPtr, n))
 
 
-def trace(
-    scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool, named: mi.Medium | None = None
-) -> tuple[list[Stretch], RayEnd]:
+def trace(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool, named: mi.Medium | None) -> tuple[list[Stretch], RayEnd]:
     """The stretches of rays in media, nearest first, and where the rays end.
 
     A boundary says what is on its near side and what on its far side. The far side of one and the near side of the next
@@ -106,9 +104,9 @@ def trace(
     here, active = mi.Ray3f(ray), mi.Bool(active) & dr.full(mi.Bool, True, n)
     # Boundaries beyond the far end, too, tell what a ray starts in.
     here.maxt = dr.full(mi.Float, dr.inf, n)
+    medium = nothing if named is None else dr.select(active, mi.MediumPtr(named), nothing)
     # `lost` is the medium that a ray was in when it met a boundary whose near side did not name it. If the ray meets
     # that medium's own end later on, it was in both.
-    medium = nothing if named is None else dr.select(active, mi.MediumPtr(named), nothing)
     lost = dr.zeros(mi.MediumPtr, n)
     # Where the stretch at hand begins, where the ray ends, and whether it is known what the ray started in.
     start, end = dr.zeros(mi.Float, n), mi.Float(ray.maxt) + dr.zeros(mi.Float, n)
@@ -135,8 +133,8 @@ def trace(
         differs = dr.select(in_medium, boundary & (near != medium), near == lost)
         overlap |= tells & (start < end) & (near != nothing) & differs
         if named is not None and named.is_homogeneous():
-            # A ray that starts in the medium meets its boundary from outside. (A grid is empty beyond its box anyway.)
-            overlap |= boundary & (start == 0) & (near == nothing) & (far == mi.MediumPtr(named))
+            # Rays that start in the medium meet its boundary from outside. (A grid is empty beyond its box anyway.)
+            overlap |= boundary & (start == 0) & in_medium & (near == nothing) & (far == medium)
         instanced |= boundary & in_instance
         lost = dr.select(boundary & in_medium & (near == nothing), medium, lost)
         medium = dr.select(in_medium, medium, near)

@@ -29,7 +29,7 @@ class SceneMedia:
         RuntimeError: the scene has no medium, or one that the integrator cannot march through.
     """
 
-    def __init__(self, scene: mi.Scene, named: mi.Medium | None = None) -> None:
+    def __init__(self, scene: mi.Scene, named: mi.Medium | None) -> None:
         self._shapes = scene.shapes()
         self._boundaries = [shape for shape in self._shapes if shape.interior_medium() is not None]
         of_shapes = _distinct([m for shape in self._shapes for m in (shape.interior_medium(), shape.exterior_medium())])
@@ -44,7 +44,7 @@ class SceneMedia:
         self._meshes = [mi.traverse(shape) for shape in self._boundaries if isinstance(shape, mi.Mesh)]
         self._look_at_shapes()
 
-    def belongs_to(self, scene: mi.Scene, named: mi.Medium | None = None) -> bool:
+    def belongs_to(self, scene: mi.Scene, named: mi.Medium | None) -> bool:
         """Whether these are the media of `scene`, among them the one that the sensor names."""
         shapes = scene.shapes()
         same = len(shapes) == len(self._shapes) and all(a is b for a, b in zip(shapes, self._shapes, strict=True))
