@@ -29,7 +29,7 @@ class SceneMedia:
         RuntimeError: the scene has no medium, or one that the integrator cannot march through.
     """
 
-    def __init__(self, scene: mi.Scene, named: mi.Medium | None) -> None:
+    def __init__(self, scene: mi.Scene, named: mi.Medium | None = None) -> None:
         self._shapes = scene.shapes()
         self._boundaries = [shape for shape in self._shapes if shape.interior_medium() is not None]
         of_shapes = _distinct([m for shape in self._shapes for m in (shape.interior_medium(), shape.exterior_medium())])
