@@ -25,7 +25,7 @@ def run(arguments: StylizeArguments) -> int:
         prepared = prepare(arguments.input, recipe, arguments.out, resume=resume, overwrite=overwrite, progress=True)
     except KeyboardInterrupt:
         raise StoppedError(
-            "interrupted before the run began: nothing has changed, give the same command again"
+            "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
     return reported(Run(prepared))
 

@@ -102,7 +102,7 @@ def require_light(density: np.ndarray, settings: Settings) -> None:
             transmittance = np.exp(-gamma * column)
             if (settings.spp * transmittance * (1 - transmittance)).max() < TESTABLE:
                 raise InputError(
-                    f"compare: at gamma {gamma:g} the smoke lets nearly all paths through or nearly none, in all pixels "
+                    f"compare: at gamma {gamma:g} the smoke lets nearly all paths through or nearly none in all pixels "
                     f"of the view {view[0]:g},{view[1]:g}: nothing can be tested; give another --gamma, more --spp, or "
                     "--density-scale auto"
                 )
