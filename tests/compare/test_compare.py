@@ -124,7 +124,7 @@ def test_what_is_refused(run: Run, smoke: Path, tmp_path: Path) -> None:
     refuse("no such file", tmp_path / "nowhere.npz", *out)
     refuse("is not empty; .*--overwrite", smoke, "--out", tmp_path)
     np.savez(tmp_path / "opaque.npz", density=np.full((8, 10, 9), 0.7, np.float32))
-    opaque = "at gamma 200 the smoke lets nearly all paths through or nearly none in all pixels .*; give another --gamma"
+    opaque = "at gamma 200 the smoke lets nearly all paths through or nearly none in all .*; give another --gamma"
     refuse(opaque, tmp_path / "opaque.npz", "--gamma", "200", *out)
     np.savez(tmp_path / "thin.npz", density=np.full((8, 10, 9), 0.001, np.float32))
     thin = "at gamma 0.05 the smoke lets nearly all .* nothing can be tested; .* or --density-scale auto"
