@@ -34,7 +34,7 @@ from tnst_mi.fields.sums import RepeatableSum, largest_magnitude
 from tnst_mi.machine.backend import on_gpu
 
 
-def _interleave(components: list[mi.Float]) -> mi.Float:
+def interleaved(components: list[mi.Float]) -> mi.Float:
     """Flat array with the channels of a cell next to each other, written at the next evaluation."""
     return stored(components[0]) if len(components) == 1 else dr.ravel(mi.Vector3f(*components))
 
@@ -80,6 +80,32 @@ class AdvectionStep(dr.CustomOp):
             reverted: 1 where the result is reverted, 0 elsewhere; None to let the limiter decide.
             field_varies: whether the field is differentiated too.
         """
+        self._keep_arguments(field, velocity, source, method, h, outside, field_varies)
+        departure, _ = self._stencils(Cells.of(self.shape))
+        corners = departure.read(self.field, self.channels)
+        self.forward_step = interleaved(departure.value(corners))
+        limited = method == "maccormack" and reverted is None
+        # A GPU processes all cells: the number of the others would have to be read back, which stalls it.
+        if limited and not field_varies and not on_gpu():
+            self.chosen = dr.compress(stored(varied(corners)))
+            if dr.width(self.chosen) == 0:
+                self.chosen, self.corrected = None, False
+        dr.eval(self.forward_step)
+        if not self.corrected:
+            return mi.TensorXf(mi.Float(self.forward_step), self.tensor_shape)
+
+        return mi.TensorXf(self._corrected_step(limited, reverted), self.tensor_shape)
+
+    def _keep_arguments(
+        self,
+        field: mi.TensorXf,
+        velocity: dict[str, mi.TensorXf],
+        source: Callable[[dict[str, mi.TensorXf]], GivenVelocity | PotentialVelocity],
+        method: str,
+        h: float,
+        outside: str,
+        field_varies: bool,
+    ) -> None:
         self.outside, self.h, self.field_varies = outside, h, field_varies
         self.tensor_shape = tuple(field.shape)
         self.shape, self.channels = self.tensor_shape[:3], math.prod(self.tensor_shape[3:])
@@ -90,20 +116,8 @@ class AdvectionStep(dr.CustomOp):
         #: By channel, which of them keep the corrected value; None if all do.
         self.kept: list[mi.Bool] | None = None
 
-        departure, _ = self._stencils(Cells.of(self.shape))
-        corners = departure.read(self.field, self.channels)
-        self.forward_step = _interleave(departure.value(corners))
-        limited = method == "maccormack" and reverted is None
-        # A GPU processes all cells: the number of the others would have to be read back, which stalls it.
-        if limited and not field_varies and not on_gpu():
-            self.chosen = dr.compress(stored(_varied(corners)))
-            if dr.width(self.chosen) == 0:
-                self.chosen, self.corrected = None, False
-        dr.eval(self.forward_step)
-        if not self.corrected:
-            return mi.TensorXf(mi.Float(self.forward_step), self.tensor_shape)
-
-        # The backward step interpolates f, which is in memory now.
+    def _corrected_step(self, limited: bool, reverted: mi.TensorXf | None) -> mi.Float:
+        """The result, from the forward step in memory; keeps which cells are corrected."""
         cells = Cells.of(self.shape, self.chosen)
         departure, arrival = self._stencils(cells)
         corners = departure.read(self.field, self.channels)
@@ -115,10 +129,10 @@ class AdvectionStep(dr.CustomOp):
             slot = cells.number * self.channels + c
             keep = mi.Bool(True)
             if limited:
-                low, high = _range([corner[c] for corner in corners])
+                low, high = value_range([corner[c] for corner in corners])
                 keep = (value >= low) & (value <= high)
-                if self.chosen is None and not field_varies:
-                    keep &= _varied(corners)
+                if not self.field_varies:
+                    keep &= varied(corners)
             elif reverted is not None:
                 keep = dr.gather(mi.Float, reverted.array, slot) == 0
             dr.scatter(result, value, slot, keep, dr.ReduceMode.NoConflicts)
@@ -126,7 +140,7 @@ class AdvectionStep(dr.CustomOp):
         if limited or reverted is not None:
             self.kept = [stored(keep) for keep in kept]
         dr.eval(result, self.kept)
-        return mi.TensorXf(result, self.tensor_shape)
+        return result
 
     def _stencils(self, cells: Cells) -> tuple[Trilinear, Trilinear]:
         """The stencils around x − v and x + v."""
@@ -141,35 +155,44 @@ class AdvectionStep(dr.CustomOp):
 
     def forward(self) -> None:
         """The tangent of the result from the tangents of the field and of the velocity's arrays."""
-        field_tangent, velocity_tangent = self.grad_in("field").array, self.source(self.grad_in("velocity"))
+        self.set_grad_out(mi.TensorXf(self._tangent(), self.tensor_shape))
 
-        def carried(stencil: Trilinear, cells: Cells, values: mi.Float, tangent: mi.Float, sign: int) -> list[mi.Float]:
-            """Derivative of the values interpolated at x + sign · v."""
-            moved = velocity_tangent.at(cells) * (sign * dr.rcp(opaque(self.h)))
+    def _moved(self, cells: Cells, sign: int) -> mi.Vector3f:
+        """The tangent of where the path of each cell ends, x − v or x + v."""
+        return self.source(self.grad_in("velocity")).at(cells) * (sign * dr.rcp(opaque(self.h)))
+
+    def _tangent(self) -> mi.Float:
+        field_tangent, cells = self.grad_in("field").array, Cells.of(self.shape, self.chosen)
+        departure, arrival = self._stencils(cells)
+
+        def carried(stencil: Trilinear, values: mi.Float, tangent: mi.Float, sign: int) -> list[mi.Float]:
+            """Derivative of the values interpolated at the end of a path."""
+            moved = self._moved(cells, sign)
             slopes = stencil.gradient(stencil.read(values, self.channels))
             interpolated = stencil.value(stencil.read(tangent, self.channels))
             return [value + dr.dot(slope, moved) for value, slope in zip(interpolated, slopes, strict=True)]
 
-        cells = Cells.of(self.shape)
-        departure, _ = self._stencils(cells)
-        result = _interleave(carried(departure, cells, self.field, field_tangent, -1))
-        dr.eval(result)
-        if self.corrected:
-            cells = Cells.of(self.shape, self.chosen)
-            _, arrival = self._stencils(cells)
-            b = carried(arrival, cells, self.forward_step, result, 1)
-            d = cells.own(field_tangent, self.channels)
-            corrections = self._keep([0.5 * (x - y) for x, y in zip(d, b, strict=True)])
-            forward_tangent, result = result, mi.Float(result)
-            for c, correction in enumerate(corrections):
-                slot = cells.number * self.channels + c
-                value = dr.gather(mi.Float, forward_tangent, slot) + correction
-                dr.scatter(result, value, slot, mode=dr.ReduceMode.NoConflicts)
-        self.set_grad_out(mi.TensorXf(result, self.tensor_shape))
+        # Where only some cells are computed, the field has no tangent, and the result none in the others.
+        forward_tangent = dr.zeros(mi.Float, dr.width(self.field))
+        for c, value in enumerate(carried(departure, self.field, field_tangent, -1)):
+            dr.scatter(forward_tangent, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
+        dr.eval(forward_tangent)
+        if not self.corrected:
+            return forward_tangent
+        b = carried(arrival, self.forward_step, forward_tangent, 1)
+        d = cells.own(field_tangent, self.channels)
+        result = mi.Float(forward_tangent)
+        for c, correction in enumerate(self._keep([0.5 * (x - y) for x, y in zip(d, b, strict=True)])):
+            slot = cells.number * self.channels + c
+            value = dr.gather(mi.Float, forward_tangent, slot) + correction
+            dr.scatter(result, value, slot, mode=dr.ReduceMode.NoConflicts)
+        return result
 
     def backward(self) -> None:
         """The adjoints of the field and of the velocity's arrays from the adjoint of the result."""
-        g = self.grad_out().array
+        self._pull_back(self.grad_out().array)
+
+    def _pull_back(self, g: mi.Float) -> None:
         dr.eval(g)
         on_backward_step: list[mi.Float] = []
         scattered: RepeatableSum | None = None
@@ -177,7 +200,7 @@ class AdvectionStep(dr.CustomOp):
         if self.corrected:
             _, arrival = self._stencils(cells)
             on_backward_step = [stored(v) for v in self._keep([-0.5 * v for v in cells.own(g, self.channels)])]
-            scattered = RepeatableSum(dr.width(self.field), _largest(on_backward_step), 8 * math.prod(self.shape))
+            scattered = RepeatableSum(dr.width(self.field), largest_of(on_backward_step), 8 * math.prod(self.shape))
             arrival.splat(scattered, on_backward_step)
         self._set_velocity_gradient(g, cells, on_backward_step, scattered)
         if self.field_varies:
@@ -210,7 +233,7 @@ class AdvectionStep(dr.CustomOp):
         dr.eval(on_forward_step)
         everywhere = Cells.of(self.shape)
         departure, _ = self._stencils(everywhere)
-        bound = _largest([on_forward_step, *on_backward_step])
+        bound = largest_of([on_forward_step, *on_backward_step])
         total = RepeatableSum(dr.width(self.field), bound, 9 * math.prod(self.shape))
         departure.splat(total, everywhere.own(on_forward_step, self.channels))
         for c, value in enumerate(on_backward_step):
@@ -222,7 +245,7 @@ class AdvectionStep(dr.CustomOp):
         return "advection step"
 
 
-def _largest(arrays: list[mi.Float]) -> mi.Float:
+def largest_of(arrays: list[mi.Float]) -> mi.Float:
     """The largest magnitude in all arrays."""
     result = mi.Float(0)
     for array in arrays:
@@ -230,7 +253,7 @@ def _largest(arrays: list[mi.Float]) -> mi.Float:
     return result
 
 
-def _range(corners: list[mi.Float]) -> tuple[mi.Float, mi.Float]:
+def value_range(corners: list[mi.Float]) -> tuple[mi.Float, mi.Float]:
     """Smallest and largest value."""
     low = high = corners[0]
     for corner in corners[1:]:
@@ -238,10 +261,10 @@ def _range(corners: list[mi.Float]) -> tuple[mi.Float, mi.Float]:
     return low, high
 
 
-def _varied(corners: list[list[mi.Float]]) -> mi.Bool:
+def varied(corners: list[list[mi.Float]]) -> mi.Bool:
     """Whether the corners differ in any channel."""
     varied = mi.Bool(False)
     for channel in zip(*corners, strict=True):
-        low, high = _range(list(channel))
+        low, high = value_range(list(channel))
         varied |= low < high
     return varied

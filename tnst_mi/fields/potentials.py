@@ -22,7 +22,7 @@ from tnst_mi.fields.grid import Cells, Shape
 from tnst_mi.fields.kernels import opaque, require_indexable, stored
 
 
-class _AxisDifference:
+class AxisDifference:
     """d/dx_axis in cells, and its transpose."""
 
     def __init__(self, cells: Cells, axis: int, scale: mi.Float) -> None:
@@ -90,9 +90,9 @@ class PotentialVelocity:
         still = dr.zeros(mi.Float, dr.width(v))
         return mi.Vector3f(*(x if n > 1 else still for x, n in zip(v, reversed(self.shape), strict=True)))
 
-    def _differences(self, cells: Cells) -> list[_AxisDifference]:
+    def _differences(self, cells: Cells) -> list[AxisDifference]:
         scale = dr.rcp(opaque(self.h))
-        return [_AxisDifference(cells, axis, scale) for axis in range(3)]
+        return [AxisDifference(cells, axis, scale) for axis in range(3)]
 
     def at(self, cells: Cells) -> mi.Vector3f:
         """v in full-resolution cells per frame."""

@@ -1,0 +1,185 @@
+"""MacCormack advection along the flow of a stationary velocity, as a Dr.Jit operation with hand-derived derivatives.
+
+As in `maccormack`, with the ends of curved paths in place of x − v and x + v: p = φ⁻¹(x) is where the smoke comes from
+and q = φ(x) where it would go (`flow_map`). The field is interpolated once, however many stages the paths have:
+
+    f(x) = d(p(x)),   b(x) = f(q(x)),   result = f + (d − b)/2, reverted to f outside the range of the cells around p.
+
+The conservative form multiplies the result by the determinant J of the Jacobian of φ⁻¹, which keeps ∫ d where the
+velocity has a divergence.
+
+The adjoint first finds those of p, q and log J, by the formulas of `maccormack`; `FlowMap` takes them to the velocity.
+On a CPU, the limited operation traces only paths that matter. A cell with v = 0 keeps its place, so that what it sees
+is known without a path: the other cells are traced back, and those with v = 0 near smoke, whose derivative is not 0.
+Only the ones that see smoke are then corrected and differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+
+from tnst_mi.fields.flow_map import FlowMap
+from tnst_mi.fields.grid import Cells
+from tnst_mi.fields.kernels import stored
+from tnst_mi.fields.maccormack import AdvectionStep, GivenVelocity, varied
+from tnst_mi.fields.potentials import PotentialVelocity
+from tnst_mi.fields.stencil import Trilinear
+from tnst_mi.fields.sums import RepeatableSum
+from tnst_mi.machine.backend import on_gpu
+
+
+class FlowAdvection(AdvectionStep):
+    """Advection of a field with `channels` values per cell (1 or 3) along the flow of a velocity over one frame."""
+
+    def eval(
+        self,
+        field: mi.TensorXf,
+        velocity: dict[str, mi.TensorXf],
+        source: Callable[[dict[str, mi.TensorXf]], GivenVelocity | PotentialVelocity],
+        method: str,
+        h: float,
+        outside: str,
+        reverted: mi.TensorXf | None,
+        field_varies: bool,
+        stages: int | None,
+        conservative: bool,
+    ) -> mi.TensorXf:
+        """The field after one frame; see `AdvectionStep.eval` for most of the arguments.
+
+        Args:
+            field, velocity, source, method, h, outside, reverted, field_varies: as there.
+            stages: of every path; None to take as many as the longest displacement needs, see `FlowMap`.
+            conservative: whether the result is multiplied by the determinant of the Jacobian of φ⁻¹.
+        """
+        self._keep_arguments(field, velocity, source, method, h, outside, field_varies)
+        self.stages, self.conservative = stages, conservative
+        limited = method == "maccormack" and reverted is None
+        flow = self._flow()
+
+        cells = Cells.of(self.shape)
+        # A GPU traces all cells: the number of the others would have to be read back, which stalls it.
+        sparse = limited and not field_varies and not on_gpu()
+        if sparse:
+            x, y, z = flow.velocity(cells)
+            moving = (x != 0) | (y != 0) | (z != 0)
+            cells = Cells.of(self.shape, _indices(moving | self._matters(cells, mi.Vector3f(0))))
+        departure = [stored(x) for x in flow.trace(cells, -1)]
+        dr.eval(departure)
+        self.forward_step = mi.Float(self.field)
+        stencil = Trilinear(cells, mi.Vector3f(*departure[:3]), outside)
+        corners = stencil.read(self.field, self.channels)
+        for c, value in enumerate(stencil.value(corners)):
+            dr.scatter(self.forward_step, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
+        if sparse:
+            # The others see nothing but equal values, and therefore keep what they see.
+            seen = _indices(self._matters(cells, mi.Vector3f(*departure[:3])))
+            departure = [dr.gather(mi.Float, x, seen) for x in departure]
+            self.chosen = dr.gather(mi.UInt32, cells.number, seen)
+            cells = Cells.of(self.shape, self.chosen)
+        arrival = flow.trace(cells, 1)[:3] if self.corrected else departure[:3]
+        #: Where the paths of the chosen cells end, in cells from their start, and log J.
+        self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*arrival)
+        self.log_volume = departure[3] if conservative else None
+        dr.eval(self.forward_step, self.ends, self.log_volume, self.chosen)
+
+        result = self._corrected_step(limited, reverted) if self.corrected else mi.Float(self.forward_step)
+        if self.log_volume is not None:
+            plain, result = result, mi.Float(result)
+            for c, value in enumerate(self._scaled(cells.own(plain, self.channels))):
+                dr.scatter(result, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
+            self.result = result
+            dr.eval(result)
+        return mi.TensorXf(result, self.tensor_shape)
+
+    def _flow(self) -> FlowMap:
+        return FlowMap(self.velocity.at(Cells.of(self.shape)), self.h, self.shape, self.stages, self.conservative)
+
+    def _matters(self, cells: Cells, offset: mi.Vector3f) -> mi.Bool:
+        """Whether the result at the end of a path, or its derivative, is anything but the value at any of its cells."""
+        corners = Trilinear(cells, offset, self.outside).read(self.field, self.channels)
+        if not self.conservative:
+            return varied(corners)
+        smoky = mi.Bool(False)
+        for corner in corners:
+            for value in corner:
+                smoky |= value != 0
+        return smoky
+
+    def _stencils(self, cells: Cells) -> tuple[Trilinear, Trilinear]:
+        """The stencils around p and q."""
+        departure, arrival = self.ends
+        return Trilinear(cells, departure, self.outside), Trilinear(cells, arrival, self.outside)
+
+    def _scaled(self, values: list[mi.Float]) -> list[mi.Float]:
+        """Values of the chosen cells times J."""
+        if self.log_volume is None:
+            return values
+        volume = dr.exp(self.log_volume)
+        return [value * volume for value in values]
+
+    def _moved(self, cells: Cells, sign: int) -> mi.Vector3f:
+        """The tangent of p or q; that of log J is kept aside."""
+        change = self.source(self.grad_in("velocity")).at(Cells.of(self.shape))
+        moved = [stored(x) for x in self._flow().tangent(cells, sign, change)]
+        dr.eval(moved)
+        if sign < 0 and self.conservative:
+            self.log_volume_tangent = moved[3]
+        return mi.Vector3f(*moved[:3])
+
+    def _tangent(self) -> mi.Float:
+        tangent = super()._tangent()
+        if not self.conservative:
+            return tangent
+        cells = Cells.of(self.shape, self.chosen)
+        total = dr.zeros(mi.Float, dr.width(tangent))
+        scaled, result = self._scaled(cells.own(tangent, self.channels)), cells.own(self.result, self.channels)
+        for c, (x, value) in enumerate(zip(scaled, result, strict=True)):
+            slot = cells.number * self.channels + c
+            dr.scatter(total, x + value * self.log_volume_tangent, slot, mode=dr.ReduceMode.NoConflicts)
+        return total
+
+    def backward(self) -> None:
+        """The adjoints of the field and of the velocity's arrays from the adjoint of the result."""
+        g = self.grad_out().array
+        if self.conservative:
+            dr.eval(g)
+            cells = Cells.of(self.shape, self.chosen)
+            own, result = cells.own(g, self.channels), cells.own(self.result, self.channels)
+            self.on_log_volume = stored(sum((x * y for x, y in zip(own, result, strict=True)), mi.Float(0)))
+            g = dr.zeros(mi.Float, dr.width(g))
+            for c, value in enumerate(self._scaled(own)):
+                dr.scatter(g, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
+            dr.eval(g, self.on_log_volume)
+        self._pull_back(g)
+
+    def _set_velocity_gradient(
+        self, g: mi.Float, cells: Cells, on_backward_step: list[mi.Float], scattered: RepeatableSum | None
+    ) -> None:
+        departure, arrival = self._stencils(cells)
+        on_departure, on_arrival = mi.Vector3f(0), mi.Vector3f(0)
+        slopes = departure.gradient(departure.read(self.field, self.channels))
+        for c, (slope, value) in enumerate(zip(slopes, cells.own(g, self.channels), strict=True)):
+            returned = 0 if scattered is None else scattered.at(cells.number * self.channels + c)
+            on_departure += slope * (value + returned)
+        adjoints = [(-1, [*on_departure, *([self.on_log_volume] if self.conservative else [])])]
+        if self.corrected:
+            slopes = arrival.gradient(arrival.read(self.forward_step, self.channels))
+            for slope, value in zip(slopes, on_backward_step, strict=True):
+                on_arrival += slope * value
+            adjoints.append((1, [*on_arrival, *([mi.Float(0)] if self.conservative else [])]))
+        adjoints = [(sign, [stored(x) for x in adjoint]) for sign, adjoint in adjoints]
+        dr.eval(adjoints)
+        self.set_grad_in("velocity", self.velocity.transpose(self._flow().pull_back(cells, adjoints)))
+
+    def name(self) -> str:
+        """The name in Dr.Jit's messages."""
+        return "advection along a flow"
+
+
+def _indices(chosen: mi.Bool) -> mi.UInt32:
+    """Where an array is true; 0 if it is nowhere, since kernels need a size."""
+    indices = dr.compress(stored(chosen))
+    return indices if dr.width(indices) else mi.UInt32(0)
