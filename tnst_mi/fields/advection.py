@@ -135,7 +135,8 @@ def advect(
             at least 1.
         trace: "step" goes back along straight lines; "flow" along the flow, and interpolates the field once.
         stages: with trace "flow", number of stages in which a path is traced, from 1 to 64, each of three evaluations
-            of v (Ralston's third-order Runge–Kutta method); "auto" is ⌈max |v| / 6h⌉, from 1 to 16.
+            of v (Ralston's third-order Runge–Kutta method); "auto" lets each path have one for every three cells per
+            frame of the largest velocity that a trial in one stage meets, from 1 to 32.
         conservative: with trace "flow", multiply by the determinant of the Jacobian of x ↦ start of its path: the field
             is then a density whose sum is kept, up to what leaves the grid and to what the grid resolves, also where v
             has a divergence.

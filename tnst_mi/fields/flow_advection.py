@@ -55,7 +55,7 @@ class FlowAdvection(AdvectionStep):
             conservative: whether the result is multiplied by the determinant of the Jacobian of φ⁻¹.
         """
         self._keep_arguments(field, velocity, source, method, h, outside, field_varies)
-        self.stages, self.conservative = stages, conservative
+        self.conservative = conservative
         limited = method == "maccormack" and reverted is None
         flow = self._flow()
 
@@ -66,24 +66,23 @@ class FlowAdvection(AdvectionStep):
             x, y, z = flow.velocity(cells)
             moving = (x != 0) | (y != 0) | (z != 0)
             cells = Cells.of(self.shape, _indices(moving | self._matters(cells, mi.Vector3f(0))))
-        departure = [stored(x) for x in flow.trace(cells, -1)]
-        dr.eval(departure)
+        paths = flow.paths(cells, -1, stages)
+        departure = [stored(x) for x in flow.trace(paths)]
+        dr.eval(paths.stages, departure)
         self.forward_step = mi.Float(self.field)
         stencil = Trilinear(cells, mi.Vector3f(*departure[:3]), outside)
-        corners = stencil.read(self.field, self.channels)
-        for c, value in enumerate(stencil.value(corners)):
+        for c, value in enumerate(stencil.value(stencil.read(self.field, self.channels))):
             dr.scatter(self.forward_step, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
         if sparse:
             # The others see nothing but equal values, and therefore keep what they see.
             seen = _indices(self._matters(cells, mi.Vector3f(*departure[:3])))
-            departure = [dr.gather(mi.Float, x, seen) for x in departure]
-            self.chosen = dr.gather(mi.UInt32, cells.number, seen)
-            cells = Cells.of(self.shape, self.chosen)
-        arrival = flow.trace(cells, 1)[:3] if self.corrected else departure[:3]
-        #: Where the paths of the chosen cells end, in cells from their start, and log J.
-        self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*arrival)
+            departure, paths = [dr.gather(mi.Float, x, seen) for x in departure], paths.chosen(seen)
+            cells, self.chosen = paths.cells, paths.cells.chosen
+        #: Along −v and along v: the paths of the chosen cells, and where they end, in cells from their start.
+        self.paths = paths, flow.paths(cells, 1, stages)
+        self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*flow.trace(self.paths[1])[:3])
         self.log_volume = departure[3] if conservative else None
-        dr.eval(self.forward_step, self.ends, self.log_volume, self.chosen)
+        dr.eval(self.forward_step, [path.stages for path in self.paths], self.ends, self.log_volume, self.chosen)
 
         result = self._corrected_step(limited, reverted) if self.corrected else mi.Float(self.forward_step)
         if self.log_volume is not None:
@@ -95,7 +94,7 @@ class FlowAdvection(AdvectionStep):
         return mi.TensorXf(result, self.tensor_shape)
 
     def _flow(self) -> FlowMap:
-        return FlowMap(self.velocity.at(Cells.of(self.shape)), self.h, self.shape, self.stages, self.conservative)
+        return FlowMap(self.velocity.at(Cells.of(self.shape)), self.h, self.shape, self.conservative)
 
     def _matters(self, cells: Cells, offset: mi.Vector3f) -> mi.Bool:
         """Whether the result at the end of a path, or its derivative, is anything but the value at any of its cells."""
@@ -123,7 +122,7 @@ class FlowAdvection(AdvectionStep):
     def _moved(self, cells: Cells, sign: int) -> mi.Vector3f:
         """The tangent of p or q; that of log J is kept aside."""
         change = self.source(self.grad_in("velocity")).at(Cells.of(self.shape))
-        moved = [stored(x) for x in self._flow().tangent(cells, sign, change)]
+        moved = [stored(x) for x in self._flow().tangent(self.paths[sign > 0], change)]
         dr.eval(moved)
         if sign < 0 and self.conservative:
             self.log_volume_tangent = moved[3]
@@ -164,15 +163,16 @@ class FlowAdvection(AdvectionStep):
         for c, (slope, value) in enumerate(zip(slopes, cells.own(g, self.channels), strict=True)):
             returned = 0 if scattered is None else scattered.at(cells.number * self.channels + c)
             on_departure += slope * (value + returned)
-        adjoints = [(-1, [*on_departure, *([self.on_log_volume] if self.conservative else [])])]
+        adjoints = [[*on_departure, *([self.on_log_volume] if self.conservative else [])]]
         if self.corrected:
             slopes = arrival.gradient(arrival.read(self.forward_step, self.channels))
             for slope, value in zip(slopes, on_backward_step, strict=True):
                 on_arrival += slope * value
-            adjoints.append((1, [*on_arrival, *([mi.Float(0)] if self.conservative else [])]))
-        adjoints = [(sign, [stored(x) for x in adjoint]) for sign, adjoint in adjoints]
+            adjoints.append([*on_arrival, *([mi.Float(0)] if self.conservative else [])])
+        adjoints = [[stored(x) for x in adjoint] for adjoint in adjoints]
         dr.eval(adjoints)
-        self.set_grad_in("velocity", self.velocity.transpose(self._flow().pull_back(cells, adjoints)))
+        of_velocity = self._flow().pull_back(list(zip(self.paths, adjoints, strict=False)))
+        self.set_grad_in("velocity", self.velocity.transpose(of_velocity))
 
     def name(self) -> str:
         """The name in Dr.Jit's messages."""

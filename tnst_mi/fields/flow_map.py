@@ -2,23 +2,25 @@
 
 A particle that starts at a cell's centre follows dx/dt = ±u(x), with u in cells per frame, trilinear between the cells
 and constant beyond the outermost ones. The time of one frame is divided into n equal stages of Ralston's third-order
-Runge–Kutta method (1962), which takes three evaluations and holds one of them at a time:
+Runge–Kutta method (1962):
 
     k1 = u(x),   k2 = u(x + Δt k1 / 2),   k3 = u(x + 3 Δt k2 / 4),   x ← x + Δt (2 k1 + 3 k2 + 4 k3) / 9.
 
-The divergence of u, integrated along with the position, is the logarithm of the determinant of the map's Jacobian
-(Liouville's formula). What is integrated is called the rates here: the three components of u and, if asked for, its
-divergence.
+Per evaluation of u it is more accurate here than the midpoint method, and no less than the classical one of fourth
+order, for which an interpolated velocity is not smooth enough (docs/transport.md). The divergence of u, integrated
+along with the position, is the logarithm of the determinant of the map's Jacobian (Liouville's formula). What is
+integrated is called the rates here: the three components of u and, with volume, its divergence.
 
-Derivatives are those of the discrete trace. Backwards, a cell's path is traced again, the positions at which its stages
-start are kept in the registers' local memory, and the stages are then visited from the last to the first: each adds the
-adjoints of its three evaluations to the cells that these interpolated between.
+Derivatives are those of the discrete trace, its number of stages held fixed. Backwards, a path is traced again, noting
+where its stages start; these are then visited from the last to the first, and each adds the adjoints of its three
+evaluations to the cells that were interpolated. A path's few numbers stay in the local memory of its thread.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import drjit as dr
@@ -30,9 +32,9 @@ from tnst_mi.fields.potentials import AxisDifference
 from tnst_mi.fields.stencil import Trilinear
 from tnst_mi.fields.sums import RepeatableSum, largest_magnitude
 
-#: A stage of "auto" crosses about this many cells at most, as long as there are no more than `AUTO_STAGES`.
-CELLS_PER_STAGE = 6.0
-AUTO_STAGES = 16
+#: A stage of "auto" crosses about this many cells at most, as long as a path has no more than `AUTO_STAGES`.
+CELLS_PER_STAGE = 3.0
+AUTO_STAGES = 32
 
 #: Each path has room for the starts of this many stages.
 MOST_STAGES = 64
@@ -50,6 +52,32 @@ class _Evaluation(NamedTuple):
     rates: list[mi.Float]
 
 
+@dataclass(frozen=True)
+class Paths:
+    """The paths from some cells, with the flow or against it.
+
+    Attributes:
+        cells: where they start.
+        sign: 1 along u, -1 along −u.
+        stages: number of stages of each path, or of all.
+    """
+
+    cells: Cells
+    sign: int
+    stages: mi.UInt32
+
+    @property
+    def step(self) -> mi.Float:
+        """The length of a stage in frames, with the sign."""
+        return opaque(float(self.sign)) / mi.Float(self.stages)
+
+    def chosen(self, indices: mi.UInt32) -> Paths:
+        """Those with the given numbers."""
+        cells = Cells.of(self.cells.shape, dr.gather(mi.UInt32, self.cells.number, indices))
+        each = dr.width(self.stages) > 1
+        return Paths(cells, self.sign, dr.gather(mi.UInt32, self.stages, indices) if each else self.stages)
+
+
 class FlowMap:
     """The maps x → x(1) along u and against u.
 
@@ -57,49 +85,59 @@ class FlowMap:
         v: velocity at all cells, in full-resolution cells per frame.
         h: size of a cell in full-resolution cells; u is v / h.
         shape: (D, H, W).
-        stages: number of stages n from 1 to `MOST_STAGES`; None for ⌈max |u| / `CELLS_PER_STAGE`⌉, from 1 to
-            `AUTO_STAGES`. It is found on the device and stays there.
         with_volume: whether the divergence is integrated too.
     """
 
-    def __init__(self, v: mi.Vector3f, h: float, shape: Shape, stages: int | None, with_volume: bool) -> None:
+    def __init__(self, v: mi.Vector3f, h: float, shape: Shape, with_volume: bool) -> None:
         self.shape, self.channels, self._per_cell = shape, 4 if with_volume else 3, dr.rcp(opaque(h))
         self._rates = _rates(v * self._per_cell, shape, with_volume)
         dr.eval(self._rates)
-        if stages is None:
-            fastest = dr.max(dr.norm(self.velocity(Cells.of(shape))))
-            # Clipped as integers, so that even a velocity that is not finite gives a number of stages.
-            self._stages = mi.UInt32(dr.clip(mi.Int32(dr.ceil(fastest / CELLS_PER_STAGE)), 1, AUTO_STAGES))
-            dr.eval(self._stages)
-        else:
-            self._stages = mi.UInt32(opaque_int(stages))
 
     def velocity(self, cells: Cells) -> mi.Vector3f:
         """u at some cells."""
         return mi.Vector3f(*cells.own(self._rates, self.channels)[:3])
 
-    def trace(self, cells: Cells, sign: int) -> list[mi.Float]:
-        """The end of each cell's path along `sign` · u: the displacement (x, y, z) in cells.
+    def paths(self, cells: Cells, sign: int, stages: int | None) -> Paths:
+        """The paths from some cells.
+
+        Args:
+            cells: where they start.
+            sign: 1 along u, -1 along −u.
+            stages: number of stages of all paths, from 1 to `MOST_STAGES`. If None, each path has its own: the largest
+                |u| that a trial in a single stage meets, over `CELLS_PER_STAGE`, rounded up to 1 to `AUTO_STAGES`.
+        """
+        if stages is not None:
+            return Paths(cells, sign, mi.UInt32(opaque_int(stages)))
+        fastest = mi.Float(0)
+        for evaluation in self._evaluations(cells, self._start(cells), opaque(float(sign))):
+            fastest = dr.maximum(fastest, dr.norm(mi.Vector3f(*evaluation.rates[:3])))
+        # Clipped as integers, so that even a velocity that is not finite gives a number of stages.
+        count = dr.clip(mi.Int32(dr.ceil(fastest / CELLS_PER_STAGE)), 1, AUTO_STAGES)
+        return Paths(cells, sign, mi.UInt32(count))
+
+    def trace(self, paths: Paths) -> list[mi.Float]:
+        """The end of each path: its displacement (x, y, z) in cells.
 
         With volume, it is followed by the logarithm of the determinant of the map's Jacobian.
         """
 
         def stage(k: mi.UInt32, state: list[mi.Float]) -> tuple[mi.UInt32, list[mi.Float]]:
-            return k + 1, self._next(state, self._evaluations(cells, state, sign), sign)
+            return k + 1, _after(state, self._evaluations(paths.cells, state, paths.step), paths.step)
 
-        _, state = dr.while_loop((mi.UInt32(0), self._start(cells)), self._unfinished, stage, labels=("k", "state"))
+        loop = (mi.UInt32(0), self._start(paths.cells))
+        _, state = dr.while_loop(loop, lambda k, state: k < paths.stages, stage, labels=("k", "state"))
         return state
 
-    def tangent(self, cells: Cells, sign: int, change: mi.Vector3f) -> list[mi.Float]:
+    def tangent(self, paths: Paths, change: mi.Vector3f) -> list[mi.Float]:
         """The derivative of `trace` along a change of v, given at all cells."""
         change_of_rates = _rates(change * self._per_cell, self.shape, self.channels == 4)
         dr.eval(change_of_rates)
-        step = self._time_step(sign)
+        step = paths.step
 
         def stage(
             k: mi.UInt32, state: list[mi.Float], tangent: list[mi.Float]
         ) -> tuple[mi.UInt32, list[mi.Float], list[mi.Float]]:
-            evaluations = self._evaluations(cells, state, sign)
+            evaluations = self._evaluations(paths.cells, state, step)
             moved, after = [mi.Float(0)] * self.channels, list(tangent)
             for node, weight, (stencil, corners, _) in zip(_NODES, _WEIGHTS, evaluations, strict=True):
                 position = mi.Vector3f(*(t + node * step * m for t, m in zip(tangent[:3], moved[:3], strict=True)))
@@ -107,50 +145,56 @@ class FlowMap:
                 slopes = stencil.gradient(corners)
                 moved = [c + dr.dot(slope, position) for c, slope in zip(changed, slopes, strict=True)]
                 after = [a + weight * step * m for a, m in zip(after, moved, strict=True)]
-            return k + 1, self._next(state, evaluations, sign), after
+            return k + 1, _after(state, evaluations, step), after
 
-        loop = (mi.UInt32(0), self._start(cells), self._start(cells))
-        _, _, tangent = dr.while_loop(loop, self._unfinished, stage, labels=("k", "state", "tangent"))
+        _, _, tangent = dr.while_loop(
+            (mi.UInt32(0), self._start(paths.cells), self._start(paths.cells)),
+            lambda k, state, tangent: k < paths.stages,
+            stage,
+            labels=("k", "state", "tangent"),
+        )
         return tangent
 
-    def pull_back(self, cells: Cells, adjoints: Sequence[tuple[int, list[mi.Float]]]) -> mi.Vector3f:
+    def pull_back(self, adjoints: Sequence[tuple[Paths, list[mi.Float]]]) -> mi.Vector3f:
         """The adjoint of v at all cells, one array in memory per component.
 
         Args:
-            cells: those that were traced.
-            adjoints: for each sign that they were traced with, the adjoint of what `trace` returned.
+            adjoints: paths, each with the adjoint of what `trace` returned.
         """
-        # The unit of the sums must be known before anything is added: how much a path adds in all is found first. It
-        # grows along the path where the flow stretches, without a useful bound. Gathering costs little: adding takes
-        # ten times as long.
+        # The unit of the sums must be known before anything is added, so how much each path adds in all is found first.
+        # It grows along the path where the flow stretches, without a useful bound. Finding it only gathers, which takes
+        # a third of the time of adding.
         largest = mi.Float(0)
-        for sign, adjoint in adjoints:
-            largest = dr.maximum(largest, largest_magnitude(self._visit_backwards(cells, sign, adjoint, None)))
+        for paths, adjoint in adjoints:
+            largest = dr.maximum(largest, largest_magnitude(self._visit_backwards(paths, adjoint, None)))
         total = RepeatableSum(self.channels * math.prod(self.shape), largest, len(adjoints) * math.prod(self.shape))
-        for sign, adjoint in adjoints:
-            self._visit_backwards(cells, sign, adjoint, total)
+        for paths, adjoint in adjoints:
+            self._visit_backwards(paths, adjoint, total)
         return _transposed_rates(total, self.shape, self.channels, self._per_cell)
 
-    def _visit_backwards(
-        self, cells: Cells, sign: int, adjoint: list[mi.Float], total: RepeatableSum | None
-    ) -> mi.Float:
+    def _visit_backwards(self, paths: Paths, adjoint: list[mi.Float], total: RepeatableSum | None) -> mi.Float:
         """Add the adjoints of all evaluations to `total`, if there is one; by path, the sum of their magnitudes."""
-        starts, step = dr.alloc_local(mi.Vector3f, MOST_STAGES), self._time_step(sign)
+        cells, step = paths.cells, paths.step
+        starts = dr.alloc_local(mi.Vector3f, MOST_STAGES)
+        starts[0] = dr.zeros(mi.Vector3f, dr.width(cells.x))
 
         def stage(k: mi.UInt32, state: list[mi.Float], starts: dr.Local) -> tuple[mi.UInt32, list[mi.Float], dr.Local]:
+            state = _after(state, self._evaluations(cells, state, step), step)
             starts[k] = mi.Vector3f(*state[:3])
-            return k + 1, self._next(state, self._evaluations(cells, state, sign), sign), starts
+            return k + 1, state, starts
 
-        loop = (mi.UInt32(0), self._start(cells), starts)
-        k, _, starts = dr.while_loop(
-            loop, lambda k, state, starts: self._unfinished(k), stage, labels=("k", "state", "starts")
+        _, _, starts = dr.while_loop(
+            (mi.UInt32(1), self._start(cells), starts),
+            lambda k, state, starts: k < paths.stages,
+            stage,
+            labels=("k", "state", "starts"),
         )
 
         def stage_back(
             k: mi.UInt32, adjoint: list[mi.Float], added: mi.Float, starts: dr.Local
         ) -> tuple[mi.UInt32, list[mi.Float], mi.Float, dr.Local]:
             k = k - 1
-            evaluations = self._evaluations(cells, list(starts[k]), sign)
+            evaluations = self._evaluations(cells, list(starts[k]), step)
             before, returned = list(adjoint), mi.Vector3f(0)
             for i in reversed(range(3)):
                 stencil, corners, _ = evaluations[i]
@@ -169,29 +213,20 @@ class FlowMap:
             return k, before, added, starts
 
         _, _, added, _ = dr.while_loop(
-            (k, list(adjoint), dr.zeros(mi.Float, dr.width(cells.x)), starts),
+            (mi.UInt32(paths.stages), list(adjoint), dr.zeros(mi.Float, dr.width(cells.x)), starts),
             lambda k, adjoint, added, starts: k > 0,
             stage_back,
             labels=("k", "adjoint", "added", "starts"),
         )
-        if total is None:
-            dr.eval(added)
-        else:
-            dr.eval(total.total)
+        dr.eval(added if total is None else total.total)
         return added
 
     def _start(self, cells: Cells) -> list[mi.Float]:
         return [dr.zeros(mi.Float, dr.width(cells.x)) for _ in range(self.channels)]
 
-    def _unfinished(self, k: mi.UInt32, *state: object) -> mi.Bool:
-        return k < self._stages
-
-    def _time_step(self, sign: int) -> mi.Float:
-        return opaque(float(sign)) / mi.Float(self._stages)
-
-    def _evaluations(self, cells: Cells, state: list[mi.Float], sign: int) -> list[_Evaluation]:
+    def _evaluations(self, cells: Cells, state: list[mi.Float], step: mi.Float) -> list[_Evaluation]:
         """The three evaluations of a stage."""
-        step, rates, found = self._time_step(sign), [mi.Float(0)] * 3, []
+        rates, found = [mi.Float(0)] * 3, []
         for node in _NODES:
             offset = mi.Vector3f(*(x + node * step * k for x, k in zip(state[:3], rates[:3], strict=True)))
             stencil = Trilinear(cells, offset, "edge")
@@ -200,12 +235,12 @@ class FlowMap:
             found.append(_Evaluation(stencil, corners, rates))
         return found
 
-    def _next(self, state: list[mi.Float], evaluations: list[_Evaluation], sign: int) -> list[mi.Float]:
-        """The state after a stage."""
-        step = self._time_step(sign)
-        for weight, evaluation in zip(_WEIGHTS, evaluations, strict=True):
-            state = [x + weight * step * k for x, k in zip(state, evaluation.rates, strict=True)]
-        return state
+
+def _after(state: list[mi.Float], evaluations: list[_Evaluation], step: mi.Float) -> list[mi.Float]:
+    """The state after a stage."""
+    for weight, evaluation in zip(_WEIGHTS, evaluations, strict=True):
+        state = [x + weight * step * k for x, k in zip(state, evaluation.rates, strict=True)]
+    return state
 
 
 def _rates(u: mi.Vector3f, shape: Shape, with_volume: bool) -> mi.Float:

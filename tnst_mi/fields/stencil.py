@@ -96,7 +96,8 @@ class Trilinear:
                 weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
             for c, value in enumerate(values):
                 slot = index if len(values) == 1 else index * len(values) + c
-                target.add(slot, weight * value, active & (value != 0))
+                added = weight * value
+                target.add(slot, added, active & (added != 0))
 
 
 def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:
