@@ -196,7 +196,7 @@ def test_an_absent_potential_is_none_in_every_kind() -> None:
 def test_the_decorated_functions_keep_their_names_and_signatures() -> None:
     for name, parameters in (
         ("velocity", ["phi", "psi", "lam", "h"]),
-        ("advect", ["field", "v", "method", "h", "outside", "steps"]),
+        ("advect", ["field", "v", "method", "h", "outside", "steps", "trace", "stages", "conservative"]),
         ("render", ["density", "view", "gamma", "quadrature", "h", "fit"]),
     ):
         function = getattr(tnst_mi, name)

@@ -45,6 +45,7 @@ PAPER = {
     "step_order": "align_first",
     "coherence": 0.0,
     "steps": 1,
+    "transport": "step",
     "parameterisation": "transport",
     "integrator": "emission_absorption",
     "blend": 1.0,

@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.advection import advect
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.state import Items
@@ -50,7 +49,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
             # Potentials do not change inside a solid, but those around it produce velocities one cell into it.
             components = dr.select(solid, mi.Vector3f(0), dr.unravel(mi.Vector3f, velocity.array))
             velocity = mi.TensorXf(dr.ravel(components), tuple(velocity.shape))
-            density = advect(unstylized, velocity, steps=frame.recipe.steps)
+            density = parameterisation.moved(unstylized, velocity, full.cell_size)
         else:
             density = parameterisation.density(fields, unstylized, full.cell_size)
     if not (dr.all(dr.isfinite(density.array)) and dr.all(dr.isfinite(velocity.array))):

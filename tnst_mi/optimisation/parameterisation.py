@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.advection import advect, step
+from tnst_mi.fields.advection import advect, flow, step
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.kernels import Divisor, opaque, stored
 from tnst_mi.fields.potentials import PotentialVelocity, velocity
@@ -138,12 +138,21 @@ class Transport(Parameterisation):
         substeps: sub-steps of the advection, or "auto".
         scalar: whether there is a Φ; if None, whether λ > 0.
         vector: whether there is a Ψ; if None, whether λ < 1.
+        trace, stages, conservative: how the advection follows the velocity, as in `advect`.
     """
 
     def __init__(
-        self, lam: float, substeps: int | str = 1, scalar: bool | None = None, vector: bool | None = None
+        self,
+        lam: float,
+        substeps: int | str = 1,
+        scalar: bool | None = None,
+        vector: bool | None = None,
+        trace: str = "step",
+        stages: int | str = "auto",
+        conservative: bool = False,
     ) -> None:
         self.lam, self.substeps = lam, substeps
+        self.trace, self.stages, self.conservative = trace, stages, conservative
         scalar, vector = lam > 0 if scalar is None else scalar, lam < 1 if vector is None else vector
         self.channels = ({"phi": 1} if scalar else {}) | ({"psi": 3} if vector else {})
 
@@ -153,10 +162,18 @@ class Transport(Parameterisation):
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
+        v = PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
+        if self.trace == "flow":
+            stages = self.stages if isinstance(self.stages, int) else None
+            return flow(density, v, "maccormack", h, "zero", None, stages, self.conservative)
         if self.substeps == 1:
-            v = PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
             return step(density, v, "maccormack", h, "zero")
-        return advect(density, self.velocity(fields, h), "maccormack", h, "zero", self.substeps)
+        return self.moved(density, self.velocity(fields, h), h)
+
+    def moved(self, density: mi.TensorXf, v: mi.TensorXf, h: float) -> mi.TensorXf:
+        """MacCormack transport of the density by any velocity (D, H, W, 3) on its grid."""
+        arguments = (self.substeps, self.trace, self.stages, self.conservative)
+        return advect(density, v, "maccormack", h, "zero", *arguments)
 
     def unit_step(self, rows: int, h: float) -> float:
         """(H/2) h: η is in units of the octave's own cells, so that a recipe's η means the same at every size."""

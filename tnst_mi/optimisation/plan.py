@@ -140,9 +140,11 @@ def plan_of(
         objective: what to minimise instead of the recipe's terms.
 
     Raises:
-        InputError: the recipe's window cannot be averaged as it says, or an objective of its terms cannot be made.
+        InputError: the recipe's window cannot be averaged as it says, its keys of the transport do not belong together,
+            or an objective of its terms cannot be made.
     """
     require_averageable(recipe)
+    require_one_transport(recipe)
     recipes = [recipe.at(number) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
@@ -156,7 +158,15 @@ def plan_of(
             exposure,
             DensityOffset()
             if recipe.parameterisation == "density"
-            else Transport(at_frame.lam, recipe.steps, max(lams) > 0, min(lams) < 1),
+            else Transport(
+                at_frame.lam,
+                recipe.steps,
+                max(lams) > 0,
+                min(lams) < 1,
+                recipe.transport,
+                recipe.stages,
+                recipe.conservative,
+            ),
             None if objective is not None else tuple(term_weights(at_frame)),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
@@ -177,3 +187,21 @@ def require_averageable(recipe: Recipe) -> None:
             "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
             "nothing to count smoke by; expected window_average = 'plain'"
         )
+
+
+def require_one_transport(recipe: Recipe) -> None:
+    """Check that the keys of one kind of transport do not come with the other.
+
+    Raises:
+        InputError: they do.
+    """
+    if recipe.transport == "flow":
+        other, foreign = "step", {"steps": recipe.steps != 1}
+    else:
+        other, foreign = "flow", {"stages": recipe.stages != "auto", "conservative": recipe.conservative}
+    for name, given in foreign.items():
+        if given:
+            raise InputError(
+                f"{name} = {getattr(recipe, name)!r} belongs to transport = {other!r}, and transport is "
+                f"{recipe.transport!r}; expected one of them to be otherwise"
+            )

@@ -18,6 +18,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         # Eq. 3, 4 and 8: one step of transport.
         "parameterisation": "transport",
         "steps": 1,
+        "transport": "step",
         # Eq. 9, 10 and Algorithm 1.
         "window_weights": "uniform",
         "window_average": "plain",

@@ -127,7 +127,16 @@ class Method:
     """With a window, size of the step that makes the change of the smoke move with the smoke, relative to the
     stylization's own step, 0 or more; 0, as in the paper, is none."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
-    """Sub-steps of the transport: 1 is the paper's; auto takes one per cell of the longest displacement."""
+    """With transport step, sub-steps of it: 1 is the paper's; auto takes one per cell of the longest displacement."""
+    transport: Annotated[str, Choice(("step", "flow"))] = "step"
+    """How smoke follows the velocity: step, as in the paper, looks back along a straight line, which loses smoke where
+    the velocity turns; flow follows it for one frame, and a velocity without divergence (lam 0) keeps the mass."""
+    stages: Annotated[int | str, Integer(1, 64, word="auto")] = "auto"
+    """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells of
+    the path's own displacement, up to 32."""
+    conservative: Annotated[bool, Switch()] = False
+    """With transport flow, true makes smoke denser where it contracts and thinner where it expands (lam above 0), so
+    that its mass is kept as far as the grid resolves this; false keeps the densities, as in the paper."""
     parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
     """Optimise velocities that transport the smoke, or change density values in place."""
     integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"

@@ -25,7 +25,7 @@ from tnst_mi.machine.disk import require_space, require_writable
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
-from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable
+from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, require_one_transport
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
@@ -142,6 +142,7 @@ def prepare(
             "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
         )
     require_averageable(recipe)
+    require_one_transport(recipe)
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
