@@ -16,7 +16,7 @@ from fields import blob, directional_error, smooth_noise
 import tnst_mi
 from tnst_mi.fields import flow_advection
 from tnst_mi.fields.advection import METHODS, flow, step
-from tnst_mi.fields.flow_map import FlowMap
+from tnst_mi.fields.flow_map import MOST_STAGES, FlowMap
 from tnst_mi.fields.grid import Cells
 from tnst_mi.fields.potentials import PotentialVelocity
 
@@ -172,6 +172,22 @@ def test_order_of_the_trace() -> None:
         order = -np.polyfit(np.log(stages), np.log(errors), 1)[0]
         assert 2.7 < order < 3.3
         assert errors[2] < 0.02
+
+
+def test_no_path_crosses_the_outermost_cells_of_a_solid() -> None:
+    """A velocity of up to 44 cells that is 0 inside a solid: paths end before the centres of its cells."""
+    rng, shape = np.random.default_rng(14), (14, 18, 16)
+    solid = np.zeros(shape, bool)
+    solid[4:10, 6:9, 3:12] = True
+    v = smooth_noise(rng, *shape, 3)
+    v *= 44 / np.linalg.norm(v, axis=-1).max()
+    v[solid] = 0
+    inside = torch.tensor(solid, dtype=torch.float64)[..., None]
+    for sign in (-1, 1):
+        end = flow_oracle.centres(shape) + torch.tensor(ends(v, MOST_STAGES, sign), dtype=torch.float64)
+        around, weights = flow_oracle.corners(inside, end, "zero")
+        deep = ((around * (weights > 1e-6)).sum(0) == (weights > 1e-6).sum(0))[..., 0].numpy()
+        assert not (deep & ~solid).any()
 
 
 def test_forward_and_back_again_returns_the_density() -> None:

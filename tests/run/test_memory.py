@@ -32,8 +32,9 @@ print(peak_memory())
 """
 
 
-def test_a_run_takes_about_what_was_said() -> None:
-    command = [sys.executable, "-c", RUN, json.dumps({"lam": 0.5})]
+@pytest.mark.parametrize("keys", [{}, {"transport": "flow"}, {"transport": "flow", "conservative": True}])
+def test_a_run_takes_about_what_was_said(keys: dict) -> None:
+    command = [sys.executable, "-c", RUN, json.dumps({"lam": 0.5} | keys)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     (said,) = [float(line.split()[2]) for line in done.stderr.splitlines() if line.startswith("memory: about")]
     assert int(done.stdout) == pytest.approx(1e9 * said, rel=0.2)

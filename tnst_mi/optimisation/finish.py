@@ -49,7 +49,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
             # Potentials do not change inside a solid, but those around it produce velocities one cell into it.
             components = dr.select(solid, mi.Vector3f(0), dr.unravel(mi.Vector3f, velocity.array))
             velocity = mi.TensorXf(dr.ravel(components), tuple(velocity.shape))
-            density = parameterisation.moved(unstylized, velocity, full.cell_size)
+            density = parameterisation.around_solids(unstylized, velocity, full.cell_size)
         else:
             density = parameterisation.density(fields, unstylized, full.cell_size)
     if not (dr.all(dr.isfinite(density.array)) and dr.all(dr.isfinite(velocity.array))):

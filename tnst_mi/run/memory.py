@@ -31,6 +31,8 @@ class Costs:
         transport_cell, transport_component: per cell of the finest grid (density, mask, the images' derivatives,
             transport, result), and per component of the fields.
         density_cell: the same where density values are optimised.
+        flow_cell, volume_cell: what transport along the flow adds: ends of paths, velocity, and sums of its derivative;
+            and what its conservative form adds to that.
         window_cell, window_component: what a window adds: velocity, gain, sums, and an item that is read ahead.
         network_factor, network_pixel: the network's evaluation takes more than what autograd saves: gradients and
             workspaces as a factor, a convolution's columns per pixel.
@@ -40,6 +42,8 @@ class Costs:
     transport_cell: int
     transport_component: int
     density_cell: int
+    flow_cell: int
+    volume_cell: int
     window_cell: int
     window_component: int
     network_factor: float
@@ -49,10 +53,11 @@ class Costs:
 #: By kind of device. CPU: measured with `stylize` at 128×192×128 and 200×300×200 cells (docs/performance.md); the peak
 #: resident size, less what the network takes, is linear in the number of cells for each parameterisation. GPU: measured
 #: with scripts/measure_gpu.py on an H100 at three sizes (docs/gpu.md), of which the dearest counts: Dr.Jit rounds each
-#: array up to a power of two.
+#: array up to a power of two. What the flow takes on a GPU, where it is computed for all cells, is not measured: it is
+#: the sum of its arrays, a third of them empty.
 COSTS = {
-    "cpu": Costs(PROCESS, 55, 27, 55, 50, 16, 1.2, 1000),
-    "cuda": Costs(1_300_000_000, 60, 36, 52, 60, 24, 2.5, 0),
+    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 50, 16, 1.2, 1000),
+    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 60, 24, 2.5, 0),
 }
 
 
@@ -109,6 +114,8 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
     """
     costs, components, at_once, size = COSTS[torch_device().type], recipe.components, 0, image_size(recipe, shape)
     by_cell: float = costs.transport_cell + costs.transport_component * components
+    if recipe.transport == "flow":
+        by_cell += costs.flow_cell + costs.volume_cell * recipe.conservative
     if recipe.parameterisation == "density":
         by_cell = costs.density_cell
     if recipe.window > 1:
