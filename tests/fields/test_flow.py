@@ -275,22 +275,23 @@ def test_nothing_stays_nothing(v: float) -> None:
 
 
 @pytest.mark.parametrize("conservative", [False, True])
-@pytest.mark.parametrize("channels", [(), (3,)])
+@pytest.mark.parametrize("outside", ["zero", "edge"])
+@pytest.mark.parametrize(("channels", "size"), [((), 3.0), ((), 0.5), ((), 20.0), ((3,), 3.0)])
 def test_tracing_all_cells_gives_what_tracing_those_that_matter_gives(
-    channels: tuple[int, ...], conservative: bool, monkeypatch: pytest.MonkeyPatch
+    channels: tuple[int, ...], size: float, outside: str, conservative: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a GPU, and as on a CPU; smoke and velocity are in a part of the grid, and still cells next to smoke."""
     rng = np.random.default_rng(18)
     shape = (16, 20, 14)
     field = smoke_in_air(rng, (*shape, *channels))
-    v = 3 * smooth_noise(rng, *shape, 3)
+    v = size * smooth_noise(rng, *shape, 3)
     v[:, :, :8] = 0
     weights, found = smooth_noise(rng, *shape, *channels), {}
     for everywhere in (False, True):
         monkeypatch.setattr(flow_advection, "on_gpu", lambda everywhere=everywhere: everywhere)
         velocity = mi.TensorXf(v)
         dr.enable_grad(velocity)
-        result = flow(mi.TensorXf(field), velocity, stages=4, conservative=conservative)
+        result = flow(mi.TensorXf(field), velocity, outside=outside, stages=4, conservative=conservative)
         dr.set_grad(result, mi.TensorXf(weights))
         dr.enqueue(dr.ADMode.Backward, result)
         dr.traverse(dr.ADMode.Backward)

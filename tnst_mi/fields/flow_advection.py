@@ -10,8 +10,8 @@ velocity has a divergence.
 
 The adjoint first finds those of p, q and log J, by the formulas of `maccormack`; `FlowMap` takes them to the velocity.
 On a CPU, the limited operation traces only paths that matter. A cell with v = 0 keeps its place, so that what it sees
-is known without a path: the other cells are traced back, and those with v = 0 near smoke, whose derivative is not 0.
-Only the ones that see smoke are then corrected and differentiated.
+is known without a path: the others are traced back, if they are close enough to the smoke to see any, and those with
+v = 0 beside smoke, whose derivative is not 0. Only cells that see smoke are then corrected and differentiated.
 """
 
 from __future__ import annotations
@@ -63,9 +63,10 @@ class FlowAdvection(AdvectionStep):
         # A GPU traces all cells: the number of the others would have to be read back, which stalls it.
         sparse = limited and not field_varies and not on_gpu()
         if sparse:
-            x, y, z = flow.velocity(cells)
-            moving = (x != 0) | (y != 0) | (z != 0)
-            cells = Cells.of(self.shape, _indices(moving | self._matters(cells, mi.Vector3f(0))))
+            u = flow.velocity(cells)
+            moving = (u.x != 0) | (u.y != 0) | (u.z != 0)
+            reaching = moving & self._within_reach(cells, dr.max(dr.norm(u)))
+            cells = Cells.of(self.shape, _indices(reaching | self._matters(cells, mi.Vector3f(0))))
         paths = flow.paths(cells, -1, stages)
         departure = [stored(x) for x in flow.trace(paths)]
         dr.eval(paths.stages, departure)
@@ -95,6 +96,17 @@ class FlowAdvection(AdvectionStep):
 
     def _flow(self) -> FlowMap:
         return FlowMap(self.velocity.at(Cells.of(self.shape)), self.h, self.shape, self.conservative)
+
+    def _within_reach(self, cells: Cells, longest: mi.Float) -> mi.Bool:
+        """Whether a path of at most this length could end beside a value other than 0: inside a box, at least."""
+        filled = mi.Bool(False)
+        for value in cells.own(self.field, self.channels):
+            filled |= value != 0
+        box, reach = Cells.of(self.shape, _indices(filled)), mi.Int32(dr.ceil(longest)) + 1
+        within = mi.Bool(True)
+        for here, there in ((cells.x, box.x), (cells.y, box.y), (cells.z, box.z)):
+            within &= (here >= dr.min(there) - reach) & (here <= dr.max(there) + reach)
+        return within
 
     def _matters(self, cells: Cells, offset: mi.Vector3f) -> mi.Bool:
         """Whether the result at the end of a path, or its derivative, is anything but the value at any of its cells."""
