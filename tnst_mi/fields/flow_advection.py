@@ -51,7 +51,7 @@ class FlowAdvection(AdvectionStep):
 
         Args:
             field, velocity, source, method, h, outside, reverted, field_varies: as there.
-            stages: of every path; None to take as many as the longest displacement needs, see `FlowMap`.
+            stages: of every path; None to take as many as each needs, see `FlowMap.paths`.
             conservative: whether the result is multiplied by the determinant of the Jacobian of φ⁻¹.
         """
         self._keep_arguments(field, velocity, source, method, h, outside, field_varies)
@@ -81,7 +81,8 @@ class FlowAdvection(AdvectionStep):
             cells, self.chosen = paths.cells, paths.cells.chosen
         #: Along −v and along v: the paths of the chosen cells, and where they end, in cells from their start.
         self.paths = paths, flow.paths(cells, 1, stages)
-        self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*flow.trace(self.paths[1])[:3])
+        arrival = flow.trace(self.paths[1]) if self.corrected else departure
+        self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*arrival[:3])
         self.log_volume = departure[3] if conservative else None
         dr.eval(self.forward_step, [path.stages for path in self.paths], self.ends, self.log_volume, self.chosen)
 
@@ -102,7 +103,8 @@ class FlowAdvection(AdvectionStep):
         filled = mi.Bool(False)
         for value in cells.own(self.field, self.channels):
             filled |= value != 0
-        box, reach = Cells.of(self.shape, _indices(filled)), mi.Int32(dr.ceil(longest)) + 1
+        # Bounded, so that it fits an integer.
+        box, reach = Cells.of(self.shape, _indices(filled)), mi.Int32(dr.minimum(dr.ceil(longest), 2.0**24)) + 1
         within = mi.Bool(True)
         for here, there in ((cells.x, box.x), (cells.y, box.y), (cells.z, box.z)):
             within &= (here >= dr.min(there) - reach) & (here <= dr.max(there) + reach)
