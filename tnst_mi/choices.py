@@ -20,6 +20,9 @@ shows its length inside the box where there is no smoke, and less where there is
 STYLE_LOSSES = ("gram", "paper")
 """Distances between Gram matrices, see `tnst_mi.losses.terms.Style`."""
 
+TRACES = ("step", "flow")
+"""How transport follows a velocity, see `tnst_mi.fields.advection.advect`."""
+
 WINDOW_WEIGHTS = ("uniform", "triangle", "gaussian")
 """Shapes of the temporal window, see `tnst_mi.optimisation.temporal.window.window_weights`."""
 

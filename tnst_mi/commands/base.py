@@ -12,13 +12,11 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.keys import Number, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
-
-#: Factor from 1 beyond which the unit of density is mentioned.
-_UNUSUAL = 4.0
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -72,7 +70,7 @@ class Unit:
         thick = self.reference * self.factor
         if self.factor != 1:
             print(f"note: densities are taken times {self.factor:.4g} (--density-scale)", file=sys.stderr)
-        elif thick > 0 and not 1 / _UNUSUAL < thick < _UNUSUAL:
+        elif is_unusual(thick):
             print(
                 f"note: the density of thick smoke is {thick:.4g} here, where gamma and looks mean that of 1: "
                 "--density-scale auto makes it 1",

@@ -13,6 +13,7 @@ from tnst_mi.commands.base import unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import scaled
 from tnst_mi.io import open_frames
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
@@ -20,7 +21,6 @@ from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.recipe.keys import Integer, Kind
 from tnst_mi.recipe.recipe import KINDS
-from tnst_mi.run.inputs import ScaledFrames
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
@@ -33,12 +33,12 @@ def run(arguments: CompareArguments) -> int:
     settings = _settings(arguments)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    stored = open_frames(arguments.input)[:1]
-    unit = unit_of(stored, arguments.density_scale)
-    frame = ScaledFrames(stored, unit.factor)[0]
-    if not frame.density.any():
+    frame = open_frames(arguments.input)[0]
+    unit = unit_of([frame], arguments.density_scale)
+    density = scaled(frame.density, unit.factor)
+    if not density.any():
         raise InputError(f"{arguments.input}: the density is 0 everywhere, expected smoke to compare renderers on")
-    require_light(frame.density, settings)
+    require_light(density, settings)
     variant = activate()
     require_optix("compare")
     unit.note()
@@ -49,7 +49,7 @@ def run(arguments: CompareArguments) -> int:
             bar.set_description_str(name, refresh=False)
             bar.update(min(share, 1.0 - bar.n))  # shares may add up to slightly more than 1
 
-        results = compare(frame.density, settings, report)
+        results = compare(density, settings, report)
         report("report", 0.0)
         environment = {
             "versions": versions(),

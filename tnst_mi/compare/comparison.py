@@ -106,8 +106,9 @@ def require_light(density: np.ndarray, settings: Settings) -> None:
                     f"of the view {view[0]:g},{view[1]:g}: nothing can be tested; give another --gamma, more --spp, or "
                     "--density-scale auto"
                 )
+    thinnest = column_density(density, (0.0, 0.0)).min()
     for gamma in settings.gradient_gammas:
-        if gamma * column_density(density, (0.0, 0.0)).min() > _OPAQUE:
+        if gamma * thinnest > _OPAQUE:
             raise InputError(
                 f"compare: at gamma {gamma:g} no light gets through the smoke in the view 0,0, so that all derivatives "
                 "are 0 and cannot be compared; give a smaller --gamma"

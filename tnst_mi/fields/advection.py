@@ -11,6 +11,7 @@ from collections.abc import Callable
 import drjit as dr
 import mitsuba as mi
 
+from tnst_mi.choices import TRACES
 from tnst_mi.errors import InputError
 from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.flow_advection import FlowAdvection
@@ -23,8 +24,6 @@ from tnst_mi.fields.potentials import PotentialVelocity
 _MOST_SUBSTEPS = 10_000
 
 METHODS = ("maccormack", "semi_lagrangian", "maccormack_unlimited")
-
-TRACES = ("step", "flow")
 
 
 def step(

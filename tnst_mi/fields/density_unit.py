@@ -21,6 +21,9 @@ SMOKE = 0.99
 #: being as dense as the next one, lest a single hot cell hold nearly all of the smoke.
 STRAY = 4
 
+#: Factor from 1 beyond which the density of thick smoke is unusual where γ, masks and looks mean that of 1.
+_UNUSUAL = 4.0
+
 #: Cells with less than this share of a frame's densest ones need not be counted: together they are less than a few.
 _NEGLIGIBLE = 1e-7
 
@@ -43,8 +46,7 @@ class ReferenceDensity:
         filled = density[density > 0]
         if not filled.size:
             return
-        rank = filled.size - 1 - min(STRAY, filled.size // 100)
-        densest = np.partition(filled, rank)[rank]
+        densest = densest_but_stray(filled)
         counted = np.sort(np.minimum(filled[filled >= _NEGLIGIBLE * float(densest)], densest))
         # The bits of positive floats are in the order of their values, and a power of two changes their exponent alone.
         classes, first = np.unique(counted.view(np.uint32) >> _IGNORED_BITS, return_index=True)
@@ -72,6 +74,17 @@ class ReferenceDensity:
         if not isinstance(given, str):
             return given
         return 1.0 / self.value if self.value > 0 else 1.0
+
+
+def densest_but_stray(densities: np.ndarray) -> np.float32:
+    """The largest of some densities (N,) but for those that may be stray."""
+    rank = densities.size - 1 - min(STRAY, densities.size // 100)
+    return np.partition(densities, rank)[rank]
+
+
+def is_unusual(thick: float) -> bool:
+    """Whether the density of thick smoke, 0 if there is none, is far from 1."""
+    return thick > 0 and not 1 / _UNUSUAL < thick < _UNUSUAL
 
 
 def scaled(density: np.ndarray, factor: float) -> np.ndarray:

@@ -50,9 +50,12 @@ def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
     else:
         reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
     tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
-    named = f"semantic {recipe.semantic[0]!r}" if recipe.semantic else f"match {recipe.match[0]!r}"
+    if recipe.semantic:
+        named = f"semantic {recipe.semantic[0]!r}: channel numbers are those"
+    else:
+        named = f"match {recipe.match[0]!r}: the channels of a map are those"
     raise InputError(
-        f"{named}: channel numbers are those of one network, and this run would be on the "
+        f"{named} of one network, and this run would be on the "
         f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
         f"meant, or choose a tag, such as {tags}"
     )

@@ -9,7 +9,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, get_type_hints
 
-from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, WINDOW_WEIGHTS
+from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 
@@ -128,7 +128,7 @@ class Method:
     stylization's own step, 0 or more; 0, as in the paper, is none."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
     """With transport step, sub-steps of it: 1 is the paper's; auto takes one per cell of the longest displacement."""
-    transport: Annotated[str, Choice(("step", "flow"))] = "step"
+    transport: Annotated[str, Choice(TRACES)] = "step"
     """How smoke follows the velocity: step, as in the paper, looks back along a straight line, which loses smoke where
     the velocity turns; flow follows it for one frame, and a velocity without divergence (lam 0) keeps the mass."""
     stages: Annotated[int | str, Integer(1, 64, word="auto")] = "auto"

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.density_unit import STRAY
+from tnst_mi.fields.density_unit import densest_but_stray
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.recipe.recipe import Recipe
@@ -81,8 +81,7 @@ def largest_columns(
         densities = seen.numpy().ravel()
         # In other views, a ray may meet the same smoke with a sample more.
         ray = max(ray, column + octave.cell_size * float(densities.max()))
-        rank = densities.size - 1 - min(STRAY, densities.size // 100)
-        cell = max(cell, octave.cell_size * float(np.partition(densities, rank)[rank]))
+        cell = max(cell, octave.cell_size * float(densest_but_stray(densities)))
     return Columns(ray, cell)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.run.prepare import Prepared
@@ -13,9 +14,6 @@ _THICK = 3.0
 
 #: Share of the steps of the frame with the most smoke in view below which a frame is practically left alone.
 _FAINT = 1e-3
-
-#: Factor from 1 beyond which the unit of density is unusual.
-_UNUSUAL = 4.0
 
 #: Share of the smoke from which on it is mentioned that images do not show it.
 _CUT_OFF = 0.01
@@ -44,7 +42,7 @@ def _of_density(prepared: Prepared) -> Iterator[str]:
     if reference > 0:
         yield f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale){auto}"
     thick = reference * scale
-    if thick > 0 and not 1 / _UNUSUAL < thick < _UNUSUAL:
+    if is_unusual(thick):
         yield (
             f"warning: the density of thick smoke is {thick:.4g} here, where mask and gamma mean that of 1: thin smoke "
             'is hardly changed, and dense smoke hides its inside; density_scale = "auto" makes it 1'

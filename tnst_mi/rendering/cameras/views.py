@@ -139,7 +139,7 @@ def share_cut_off(density: np.ndarray, views: Sequence[View], size: tuple[int, i
         for axis, half in ((right, size[1] / 2), (up, size[0] / 2)):
             along = [part * place for part, place in zip(axis[::-1], places, strict=True)]
             # Most boxes are inside as a whole.
-            if sum(np.abs(part).max() for part in along) > half or outside is not False:
+            if sum(np.abs(part).max() for part in along) > half:
                 distance = along[0][:, None, None] + along[1][:, None] + along[2]
                 outside = outside | (np.abs(distance) > half + 1e-6)
         return 0.0 if outside is False else float(smoke[outside].sum(dtype=np.float64))
