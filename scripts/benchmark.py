@@ -5,6 +5,8 @@
 parts      transport, rendering and both together, forward and backward, for one view; smoothing, normalising and
            stepping; the network, forward and backward
 iteration  a whole iteration of a style recipe with 9 views, ours and PyTorch's
+flow       transport and that iteration with one straight step and along the flow, for smoke that moves by half a cell
+           and by eight
 scaling    transport and rendering against the number of cells, views and threads, and an iteration of a sequence
            against its window, with the fitted exponents
 sequence   an iteration of a frame of nine (64×96×64 cells, one view) with a window of 9, its state in a folder:
@@ -120,6 +122,27 @@ def iteration(size: int, weights: str | None, repeat: int) -> dict[str, Any]:
     peer = torch_peer.StyleIteration(density, wavy_potential(density.shape), recipe, network, exposure)
     found = medians({"ours": ours, "torch": peer}, repeat)
     print_row(f"iteration, style, {VIEWS} views", found)
+    return found
+
+
+def flow(size: int, weights: str | None, repeat: int) -> dict[str, dict[str, float]]:
+    """Seconds of transport, and of a style iteration with 9 views, by one step ("ours") and along the flow."""
+    density = bundled_density(size)
+    network = GoogLeNet.load(weights).to(torch_device())
+    exposure = 1 / float(tnst_mi.render(density, gamma=GAMMA).max())
+    names = {"ours": "step", "flow": "flow"}
+    found: dict[str, dict[str, float]] = {}
+    for speed in (0.5, 8.0):
+        sides = {name: Ours(density, [], trace, speed) for name, trace in names.items()}
+        for part in ("transport_forward", "transport_backward"):
+            label = f"{PARTS[part]}, {speed:g} cells"
+            found[label] = medians({name: getattr(side, part) for name, side in sides.items()}, repeat)
+            print_row(label, found[label])
+        recipes = {name: tnst_mi.Recipe.from_dict(STYLE | {"transport": trace}) for name, trace in names.items()}
+        tasks: dict[str, Task] = {n: Iteration(density, r, network, exposure, speed) for n, r in recipes.items()}
+        label = f"iteration, style, {VIEWS} views, {speed:g} cells"
+        found[label] = medians(tasks, max(1, repeat // 3))
+        print_row(label, found[label])
     return found
 
 
@@ -313,8 +336,8 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
 def chosen(only: str) -> Iterator[str]:
     """The requested sections."""
     for name in only.split(","):
-        if name not in ("parts", "iteration", "scaling", "sequence", "floor", "frame"):
-            raise SystemExit(f"--only {name!r}: expected parts, iteration, scaling, sequence, floor or frame")
+        if name not in ("parts", "iteration", "flow", "scaling", "sequence", "floor", "frame"):
+            raise SystemExit(f"--only {name!r}: expected parts, iteration, flow, scaling, sequence, floor or frame")
         yield name
 
 
@@ -324,7 +347,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128, help="cells along x; H is 3/2 of it (default 128)")
     parser.add_argument("--repeat", type=int, default=7, help="timed calls of each part (default 7)")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
-    parser.add_argument("--only", default="parts,iteration,scaling,sequence,floor", help="default: all but frame")
+    parser.add_argument("--only", default="parts,iteration,flow,scaling,sequence,floor", help="default: all but frame")
     parser.add_argument("--out", type=Path, help="folder for benchmark.json and scaling.png")
     arguments = parser.parse_args()
     variant = tnst_mi.activate()
@@ -335,6 +358,7 @@ def main() -> None:
         results[name] = {
             "parts": lambda: parts(arguments.size, arguments.repeat),
             "iteration": lambda: iteration(arguments.size, arguments.weights, max(1, arguments.repeat // 3)),
+            "flow": lambda: flow(arguments.size, arguments.weights, arguments.repeat),
             "scaling": lambda: scaling(arguments.weights, arguments.repeat),
             "sequence": lambda: sequence(arguments.weights),
             "floor": lambda: floor(arguments.size, arguments.weights, arguments.repeat),

@@ -17,6 +17,7 @@ memory       peak bytes of both allocators for each parameterisation at three si
 large        a frame of 400×600×400 cells with one iteration in each octave
 precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and the
              cosine between the derivative and that of float32
+flow         transport, an iteration and a frame of the paper's size along the flow, beside one step
 peer         transport, rendering and a whole style iteration against plain PyTorch on the same card
 compare      `tnst-mi compare --quick`: our renderer against Mitsuba's path tracer (needs OptiX)
 beauty       `tnst-mi render --look medium`, with and without OptiX's denoiser
@@ -74,6 +75,7 @@ PARTS = {
     "kernels": 90,
     "sequence": 90,
     "memory": 100,
+    "flow": 90,
     "large": 90,
     "precision": 60,
     "peer": 90,
@@ -225,7 +227,13 @@ def large(options: argparse.Namespace) -> Result:
     return whole_frame(options, (32, 48, 32) if options.dry_run else (400, 600, 400), 1, warm=True)
 
 
-def whole_frame(options: argparse.Namespace, shape: tuple[int, int, int], iterations: int, warm: bool) -> Result:
+def whole_frame(
+    options: argparse.Namespace,
+    shape: tuple[int, int, int],
+    iterations: int,
+    warm: bool,
+    keys: dict[str, object] | None = None,
+) -> Result:
     """Seconds and memory of stylizing one frame."""
     from benchmark import PAPER, bundled_density, memory
 
@@ -236,17 +244,19 @@ def whole_frame(options: argparse.Namespace, shape: tuple[int, int, int], iterat
     found: Result = {"shape": shape, "iterations": iterations}
     if warm:
         since = time.perf_counter()
-        optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": 1}), network)
+        optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": 1} | (keys or {})), network)
         found["first_seconds"] = time.perf_counter() - since
     with device_memory() as fullest:
         since = time.perf_counter()
-        result = optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations}), network)
+        recipe = tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations} | (keys or {}))
+        result = optimise(frame, recipe, network)
         found["seconds"] = time.perf_counter() - since
     losses = [entry["loss"] for entry in result.history]
     return found | {
         "timings": result.timings,
         "memory": memory() | {"device": fullest[0] if fullest else None},
         "losses": [losses[0], losses[-1]],
+        "mass": float(result.density.sum() / frame.density.sum()),
     }
 
 
@@ -473,6 +483,16 @@ def peer(options: argparse.Namespace) -> Result:
         "parts": benchmark.parts(size, 9),
         "iteration": benchmark.iteration(size, options.weights, 5),
     }
+
+
+def flow(options: argparse.Namespace) -> Result:
+    """The flow beside one step: parts, an iteration, and a frame of the paper's size."""
+    import benchmark
+
+    shape, size = ((24, 36, 24), 24) if options.dry_run else ((200, 300, 200), 128)
+    found: Result = {"parts": benchmark.flow(size, options.weights, 7)}
+    frames = {name: whole_frame(options, shape, 20, True, {"transport": name}) for name in ("step", "flow")}
+    return found | frames
 
 
 def compare(options: argparse.Namespace) -> Result:

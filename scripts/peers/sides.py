@@ -29,11 +29,13 @@ def wavy_potential(shape: tuple[int, int, int]) -> np.ndarray:
 class Ours:
     """The package's transport and rendering of one grid."""
 
-    def __init__(self, density: np.ndarray, views: list[tuple[float, float]]) -> None:
+    def __init__(
+        self, density: np.ndarray, views: list[tuple[float, float]], trace: str = "step", speed: float = 0.5
+    ) -> None:
         self.density, self.views = mi.TensorXf(density), views
         self.renderer = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0)
-        self.transport = Transport(1.0)
-        self.fields = Fields(phi=mi.TensorXf(wavy_potential(density.shape)))
+        self.transport = Transport(1.0, trace=trace)
+        self.fields = Fields(phi=mi.TensorXf(2 * speed * wavy_potential(density.shape)))
 
     def transport_forward(self) -> object:
         """The transported density."""
@@ -76,14 +78,17 @@ class Iteration:
         recipe: of the iteration.
         network: judges the images.
         exposure: factor from rendered images to the network's [0, 1].
+        speed: about how many cells the smoke moves per frame.
     """
 
-    def __init__(self, density: np.ndarray, recipe: Recipe, network: GoogLeNet, exposure: float) -> None:
+    def __init__(
+        self, density: np.ndarray, recipe: Recipe, network: GoogLeNet, exposure: float, speed: float = 0.5
+    ) -> None:
         plan = plan_of(recipe, ["smoke"], [0], [1.0], [exposure], density.shape)
         self.rows, (self.frame,) = plan.rows, plan.frames
         self.problem = problem_of(plan, Octave(density.shape, 1.0), network)
         self.density = mi.TensorXf(density)
-        self.fields = Fields(phi=mi.TensorXf(wavy_potential(density.shape)))
+        self.fields = Fields(phi=mi.TensorXf(2 * speed * wavy_potential(density.shape)))
 
     def __call__(self) -> object:
         """The potential after the iteration."""
