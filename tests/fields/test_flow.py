@@ -58,7 +58,7 @@ def ends(v: np.ndarray, stages: int, sign: int) -> np.ndarray:
     shape = v.shape[:3]
     components = mi.Vector3f(*(mi.Float(v[..., c].ravel()) for c in range(3)))
     found = FlowMap(components, 1.0, shape, with_volume=False)
-    traced = found.trace(found.paths(Cells.of(shape), sign, stages))
+    _, traced = found.trace(Cells.of(shape), sign, stages)
     return np.stack([np.array(x).reshape(shape) for x in traced], -1)
 
 

@@ -59,16 +59,21 @@ class FlowAdvection(AdvectionStep):
         limited = method == "maccormack" and reverted is None
         flow = self._flow()
 
-        cells = Cells.of(self.shape)
-        # A GPU traces all cells: the number of the others would have to be read back, which stalls it.
-        sparse = limited and not field_varies and not on_gpu()
+        cells, active = Cells.of(self.shape), None
+        sparse = limited and not field_varies
+        # A GPU visits all cells, and leaves most of them at once: their number would have to be read, which stalls it.
+        compressed = sparse and not on_gpu()
         if sparse:
+            active = self._within_reach(cells, flow)
+            if compressed:
+                cells = Cells.of(self.shape, _indices(active))
+                active = mi.Bool(True)
             u = flow.velocity(cells)
-            moving = (u.x != 0) | (u.y != 0) | (u.z != 0)
-            reaching = moving & self._within_reach(cells, dr.max(dr.norm(u)))
-            cells = Cells.of(self.shape, _indices(reaching | self._matters(cells, mi.Vector3f(0))))
-        paths = flow.paths(cells, -1, stages)
-        departure = [stored(x) for x in flow.trace(paths)]
+            active &= (u.x != 0) | (u.y != 0) | (u.z != 0) | self._matters(cells, mi.Vector3f(0))
+            if compressed:
+                cells, active = Cells.of(self.shape, dr.gather(mi.UInt32, cells.number, _indices(active))), None
+        paths, departure = flow.trace(cells, -1, stages, active)
+        departure = [stored(x) for x in departure]
         dr.eval(paths.stages, departure)
         self.forward_step = mi.Float(self.field)
         stencil = Trilinear(cells, mi.Vector3f(*departure[:3]), outside)
@@ -76,12 +81,16 @@ class FlowAdvection(AdvectionStep):
             dr.scatter(self.forward_step, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)
         if sparse:
             # The others see nothing but equal values, and therefore keep what they see.
-            seen = _indices(self._matters(cells, mi.Vector3f(*departure[:3])))
+            active = self._matters(cells, mi.Vector3f(*departure[:3]))
+        if compressed:
+            seen, active = _indices(active), None
             departure, paths = [dr.gather(mi.Float, x, seen) for x in departure], paths.chosen(seen)
             cells, self.chosen = paths.cells, paths.cells.chosen
+        elif active is not None:
+            paths = paths.only(active)
+        there, arrival = flow.trace(cells, 1, stages, active) if self.corrected else (paths, departure)
         #: Along −v and along v: the paths of the chosen cells, and where they end, in cells from their start.
-        self.paths = paths, flow.paths(cells, 1, stages)
-        arrival = flow.trace(self.paths[1]) if self.corrected else departure
+        self.paths = paths, there
         self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*arrival[:3])
         self.log_volume = departure[3] if conservative else None
         dr.eval(self.forward_step, [path.stages for path in self.paths], self.ends, self.log_volume, self.chosen)
@@ -98,16 +107,17 @@ class FlowAdvection(AdvectionStep):
     def _flow(self) -> FlowMap:
         return FlowMap(self.velocity.at(Cells.of(self.shape)), self.h, self.shape, self.conservative)
 
-    def _within_reach(self, cells: Cells, longest: mi.Float) -> mi.Bool:
-        """Whether a path of at most this length could end beside a value other than 0: inside a box, at least."""
-        filled = mi.Bool(False)
+    def _within_reach(self, cells: Cells, flow: FlowMap) -> mi.Bool:
+        """Whether a path of the largest velocity could end beside a value other than 0: inside a box, at least."""
+        longest, filled = dr.max(dr.norm(flow.velocity(cells))), mi.Bool(False)
         for value in cells.own(self.field, self.channels):
             filled |= value != 0
         # Bounded, so that it fits an integer.
-        box, reach = Cells.of(self.shape, _indices(filled)), mi.Int32(dr.minimum(dr.ceil(longest), 2.0**24)) + 1
+        filled, reach = stored(filled), mi.Int32(dr.minimum(dr.ceil(longest), 2.0**24)) + 1
         within = mi.Bool(True)
-        for here, there in ((cells.x, box.x), (cells.y, box.y), (cells.z, box.z)):
-            within &= (here >= dr.min(there) - reach) & (here <= dr.max(there) + reach)
+        for here, size in zip((cells.x, cells.y, cells.z), cells.size, strict=True):
+            first, last = dr.min(dr.select(filled, here, size)), dr.max(dr.select(filled, here, -1))
+            within &= (here >= first - reach) & (here <= last + reach)
         return within
 
     def _matters(self, cells: Cells, offset: mi.Vector3f) -> mi.Bool:

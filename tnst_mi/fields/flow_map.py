@@ -59,7 +59,7 @@ class Paths:
     Attributes:
         cells: where they start.
         sign: 1 along u, -1 along −u.
-        stages: number of stages of each path, or of all.
+        stages: number of stages of each path, or of all; a path without any ends where it starts.
     """
 
     cells: Cells
@@ -69,13 +69,17 @@ class Paths:
     @property
     def step(self) -> mi.Float:
         """The length of a stage in frames, with the sign."""
-        return opaque(float(self.sign)) / mi.Float(self.stages)
+        return opaque(float(self.sign)) / mi.Float(dr.maximum(self.stages, 1))
 
     def chosen(self, indices: mi.UInt32) -> Paths:
         """Those with the given numbers."""
         cells = Cells.of(self.cells.shape, dr.gather(mi.UInt32, self.cells.number, indices))
         each = dr.width(self.stages) > 1
         return Paths(cells, self.sign, dr.gather(mi.UInt32, self.stages, indices) if each else self.stages)
+
+    def only(self, active: mi.Bool) -> Paths:
+        """The same, without stages where not active."""
+        return Paths(self.cells, self.sign, dr.select(active, self.stages, 0))
 
 
 class FlowMap:
@@ -97,36 +101,47 @@ class FlowMap:
         """u at some cells."""
         return mi.Vector3f(*cells.own(self._rates, self.channels)[:3])
 
-    def paths(self, cells: Cells, sign: int, stages: int | None) -> Paths:
-        """The paths from some cells.
+    def trace(
+        self, cells: Cells, sign: int, stages: int | None, active: mi.Bool | None = None
+    ) -> tuple[Paths, list[mi.Float]]:
+        """The paths from some cells, and the end of each: its displacement (x, y, z) in cells.
+
+        With volume, that is followed by the logarithm of the determinant of the map's Jacobian.
 
         Args:
             cells: where they start.
             sign: 1 along u, -1 along −u.
             stages: number of stages of all paths, from 1 to `MOST_STAGES`. If None, each path has its own: the largest
                 |u| that a trial in a single stage meets, over `CELLS_PER_STAGE`, rounded up to 1 to `AUTO_STAGES`.
+            active: which paths are traced; the others have no stages and end where they start. None traces all.
         """
-        if stages is not None:
-            return Paths(cells, sign, mi.UInt32(opaque_int(stages)))
-        fastest = mi.Float(0)
-        for evaluation in self._evaluations(cells, self._start(cells), opaque(float(sign))):
-            fastest = dr.maximum(fastest, dr.norm(mi.Vector3f(*evaluation.rates[:3])))
-        # Clipped as integers, so that even a velocity that is not finite gives a number of stages.
-        count = dr.clip(mi.Int32(dr.ceil(fastest / CELLS_PER_STAGE)), 1, AUTO_STAGES)
-        return Paths(cells, sign, mi.UInt32(count))
+        tried = stages is None
+        count = mi.UInt32(opaque_int(1 if tried else stages))
+        if active is not None:
+            count = dr.select(active, count, 0)
+        direction = opaque(float(sign))
 
-    def trace(self, paths: Paths) -> list[mi.Float]:
-        """The end of each path: its displacement (x, y, z) in cells.
+        def stage(
+            k: mi.UInt32, count: mi.UInt32, state: list[mi.Float], trial: mi.Bool
+        ) -> tuple[mi.UInt32, mi.UInt32, list[mi.Float], mi.Bool]:
+            step = direction / mi.Float(count)
+            evaluations = self._evaluations(cells, state, step)
+            k, state = k + 1, _after(state, evaluations, step)
+            if not tried:
+                return k, count, state, trial
+            # The trial is the path itself where a single stage is enough; the others begin anew.
+            needed = _stages_needed(evaluations)
+            again = trial & (needed > 1)
+            state = [dr.select(again, 0, x) for x in state]
+            return dr.select(again, 0, k), dr.select(again, needed, count), state, mi.Bool(False)
 
-        With volume, it is followed by the logarithm of the determinant of the map's Jacobian.
-        """
-
-        def stage(k: mi.UInt32, state: list[mi.Float]) -> tuple[mi.UInt32, list[mi.Float]]:
-            return k + 1, _after(state, self._evaluations(paths.cells, state, paths.step), paths.step)
-
-        loop = (mi.UInt32(0), self._start(paths.cells))
-        _, state = dr.while_loop(loop, lambda k, state: k < paths.stages, stage, labels=("k", "state"))
-        return state
+        _, count, state, _ = dr.while_loop(
+            (mi.UInt32(0), count, self._start(cells), mi.Bool(tried)),
+            lambda k, count, state, trial: k < count,
+            stage,
+            labels=("k", "count", "state", "trial"),
+        )
+        return Paths(cells, sign, count), state
 
     def tangent(self, paths: Paths, change: mi.Vector3f) -> list[mi.Float]:
         """The derivative of `trace` along a change of v, given at all cells."""
@@ -196,6 +211,7 @@ class FlowMap:
             k = k - 1
             evaluations = self._evaluations(cells, list(starts[k]), step)
             before, returned = list(adjoint), mi.Vector3f(0)
+            waiting: tuple[Trilinear, list[list[mi.Float]]] | None = None
             for i in reversed(range(3)):
                 stencil, corners, _ = evaluations[i]
                 of_rate = [_WEIGHTS[i] * step * a for a in adjoint]
@@ -209,7 +225,9 @@ class FlowMap:
                     for value in of_rate:
                         added = added + dr.abs(value)
                 else:
-                    stencil.splat(total, of_rate)
+                    waiting = stencil, _merged(stencil, stencil.shares(of_rate), waiting, total)
+            if waiting is not None and total is not None:
+                waiting[0].add(total, waiting[1])
             return k, before, added, starts
 
         _, _, added, _ = dr.while_loop(
@@ -241,6 +259,36 @@ def _after(state: list[mi.Float], evaluations: list[_Evaluation], step: mi.Float
     for weight, evaluation in zip(_WEIGHTS, evaluations, strict=True):
         state = [x + weight * step * k for x, k in zip(state, evaluation.rates, strict=True)]
     return state
+
+
+def _stages_needed(evaluations: list[_Evaluation]) -> mi.UInt32:
+    """The stages of "auto" for a path that meets these rates in a single one."""
+    fastest = mi.Float(0)
+    for evaluation in evaluations:
+        fastest = dr.maximum(fastest, dr.norm(mi.Vector3f(*evaluation.rates[:3])))
+    # Clipped as integers, so that even a velocity that is not finite gives a number of stages.
+    return mi.UInt32(dr.clip(mi.Int32(dr.ceil(fastest / CELLS_PER_STAGE)), 1, AUTO_STAGES))
+
+
+def _merged(
+    stencil: Trilinear,
+    shares: list[list[mi.Float]],
+    waiting: tuple[Trilinear, list[list[mi.Float]]] | None,
+    total: RepeatableSum,
+) -> list[list[mi.Float]]:
+    """The shares of the cells around, with those that wait to be added to the same cells; others are added now.
+
+    Neighbouring evaluations often lie between the same cells, and an addition is ten times as slow as a reading.
+    """
+    if waiting is None:
+        return shares
+    earlier, values = waiting
+    same = dr.all(stencil.steps == earlier.steps)
+    earlier.add(total, values, ~same)
+    return [
+        [own + dr.select(same, other, 0) for own, other in zip(mine, others, strict=True)]
+        for mine, others in zip(shares, values, strict=True)
+    ]
 
 
 def _rates(u: mi.Vector3f, shape: Shape, with_volume: bool) -> mi.Float:

@@ -30,8 +30,9 @@ class Trilinear:
         offset = dr.clip(offset, -_FARTHEST, _FARTHEST)
         base = dr.floor(offset)
         self.fraction = offset - base
-        steps = mi.Vector3i(base)
-        low = (cells.x + steps.x, cells.y + steps.y, cells.z + steps.z)
+        #: From the cell to the lowest of the eight.
+        self.steps = mi.Vector3i(base)
+        low = (cells.x + self.steps.x, cells.y + self.steps.y, cells.z + self.steps.z)
         #: For each axis, the coordinate of the lower and the upper cell, and whether each lies in the grid.
         coordinates, inside = [], []
         for axis in range(3):
@@ -88,16 +89,26 @@ class Trilinear:
         pairs = zip(values[::2], values[1::2], strict=True)
         return [dr.fma(fraction, upper - lower, lower) for lower, upper in pairs]
 
-    def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
-        """Transpose of `value`: add each channel's weighted value to the eight cells; zeros cost nothing."""
-        for corner, index, active in self.corners:
+    def shares(self, values: list[mi.Float]) -> list[list[mi.Float]]:
+        """Transpose of `value`: what each of the eight cells gets of every channel's value."""
+        result = []
+        for corner, _, _ in self.corners:
             weight = mi.Float(1)
             for axis, upper in enumerate(corner):
                 weight *= self.fraction[axis] if upper else 1 - self.fraction[axis]
+            result.append([weight * value for value in values])
+        return result
+
+    def add(self, target: RepeatableSum, shares: list[list[mi.Float]], active: mi.Bool | bool = True) -> None:
+        """Add such shares to the eight cells; zeros cost nothing."""
+        for (_, index, inside), values in zip(self.corners, shares, strict=True):
             for c, value in enumerate(values):
                 slot = index if len(values) == 1 else index * len(values) + c
-                added = weight * value
-                target.add(slot, added, active & (added != 0))
+                target.add(slot, value, inside & active & (value != 0))
+
+    def splat(self, target: RepeatableSum, values: list[mi.Float]) -> None:
+        """Add the shares of every channel's value to the eight cells."""
+        self.add(target, self.shares(values))
 
 
 def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:
