@@ -14,6 +14,7 @@ from figures.figure import Figure
 MODULES = {
     "density": "transport_or_density",
     "lambda": "helmholtz",
+    "transport": "transport",
     "depth": "semantic_depth",
     "styles": "style_images",
     "style-layers": "style_layers",

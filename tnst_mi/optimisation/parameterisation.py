@@ -16,6 +16,11 @@ from tnst_mi.fields.potentials import PotentialVelocity, velocity
 from tnst_mi.fields.pyramid import gaussian, normalise
 from tnst_mi.fields.resampling import resample_potential
 
+#: Where the flow stretches, a path can multiply its derivative by any factor, and a few such cells would then decide
+#: the scale by which all are normalised. So a derivative along the flow counts as at most this many times the mean
+#: magnitude, which 99.99% of those of one step do not reach (docs/transport.md).
+LARGEST_DERIVATIVE = 32.0
+
 #: Width of the blur of the gradient before it is normalised, in cells of the octave.
 GRADIENT_SIGMA = 1.2
 
@@ -45,9 +50,11 @@ class Parameterisation(ABC):
 
     Attributes:
         channels: number of channels of every field, by name.
+        largest_derivative: largest magnitude of a derivative, in means of all that are not 0; None for no limit.
     """
 
     channels: dict[str, int]
+    largest_derivative: float | None = None
 
     def zeros(self, octave: Octave) -> Fields:
         """The fields before the first iteration."""
@@ -79,14 +86,14 @@ class Parameterisation(ABC):
         """The stylized density, detached, and the pull-back of derivatives with respect to it onto the fields."""
         leaves = fields.attached()
         stylized = self.density(leaves, density, h)
-        return dr.detach(stylized), Pullback(leaves, stylized)
+        return dr.detach(stylized), Pullback(leaves, stylized, self.largest_derivative)
 
 
 class Pullback:
     """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be called once."""
 
-    def __init__(self, leaves: Fields, stylized: mi.TensorXf) -> None:
-        self._leaves, self._stylized = leaves, stylized
+    def __init__(self, leaves: Fields, stylized: mi.TensorXf, largest: float | None = None) -> None:
+        self._leaves, self._stylized, self._largest = leaves, stylized, largest
 
     def __call__(self, gradient: mi.TensorXf) -> Fields:
         """The derivative with respect to the fields."""
@@ -96,7 +103,17 @@ class Pullback:
         found = Fields({name: dr.grad(leaf) for name, leaf in self._leaves.items()})
         # Release the graph: its memory is needed.
         del self._leaves, self._stylized
+        if self._largest is not None:
+            found = Fields({name: limited(field, self._largest) for name, field in found.items()})
         return found
+
+
+def limited(field: mi.TensorXf, largest: float) -> mi.TensorXf:
+    """A field with no value beyond `largest` times the mean magnitude of those that are not 0."""
+    magnitude = dr.abs(field.array)
+    count = dr.sum(dr.select(magnitude > 0, mi.Float(1), 0))
+    bound = opaque(largest) * dr.sum(magnitude) / dr.maximum(count, 1)
+    return mi.TensorXf(dr.clip(field.array, -bound, bound), field.shape)
 
 
 def normalised_step(
@@ -154,6 +171,7 @@ class Transport(Parameterisation):
     ) -> None:
         self.lam, self.substeps = lam, substeps
         self.trace, self.stages, self.conservative = trace, stages, conservative
+        self.largest_derivative = LARGEST_DERIVATIVE if trace == "flow" else None
         scalar, vector = lam > 0 if scalar is None else scalar, lam < 1 if vector is None else vector
         self.channels = ({"phi": 1} if scalar else {}) | ({"psi": 3} if vector else {})
 
