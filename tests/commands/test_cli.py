@@ -133,7 +133,7 @@ def test_flags_win_over_the_recipe_and_the_recipe_over_the_defaults(
     assert [Path(path).stem for path in used.style] == ["spirals", "cells"]
     assert used.semantic == ("conv2/3x3:1,2",)
     assert str(tmp_path / "out") in ran.out
-    assert "mass 48 → 96, largest displacement 5 cells" in ran.out
+    assert "mass 48 → 96 (+100.0%), largest displacement 5 cells" in ran.out
     assert any("octave 3/3" in line for line in ran.errors)
 
 

@@ -14,6 +14,9 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
 
+#: Share of a frame's smoke whose loss or gain is remarked upon.
+_MASS_REMARKED = 0.05
+
 
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
@@ -40,6 +43,8 @@ def reported(frames: Run, remedy: str = "--resume continues the run in {out} whe
         print(f"results   {out}")
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))
+    if remark := mass_remark(frames.prepared.recipe, record["frames"]):
+        print(f"mass      {remark}")
     if record["status"] == "interrupted":
         print(f"tnst-mi: interrupted; {remedy.format(out=out)}", file=sys.stderr)
         return 3
@@ -54,6 +59,24 @@ def sequence_summary(sequence: dict[str, Any]) -> str:
     return f"sequence  {', '.join(parts)}"
 
 
+def mass_remark(recipe: Recipe, records: list[dict[str, Any]]) -> str | None:
+    """What to say where a frame has less or more smoke than before, and what keeps it."""
+    with_smoke = [record for record in records if record["mass_before"] > 0]
+    worst = max(with_smoke, key=lambda record: abs(_mass_change(record)), default=None)
+    if worst is None or abs(_mass_change(worst)) <= _MASS_REMARKED or recipe.parameterisation != "transport":
+        return None
+    keys = [] if recipe.transport == "flow" else ['transport = "flow"']
+    keys += [] if recipe.at(worst["number"]).lam == 0 else ["lam = 0"]
+    if not keys:
+        return None
+    happened = f"{'lost' if _mass_change(worst) < 0 else 'gained'} {abs(_mass_change(worst)):.0%} of its smoke"
+    return f"{worst['name']} {happened}; {' and '.join(keys)} would keep it (docs/transport.md)"
+
+
+def _mass_change(record: dict[str, Any]) -> float:
+    return record["mass_after"] / record["mass_before"] - 1
+
+
 def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3g}"
 
@@ -65,7 +88,8 @@ def summary(frame: StylizedFrame) -> str:
     if record["losses"]:
         last = record["losses"][-1]
         parts.append(f"loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
-    parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}")
+    change = f" ({_mass_change(record):+.1%})" if record["mass_before"] > 0 else ""
+    parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}{change}")
     parts.append(f"largest displacement {record['largest_displacement']:.3g} cells")
     if record["note"]:
         parts.append(record["note"])

@@ -1,0 +1,31 @@
+"""What is said of a run that is done."""
+
+from __future__ import annotations
+
+import pytest
+
+import tnst_mi
+from tnst_mi.commands.stylize import mass_remark
+
+
+@pytest.mark.parametrize(
+    ("keys", "after", "remedy"),
+    [
+        ({}, 80.0, 'lost 20% of its smoke; transport = "flow" and lam = 0 would keep it'),
+        ({"lam": 0.0}, 80.0, 'lost 20% of its smoke; transport = "flow" would keep it'),
+        ({"transport": "flow"}, 112.0, "gained 12% of its smoke; lam = 0 would keep it"),
+        ({"transport": "flow", "lam": {1: 0.0, 9: 1.0}}, 112.0, "gained 12% of its smoke; lam = 0 would keep it"),
+        ({"transport": "flow", "lam": 0.0}, 80.0, None),
+        ({}, 96.0, None),
+        ({"parameterisation": "density"}, 200.0, None),
+    ],
+)
+def test_a_changed_mass_is_remarked_upon_with_what_keeps_it(keys: dict, after: float, remedy: str | None) -> None:
+    recipe = tnst_mi.Recipe.from_dict({"style": ["net"], **keys})
+    records = [
+        {"name": "empty", "number": 8, "mass_before": 0.0, "mass_after": 0.0},
+        {"name": "a", "number": 9, "mass_before": 100.0, "mass_after": after},
+        {"name": "b", "number": 10, "mass_before": 100.0, "mass_after": 97.0},
+    ]
+    said = mass_remark(recipe, records)
+    assert said == (remedy and f"a {remedy} (docs/transport.md)")
