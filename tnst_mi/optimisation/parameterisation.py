@@ -17,9 +17,9 @@ from tnst_mi.fields.pyramid import gaussian, normalise
 from tnst_mi.fields.resampling import resample_potential
 
 #: Where the flow stretches, a path can multiply its derivative by any factor, and a few such cells would then decide
-#: the scale by which all are normalised. So a derivative along the flow counts as at most this many times the mean
-#: magnitude, which 99.99% of those of one step do not reach (docs/transport.md).
-LARGEST_DERIVATIVE = 32.0
+#: the scale by which all are normalised, and move ever faster. So a derivative along the flow counts as at most this
+#: many times the mean magnitude (docs/transport.md).
+LARGEST_DERIVATIVE = 4.0
 
 #: Width of the blur of the gradient before it is normalised, in cells of the octave.
 GRADIENT_SIGMA = 1.2
