@@ -94,7 +94,8 @@ class Iteration:
         """The potential after the iteration."""
         found = self.problem.gradient(self.frame, self.fields, self.density, (0,))
         size = 1e-9 * self.frame.parameterisation.unit_step(self.rows, 1.0)
-        self.fields = self.fields - normalised_step(found.gradient, self.density, size, 3)
+        largest = self.frame.parameterisation.largest_derivative
+        self.fields = self.fields - normalised_step(found.gradient, self.density, size, 3, largest=largest)
         return self.fields["phi"]
 
 

@@ -176,21 +176,24 @@ def test_outliers_are_limited_by_the_mean_of_what_is_not_zero(shape: tuple[int, 
     np.testing.assert_array_equal(np.array(limited(mi.TensorXf(np.zeros(shape, np.float32)), 3.0)), 0)
 
 
-def test_derivatives_along_the_flow_have_no_outliers() -> None:
-    """Where smoke is stretched e-fold many times, a few cells had thousands of times the mean derivative."""
+def test_a_step_along_the_flow_takes_no_outliers() -> None:
+    """Where smoke is stretched e-fold many times, a few cells have hundreds of times the mean derivative."""
     waves = [np.sin(np.arange(n, dtype=np.float32) / 2) for n in (16, 24, 16)]
     phi = 40 * waves[0][:, None, None] * waves[1][:, None] * waves[2]
     density = np.zeros(phi.shape, np.float32)
     density[4:12, 6:18, 4:12] = np.random.default_rng(1).random((8, 12, 8))
-    gradient = np.random.default_rng(2).standard_normal(phi.shape).astype(np.float32)
-    found = {}
-    for largest in (None, LARGEST_DERIVATIVE):
-        transport = Transport(1.0, trace="flow")
-        transport.largest_derivative = largest
-        _, pull_back = transport.density_with_pullback(Fields(phi=mi.TensorXf(phi)), mi.TensorXf(density), 1.0)
-        found[largest] = np.array(pull_back(mi.TensorXf(gradient))["phi"])
-    exact = found[None]
+    weight, transport = (
+        np.random.default_rng(2).standard_normal(phi.shape).astype(np.float32),
+        Transport(1.0, trace="flow"),
+    )
+    _, pull_back = transport.density_with_pullback(Fields(phi=mi.TensorXf(phi)), mi.TensorXf(density), 1.0)
+    exact = pull_back(mi.TensorXf(weight))["phi"].numpy()
+    assert transport.largest_derivative == LARGEST_DERIVATIVE and Transport(1.0).largest_derivative is None
     bound = LARGEST_DERIVATIVE * np.abs(exact[exact != 0]).mean(dtype=np.float64)
-    assert np.abs(exact).max() > 2 * bound
-    np.testing.assert_allclose(found[LARGEST_DERIVATIVE], np.clip(exact, -bound, bound), rtol=1e-4)
-    assert Transport(1.0).largest_derivative is None
+    assert np.abs(exact).max() > 20 * bound
+    mask = mi.TensorXf(np.ones_like(exact))
+    found = normalised_step(Fields(phi=mi.TensorXf(exact)), mask, 1.0, 3, largest=LARGEST_DERIVATIVE)["phi"]
+    clipped = Fields(phi=mi.TensorXf(np.clip(exact, -bound, bound).astype(np.float32)))
+    np.testing.assert_allclose(
+        found.numpy(), normalised_step(clipped, mask, 1.0, 3)["phi"].numpy(), rtol=2e-3, atol=2e-4
+    )

@@ -79,8 +79,9 @@ def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: in
 
 def step_along(gradient: Fields, plan: Plan, now: Current, h: float) -> Fields:
     """η · mask · N(g): the step to subtract from a frame's fields; the gradient is consumed."""
-    size = now.frame.eta * now.frame.parameterisation.unit_step(plan.rows, h)
-    return normalised_step(gradient, now.inputs.mask, size, now.frame.recipe.pyramid_levels)
+    parameterisation, levels = now.frame.parameterisation, now.frame.recipe.pyramid_levels
+    size, largest = now.frame.eta * parameterisation.unit_step(plan.rows, h), parameterisation.largest_derivative
+    return normalised_step(gradient, now.inputs.mask, size, levels, largest=largest)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:

@@ -50,7 +50,7 @@ class Parameterisation(ABC):
 
     Attributes:
         channels: number of channels of every field, by name.
-        largest_derivative: largest magnitude of a derivative, in means of all that are not 0; None for no limit.
+        largest_derivative: what a step takes of a derivative at most, in means of all that are not 0; None takes all.
     """
 
     channels: dict[str, int]
@@ -86,14 +86,14 @@ class Parameterisation(ABC):
         """The stylized density, detached, and the pull-back of derivatives with respect to it onto the fields."""
         leaves = fields.attached()
         stylized = self.density(leaves, density, h)
-        return dr.detach(stylized), Pullback(leaves, stylized, self.largest_derivative)
+        return dr.detach(stylized), Pullback(leaves, stylized)
 
 
 class Pullback:
     """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be called once."""
 
-    def __init__(self, leaves: Fields, stylized: mi.TensorXf, largest: float | None = None) -> None:
-        self._leaves, self._stylized, self._largest = leaves, stylized, largest
+    def __init__(self, leaves: Fields, stylized: mi.TensorXf) -> None:
+        self._leaves, self._stylized = leaves, stylized
 
     def __call__(self, gradient: mi.TensorXf) -> Fields:
         """The derivative with respect to the fields."""
@@ -103,8 +103,6 @@ class Pullback:
         found = Fields({name: dr.grad(leaf) for name, leaf in self._leaves.items()})
         # Release the graph: its memory is needed.
         del self._leaves, self._stylized
-        if self._largest is not None:
-            found = Fields({name: limited(field, self._largest) for name, field in found.items()})
         return found
 
 
@@ -117,7 +115,12 @@ def limited(field: mi.TensorXf, largest: float) -> mi.TensorXf:
 
 
 def normalised_step(
-    gradient: Fields, mask: mi.TensorXf, size: float, levels: int, sigma: float = GRADIENT_SIGMA
+    gradient: Fields,
+    mask: mi.TensorXf,
+    size: float,
+    levels: int,
+    sigma: float = GRADIENT_SIGMA,
+    largest: float | None = None,
 ) -> Fields:
     """size · mask · N(g): the step to subtract from each field.
 
@@ -130,10 +133,14 @@ def normalised_step(
         size: η times the parameterisation's unit step.
         levels: bands of the pyramid.
         sigma: width of the blur in cells.
+        largest: magnitude beyond which a value of the gradient counts as that, in means of all that are not 0; None
+            takes it as it is.
     """
     steps, scaled = Fields(), opaque(size) * mask
     for name in list(gradient):
-        steps[name] = times(scaled, normalise(gaussian(gradient.pop(name), sigma), levels))
+        raw = gradient.pop(name) if largest is None else limited(gradient.pop(name), largest)
+        steps[name] = times(scaled, normalise(gaussian(raw, sigma), levels))
+        del raw
         dr.eval(steps[name])
     return steps
 

@@ -62,5 +62,6 @@ def step_towards(target: mi.TensorXf, now: Current, eta: float, rows: int, h: fl
     size = dr.maximum(root_mean_square(change), root_mean_square(target))
     ratio = root_mean_square(difference) / dr.maximum(size, opaque(_FLOOR))
     unit = eta * parameterisation.unit_step(rows, h)
-    steps = normalised_step(gradient, now.inputs.mask, unit, now.frame.recipe.pyramid_levels, SIGMA)
+    levels, largest = now.frame.recipe.pyramid_levels, parameterisation.largest_derivative
+    steps = normalised_step(gradient, now.inputs.mask, unit, levels, SIGMA, largest)
     return Fields({name: mi.TensorXf(step.array * ratio, step.shape) for name, step in steps.items()})
