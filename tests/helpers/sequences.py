@@ -29,6 +29,6 @@ def run(
 
 def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same launches as on a GPU, and nothing is known to have arrived before it is asked for."""
-    for module in ("fields.maccormack", "fields.pyramid", "rendering.renderer"):
+    for module in ("fields.flow_advection", "fields.maccormack", "fields.pyramid", "rendering.renderer"):
         monkeypatch.setattr(f"tnst_mi.{module}.on_gpu", lambda: True)
     monkeypatch.setattr(HostCopy, "ready", property(lambda _: False))

@@ -27,9 +27,18 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> GoogLeNet:
     return GoogLeNet.load(path)
 
 
-@pytest.mark.parametrize(("count", "window", "coherence"), [(1, 1, 0.0), (3, 3, 0.0), (3, 3, 0.5)])
+@pytest.mark.parametrize(
+    ("count", "window", "coherence", "keys"),
+    [
+        (1, 1, 0.0, {}),
+        (3, 3, 0.0, {}),
+        (3, 3, 0.5, {}),
+        (1, 1, 0.0, {"transport": "flow"}),
+        (3, 3, 0.5, {"transport": "flow", "conservative": True}),
+    ],
+)
 def test_an_iteration_reads_nothing_but_its_loss_and_waits_for_nothing_but_torch(
-    count: int, window: int, coherence: float, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+    count: int, window: int, coherence: float, keys: dict, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the first report to the last: three iterations of each frame but for the first one's own step."""
     as_on_a_gpu(monkeypatch)
@@ -45,7 +54,7 @@ def test_an_iteration_reads_nothing_but_its_loss_and_waits_for_nothing_but_torch
             elif reports == 0:
                 counting.close()
 
-        run(network, count, MemoryStore(), note, window=window, coherence=coherence)
+        run(network, count, MemoryStore(), note, window=window, coherence=coherence, **keys)
     assert reports == 0
     (reads,) = found
     exchanges = {name for name in reads if name.startswith("exchange")}
