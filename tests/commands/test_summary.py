@@ -11,11 +11,16 @@ from tnst_mi.commands.stylize import mass_remark
 @pytest.mark.parametrize(
     ("keys", "after", "remedy"),
     [
-        ({}, 80.0, 'lost 20% of its smoke; transport = "flow" and lam = 0 would keep it'),
-        ({"lam": 0.0}, 80.0, 'lost 20% of its smoke; transport = "flow" would keep it'),
-        ({"transport": "flow"}, 112.0, "gained 12% of its smoke; lam = 0 would keep it"),
-        ({"transport": "flow", "lam": {1: 0.0, 9: 1.0}}, 112.0, "gained 12% of its smoke; lam = 0 would keep it"),
-        ({"transport": "flow", "lam": 0.0}, 80.0, None),
+        ({}, 80.0, 'lost 20.0% of its smoke; transport = "flow" and lam = 0'),
+        ({"lam": 0.0, "steps": "auto"}, 80.0, 'lost 20.0% of its smoke; transport = "flow" and steps = 1'),
+        ({"transport": "flow"}, 112.0, "gained 12.0% of its smoke; lam = 0"),
+        ({"transport": "flow", "lam": {1: 0.0, 9: 1.0}}, 105.3, "gained 5.3% of its smoke; lam = 0"),
+        (
+            {"transport": "flow", "lam": 0.0},
+            80.0,
+            "lost 20.0% of its smoke; a lower eta, or more room around the smoke,",
+        ),
+        ({}, float("nan"), None),
         ({}, 96.0, None),
         ({"parameterisation": "density"}, 200.0, None),
     ],
@@ -28,4 +33,4 @@ def test_a_changed_mass_is_remarked_upon_with_what_keeps_it(keys: dict, after: f
         {"name": "b", "number": 10, "mass_before": 100.0, "mass_after": 97.0},
     ]
     said = mass_remark(recipe, records)
-    assert said == (remedy and f"a {remedy} (docs/transport.md)")
+    assert said == (remedy and f"a {remedy} would keep more of it (docs/transport.md)")

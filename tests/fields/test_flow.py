@@ -387,3 +387,53 @@ def test_one_step_is_left_as_it_was() -> None:
 def test_bad_arguments_are_named(change: dict) -> None:
     with pytest.raises(tnst_mi.InputError, match=r"advect: .*expected"):
         tnst_mi.advect(np.zeros((3, 3, 3)), np.zeros((3, 3, 3, 3)), **change)
+
+
+def test_auto_differentiates_the_trace_that_it_took() -> None:
+    """Each cell's value is, to the bit, that of some number of stages; so is its share of the derivative."""
+    rng = np.random.default_rng(12)
+    values, v_values = rng.random(SHAPE, np.float32), swirls(rng, SHAPE, 11.0)
+    w = rng.standard_normal(SHAPE).astype(np.float32)
+
+    def run(stages: int | str, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        v = mi.TensorXf(v_values)
+        dr.enable_grad(v)
+        field = mi.TensorXf(values)
+        result = tnst_mi.advect(field, v, "semi_lagrangian", 1.0, "edge", trace="flow", stages=stages)
+        dr.backward(dr.sum(result * mi.TensorXf(w if weights is None else weights), axis=None))
+        return result.numpy(), dr.grad(v).numpy()
+
+    auto, found = run("auto", None)
+    left, expected, used = np.ones(SHAPE, bool), np.zeros_like(found, np.float64), []
+    for stages in range(1, 6):
+        same = left & (run(stages, None)[0] == auto)
+        expected += run(stages, np.where(same, w, 0))[1]
+        left &= ~same
+        used.append(int(same.sum()))
+    assert not left.any() and sum(count > 50 for count in used) >= 3
+    np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+@pytest.mark.parametrize("speed", [100.0, 1e4])
+def test_empty_cells_stay_empty_however_much_they_are_compressed(
+    everywhere: bool, speed: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Volumes overflow there; 0 times any volume is 0, on a GPU as on a CPU."""
+    monkeypatch.setattr("tnst_mi.fields.flow_advection.on_gpu", lambda: everywhere)
+    rng = np.random.default_rng(13)
+    density = smoke_in_air(rng, (16, 18, 20))
+    v = np.float32(speed) * rng.standard_normal((16, 18, 20, 3)).astype(np.float32)
+    assert np.isfinite(tnst_mi.advect(density, v, trace="flow", conservative=True)).all()
+    assert np.isfinite(tnst_mi.advect(np.zeros_like(density), v, trace="flow", conservative=True)).all()
+
+
+def test_a_velocity_that_is_not_a_number_has_no_valid_derivative() -> None:
+    """Its sums were finite, and wrong."""
+    rng = np.random.default_rng(14)
+    density, v_values = smoke_in_air(rng, SHAPE), 3 * smooth_noise(rng, *SHAPE, 3)
+    v_values[SHAPE[0] // 2, SHAPE[1] // 2, SHAPE[2] // 2] = np.nan
+    v = mi.TensorXf(v_values)
+    dr.enable_grad(v)
+    dr.backward(dr.sum(dr.square(tnst_mi.advect(mi.TensorXf(density), v, trace="flow")), axis=None))
+    assert not np.isfinite(dr.grad(v).numpy()).all()

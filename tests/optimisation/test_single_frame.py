@@ -27,7 +27,7 @@ from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation import algorithm
 from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
-from tnst_mi.optimisation.parameterisation import Fields
+from tnst_mi.optimisation.parameterisation import LARGEST_DERIVATIVE, Fields
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
@@ -441,3 +441,14 @@ def test_semantic_transfer_with_compression(bvlc: GoogLeNet, asset) -> None:
     result = optimise(frame, Recipe(semantic=("inception_4c/output:100",), lam=1.0, **SHORT), bvlc)
     before, after = observed(bvlc, frame.density, result.density, ["inception_4c/output"])
     assert after["inception_4c/output"][:, 100].mean() >= 4 * before["inception_4c/output"][:, 100].mean()
+
+
+@pytest.mark.parametrize("transport", ["step", "flow"])
+def test_outliers_are_limited_along_the_flow_alone(
+    transport: str, smoke: Frame, network: GoogLeNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for largest in (LARGEST_DERIVATIVE, 0.25):
+        monkeypatch.setattr("tnst_mi.optimisation.parameterisation.LARGEST_DERIVATIVE", largest)
+        found.append(optimise(smoke, recipe(transport=transport), network).density)
+    assert (found[0].tobytes() == found[1].tobytes()) == (transport == "step")

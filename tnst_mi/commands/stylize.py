@@ -60,17 +60,20 @@ def sequence_summary(sequence: dict[str, Any]) -> str:
 
 
 def mass_remark(recipe: Recipe, records: list[dict[str, Any]]) -> str | None:
-    """What to say where a frame has less or more smoke than before, and what keeps it."""
+    """What to say where frames have less or more smoke than before, and what would keep it."""
     with_smoke = [record for record in records if record["mass_before"] > 0]
-    worst = max(with_smoke, key=lambda record: abs(_mass_change(record)), default=None)
-    if worst is None or abs(_mass_change(worst)) <= _MASS_REMARKED or recipe.parameterisation != "transport":
+    changed = [record for record in with_smoke if abs(_mass_change(record)) > _MASS_REMARKED]
+    if not changed or recipe.parameterisation != "transport":
         return None
+    worst = max(changed, key=lambda record: abs(_mass_change(record)))
+    others = f", and {len(changed) - 1} others too" if len(changed) > 1 else ""
+    happened = f"{'lost' if _mass_change(worst) < 0 else 'gained'} {abs(_mass_change(worst)):.1%} of its smoke{others}"
     keys = [] if recipe.transport == "flow" else ['transport = "flow"']
-    keys += [] if recipe.at(worst["number"]).lam == 0 else ["lam = 0"]
-    if not keys:
-        return None
-    happened = f"{'lost' if _mass_change(worst) < 0 else 'gained'} {abs(_mass_change(worst)):.0%} of its smoke"
-    return f"{worst['name']} {happened}; {' and '.join(keys)} would keep it (docs/transport.md)"
+    keys += [] if recipe.steps == 1 else ["steps = 1"]
+    keys += ["lam = 0"] if any(recipe.at(record["number"]).lam > 0 for record in changed) else []
+    # Along a flow without divergence, smoke can still leave the grid, or be folded more finely than its cells.
+    remedy = " and ".join(keys) if keys else "a lower eta, or more room around the smoke,"
+    return f"{worst['name']} {happened}; {remedy} would keep more of it (docs/transport.md)"
 
 
 def _mass_change(record: dict[str, Any]) -> float:

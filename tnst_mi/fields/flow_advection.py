@@ -30,6 +30,9 @@ from tnst_mi.fields.stencil import Trilinear
 from tnst_mi.fields.sums import RepeatableSum
 from tnst_mi.machine.backend import on_gpu
 
+#: The logarithm of a volume is clamped to this, so that its exponential is finite in float32, and 0 times it is 0.
+_MOST_VOLUME = 60.0
+
 
 class FlowAdvection(AdvectionStep):
     """Advection of a field with `channels` values per cell (1 or 3) along the flow of a velocity over one frame."""
@@ -92,7 +95,7 @@ class FlowAdvection(AdvectionStep):
         #: Along −v and along v: the paths of the chosen cells, and where they end, in cells from their start.
         self.paths = paths, there
         self.ends = mi.Vector3f(*departure[:3]), mi.Vector3f(*arrival[:3])
-        self.log_volume = departure[3] if conservative else None
+        self.log_volume = dr.clip(departure[3], -_MOST_VOLUME, _MOST_VOLUME) if conservative else None
         dr.eval(self.forward_step, [path.stages for path in self.paths], self.ends, self.log_volume, self.chosen)
 
         result = self._corrected_step(limited, reverted) if self.corrected else mi.Float(self.forward_step)
@@ -149,7 +152,7 @@ class FlowAdvection(AdvectionStep):
         moved = [stored(x) for x in self._flow().tangent(self.paths[sign > 0], change)]
         dr.eval(moved)
         if sign < 0 and self.conservative:
-            self.log_volume_tangent = moved[3]
+            self.log_volume_tangent = dr.select(dr.abs(self.log_volume) < _MOST_VOLUME, moved[3], 0)
         return mi.Vector3f(*moved[:3])
 
     def _tangent(self) -> mi.Float:
@@ -171,7 +174,8 @@ class FlowAdvection(AdvectionStep):
             dr.eval(g)
             cells = Cells.of(self.shape, self.chosen)
             own, result = cells.own(g, self.channels), cells.own(self.result, self.channels)
-            self.on_log_volume = stored(sum((x * y for x, y in zip(own, result, strict=True)), mi.Float(0)))
+            change = sum((x * y for x, y in zip(own, result, strict=True)), mi.Float(0))
+            self.on_log_volume = stored(dr.select(dr.abs(self.log_volume) < _MOST_VOLUME, change, 0))
             g = dr.zeros(mi.Float, dr.width(g))
             for c, value in enumerate(self._scaled(own)):
                 dr.scatter(g, value, cells.number * self.channels + c, mode=dr.ReduceMode.NoConflicts)

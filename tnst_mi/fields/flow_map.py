@@ -266,8 +266,8 @@ def _stages_needed(evaluations: list[_Evaluation]) -> mi.UInt32:
     fastest = mi.Float(0)
     for evaluation in evaluations:
         fastest = dr.maximum(fastest, dr.norm(mi.Vector3f(*evaluation.rates[:3])))
-    # Clipped as integers, so that even a velocity that is not finite gives a number of stages.
-    return mi.UInt32(dr.clip(mi.Int32(dr.ceil(fastest / CELLS_PER_STAGE)), 1, AUTO_STAGES))
+    # Clipped before and after it becomes an integer: any velocity, finite or not, gives a number of stages.
+    return mi.UInt32(dr.clip(mi.Int32(dr.minimum(dr.ceil(fastest / CELLS_PER_STAGE), AUTO_STAGES)), 1, AUTO_STAGES))
 
 
 def _merged(

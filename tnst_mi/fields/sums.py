@@ -44,5 +44,7 @@ class RepeatableSum:
 
 
 def largest_magnitude(values: mi.Float) -> mi.Float:
-    """max |values|, kept on the device."""
-    return dr.max(dr.abs(values)) if dr.width(values) else mi.Float(0)
+    """max |values|, kept on the device; infinite where a value is NaN, so that sums of it are NaN."""
+    if not dr.width(values):
+        return mi.Float(0)
+    return dr.max(dr.select(dr.isnan(values), dr.inf, dr.abs(values)))

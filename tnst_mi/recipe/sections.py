@@ -132,8 +132,8 @@ class Method:
     """How smoke follows the velocity: step, as in the paper, looks back along a straight line, which loses smoke where
     the velocity turns; flow follows it for one frame, and a velocity without divergence (lam 0) keeps the mass."""
     stages: Annotated[int | str, Integer(1, 64, word="auto")] = "auto"
-    """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells of
-    the path's own displacement, up to 32."""
+    """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells per
+    frame of the largest velocity that a path meets, up to 32."""
     conservative: Annotated[bool, Switch()] = False
     """With transport flow, true makes smoke denser where it contracts and thinner where it expands (lam above 0), so
     that its mass is kept as far as the grid resolves this; false keeps the densities, as in the paper."""
