@@ -239,7 +239,7 @@ def _frame_of_arrays(arrays: dict[str, np.ndarray], lacking: str) -> StoredFrame
     lone = next((arrays[name] for name in _LONE_ARRAYS if name in arrays), None)
     if density is None and lone is not None:
         if lone.ndim == 4 and lone.shape[-1] == 3:
-            velocity = lone if velocity is None else velocity
+            velocity, lacking = lone if velocity is None else velocity, _VECTORS
         else:
             density = lone
     return StoredFrame(

@@ -102,6 +102,11 @@ def step_of(numbers: Sequence[Number]) -> Number:
     return plain_number(Fraction(math.gcd(*(int(difference * unit) for difference in differences)), unit))
 
 
+def is_next(number: Number, following: Number, step: Number) -> bool:
+    """Whether a number comes one step after another, counted exactly."""
+    return Fraction(str(number)) + Fraction(str(step)) == Fraction(str(following))
+
+
 def missing(numbers: Sequence[Number], most: int = 11) -> list[Number]:
     """The numbers, at most so many, that are missing between ascending ones that are counted by `step_of` them."""
     step, there, gaps = Fraction(str(step_of(numbers))), {Fraction(str(number)) for number in numbers}, []

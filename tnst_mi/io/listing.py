@@ -12,8 +12,9 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.companions import OBSTACLE, VELOCITY, densities, found_companion
 from tnst_mi.io.folders import frame_files, frame_folder
 from tnst_mi.io.formats import GRID_FORMATS, READABLE, require_readable
-from tnst_mi.io.frame_numbers import Number, NumberedName, missing, numbered, pattern_of, step_of
+from tnst_mi.io.frame_numbers import Number, NumberedName, missing, numbered, pattern_of
 from tnst_mi.io.patterns import is_pattern, matches
+from tnst_mi.resources import expanded
 
 #: A file with its name taken apart.
 _Named = tuple[Path, NumberedName]
@@ -53,7 +54,7 @@ def list_frames(path: Path, span: tuple[Number, Number] | None = None) -> Listin
         InputError: nothing is there, the format is unknown, there are several sequences, or numbers are missing, are
             there more than once, or are not those that `span` asks for.
     """
-    path = path.expanduser()
+    path = expanded(path)
     if path.is_dir():
         folder = frame_folder(path, READABLE)
         named, left = _density_files(frame_files(folder.path, READABLE))
@@ -109,15 +110,12 @@ def _listing(
         left = [*left, *unnumbered]
         _require_one_series(source, named)
     ordered = sorted(named, key=lambda pair: (pair[1].number or 0, pair[0].name))
-    chosen = _selected(source, ordered, span)
+    chosen = _selected(ordered, span)
     _require_complete(source, chosen)
     remarks = [*notes, *_beside(chosen[0][0]), *_left_alone(left)]
     if span is None and len(chosen) < len(ordered):
         remarks.append(_of_sub_frames([name.number for _, name in ordered if name.number is not None]))
     of_chosen = [name.number for _, name in chosen]
-    step = step_of([number for number in of_chosen if number is not None])
-    if step != 1:
-        remarks.append(f"frames are {step} apart: {of_chosen[0]} to {of_chosen[-1]}")
     return Listing([file for file, _ in chosen], of_chosen, [file for file, _ in ordered], velocities, tuple(remarks))
 
 
@@ -150,7 +148,7 @@ def _span(numbers: Sequence[Number]) -> str:
     return f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
 
 
-def _selected(source: Path, named: Sequence[_Named], span: tuple[Number, Number] | None) -> list[_Named]:
+def _selected(named: Sequence[_Named], span: tuple[Number, Number] | None) -> list[_Named]:
     """The files, sorted by number, that a span takes; without one, whole frames if there are any."""
     if span is None:
         return [pair for pair in named if not isinstance(pair[1].number, float)] or list(named)
@@ -167,7 +165,7 @@ def _selected(source: Path, named: Sequence[_Named], span: tuple[Number, Number]
     ]
     if not chosen or (chosen[0][1].number, chosen[-1][1].number) != (first, last):
         there = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {_span(numbers)}"
-        raise InputError(f"{wanted}: the input {source} has the {there}, and both ends must be there")
+        raise InputError(f"{wanted}: the input has the {there}, and both ends must be there")
     return chosen
 
 

@@ -76,6 +76,13 @@ class FrameFiles(Sequence[Frame]):
         return self._listing.notes
 
     @property
+    def title(self) -> str:
+        """A name for all frames together, which can be part of a file's name."""
+        source = self.source.resolve()
+        name = source.name if source.is_dir() else source.stem if source.exists() else self.files[0].stem
+        return displayable(name)
+
+    @property
     def suffix(self) -> str:
         """The extension of the files, which identifies their format."""
         return self.files[0].suffix.lower()

@@ -25,6 +25,9 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
     yield prepared.memory
+    yield from (f"note: {note}" for note in prepared.notes)
+    if prepared.step != 1:
+        yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
     if recipe.coherence > 0 and prepared.plan.window == 1:
         yield f"warning: coherence = {recipe.coherence:g} has no effect without a window"
     preset = PRESETS.get(recipe.preset or "", {})

@@ -120,7 +120,7 @@ class Run(Iterator[StylizedFrame]):
             self._bar.say(line)
         if prepared.network.fallback:
             announce_fallback()
-        optimisation = self._optimiser(prepared.plan, prepared.frames, prepared.network.model, store)
+        optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
@@ -167,7 +167,7 @@ class Run(Iterator[StylizedFrame]):
         if len(names) > 1:
             densities = StoredArrays(folder.out, "density", names, prepared.suffix)
             records = self.record["frames"]
-            self.record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, records)
+            self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps)
         folder.write_run(self.record)
         folder.remove_work()
