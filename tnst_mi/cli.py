@@ -98,10 +98,10 @@ def _failed(arguments: list[str], message: str, code: int) -> int:
 
 def _one_line(message: str) -> str:
     """A message without the escape codes of libraries and the control characters of file names, in one line."""
-    text = re.sub(r"\x1b\[[0-?]*[ -/]*[@-~]", "", message)
-    text = " ".join("".join(character if character.isprintable() else " " for character in text).split())
     # Bytes of file names that are not UTF-8 are surrogates here, which no stream can write.
-    return text.encode("utf-8", "replace").decode("utf-8")
+    text = message.encode("utf-8", "replace").decode("utf-8")
+    text = re.sub(r"\x1b\[[0-?]*[ -/]*[@-~]", "", text)
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 
 
 def _run(arguments: list[str]) -> int:

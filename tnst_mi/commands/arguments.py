@@ -45,14 +45,14 @@ class StylizeArguments(Arguments):
     Values come from the defaults or a preset, then from the recipe file, then from the flags.
     """
 
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file (one frame) or folder (a sequence)."""
+    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT]", help_behavior_hint="")] = None
+    """Density file, folder of numbered ones, or pattern ('smoke_####.vdb'); with --resume, the run's by default."""
     out: Folder
     """New or empty folder for the results."""
     recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recipe file (TOML); its keys are the flags below."""
     resume: bool = False
-    """Continue the run in --out where it stopped, whatever stopped it."""
+    """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)

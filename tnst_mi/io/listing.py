@@ -132,16 +132,20 @@ def _require_one_series(source: Path, named: Sequence[_Named]) -> None:
 
 
 def _by_series(named: Iterable[_Named]) -> dict[str, list[Number]]:
-    """The numbers of each series, by its pattern."""
-    groups: dict[tuple[tuple[str, str], str], list[_Named]] = defaultdict(list)
-    for file, name in named:
-        groups[name.series, file.suffix.lower()].append((file, name))
-    return {
-        pattern_of(name for _, name in pairs) + pairs[0][0].suffix: sorted(
-            name.number for _, name in pairs if name.number is not None
-        )
-        for pairs in groups.values()
-    }
+    """The numbers of each series, by its pattern; a format is a series of its own if it repeats numbers of another."""
+    alike: dict[tuple[str, str], list[_Named]] = defaultdict(list)
+    for pair in named:
+        alike[pair[1].series].append(pair)
+    series: dict[str, list[Number]] = {}
+    for pairs in alike.values():
+        by_format: dict[str, list[_Named]] = defaultdict(list)
+        for pair in pairs:
+            by_format[pair[0].suffix.lower()].append(pair)
+        counted = [number for group in by_format.values() for number in {name.number for _, name in group}]
+        for group in by_format.values() if len(set(counted)) < len(counted) else [pairs]:
+            pattern = pattern_of(name for _, name in group) + group[0][0].suffix
+            series[pattern] = sorted(name.number for _, name in group if name.number is not None)
+    return series
 
 
 def _span(numbers: Sequence[Number]) -> str:
@@ -183,7 +187,9 @@ def _require_complete(source: Path, named: Sequence[_Named]) -> None:
 
 
 def _beside(file: Path) -> list[str]:
-    """What the frame of a file takes from files beside it."""
+    """What the frame of a file takes from files beside it, where its format does not always do so."""
+    if file.suffix.lower() in GRID_FORMATS:
+        return []
     found = {"velocity": found_companion(file, VELOCITY), "obstacle": found_companion(file, OBSTACLE)}
     names = [f"{kind} from {path.name}" for kind, path in found.items() if path is not None]
     return [f"{file.name}: {', '.join(names)}"] if names else []

@@ -72,9 +72,10 @@ def meant(name: str, known: Collection[str]) -> str | None:
         ('azimuth', 'gamma', None)
     """
     plain = name.lower().replace("-", "_").lstrip("_")
-    synonym = plain if plain in known else _BY_OTHER_NAME.get(plain)
-    if synonym in known:
-        return synonym
+    if plain in known:
+        return plain
+    if plain in _BY_OTHER_NAME or plain in _ADVICE:
+        return _BY_OTHER_NAME[plain] if _BY_OTHER_NAME.get(plain) in known else None
     nearest = difflib.get_close_matches(plain, known, n=1, cutoff=0.5)
     return nearest[0] if nearest else None
 

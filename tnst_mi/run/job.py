@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import errno
+import math
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
@@ -27,6 +28,7 @@ from tnst_mi.run.folder import RunFolder, StoredArrays
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
+from tnst_mi.run.time_left import OctaveSize
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -74,7 +76,9 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        self._bar = ProgressBar(progress)
+        plan = prepared.plan
+        octaves = [OctaveSize(math.prod(o.shape), math.prod(plan.image_size(o))) for o in plan.octaves]
+        self._bar = ProgressBar(progress, octaves)
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:

@@ -29,6 +29,7 @@ from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, requir
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.resources import expanded
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, sequence_of
 from tnst_mi.run.measure import (
@@ -156,9 +157,9 @@ def prepare(
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
-    out = None if out is None else Path(out)
+    source = Path(frames) if isinstance(frames, str | Path) else None
+    out = None if out is None else expanded(Path(out))
     if out is not None:
-        source = Path(frames) if isinstance(frames, str | Path) else None
         require_writable(out, source, None if resume or overwrite else _remedy(out))
         if overwrite:
             frame_names(out)  # refuses anything but a run
@@ -212,6 +213,7 @@ def prepare(
         },
         "main_view": list(recipe.main_view),
         "format": suffix[1:],
+        "input": None if source is None else str(expanded(source).absolute()),
         "inputs": digests(measures),
         "files": file_digests(recipe),
         "reference_density": reference.value,
