@@ -43,6 +43,7 @@ _TORCHVISION_BRANCHES = {
 }
 #: Where training programs put the state dict among other things, and what they put before its names.
 _NESTED = ("state_dict", "model_state_dict", "model", "net", "network", "params", "weights")
+_DEEPEST = 3
 _PREFIXES = re.compile(r"(?:module|model|net|network|backbone|_orig_mod)\.")
 
 _BATCH_NORM_PARTS = ("weight", "bias", "running_mean", "running_var")
@@ -97,8 +98,9 @@ def read_pth(path: Path) -> dict[str, Tensor]:
         raise MalformedFile(
             f"truncated, not a torch state dict, or one that holds more than tensors ({_first_line(error)})"
         ) from None
-    while isinstance(contents, dict) and (name := next((name for name in _NESTED if _is_dict(contents, name)), None)):
-        contents = contents[name]
+    for _ in range(_DEEPEST):
+        if isinstance(contents, dict) and (name := next((n for n in _NESTED if _is_dict(contents, n)), None)):
+            contents = contents[name]
     if not isinstance(contents, dict) or not all(isinstance(value, Tensor) for value in contents.values()):
         raise MalformedFile(
             f"not a torch state dict: expected a dictionary of tensors, or one in an entry {', '.join(_NESTED)}"
