@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tnst_mi.fields.density_unit import is_unusual
+from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.unused import unused_keys
@@ -29,6 +30,9 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield from (f"note: {note}" for note in prepared.notes)
     if prepared.step != 1:
         yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
+    for path in (*recipe.style, *recipe.content):
+        picture = read_image(path)
+        yield from (f"note: {picture.name} {remark}" for remark in picture.remarks)
     for key, reason in unused_keys(recipe, len(prepared.frames)).items():
         yield f"note: {key} has no effect: {reason}"
     preset = PRESETS.get(recipe.preset or "", {})
