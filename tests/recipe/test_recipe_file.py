@@ -33,6 +33,7 @@ def test_files_that_are_read(tmp_path: Path, data: bytes) -> None:
         (rb'style = ["C:\Users\me\fire.png"]', r"; write paths in single quotes, 'C:\\smoke\\fire.png', or with /"),
         (rb'style = ["C:\temp\fire.png"]', r"has the control character '\\t' in it, .* in single quotes"),
         (b"octaves: 1", "write key = value, not key: value"),
+        (b"eta = 1\neta = 2", "a key may be there once"),
         (b"gamma = 0,1", "write decimals with a point"),
         (b"[stylize]\noctaves = 1", "unknown key 'stylize'; a recipe has no sections: write its keys without"),
         (b"octave = 1", "unknown key 'octave'; did you mean 'octaves'"),

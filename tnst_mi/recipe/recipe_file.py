@@ -53,6 +53,8 @@ def _remedy(path: Path, text: str, error: str) -> str:
     lines = text.splitlines()
     place = re.search(r"at line (\d+)", error)
     line = lines[int(place[1]) - 1] if place and int(place[1]) <= len(lines) else (lines[-1] if lines else "")
+    if "overwrite" in error:
+        return "; a key may be there once"
     if any(character in line for character in _TYPOGRAPHIC):
         return '; use straight quotes: "'
     if re.search(r'"[^"]*\\', line):
