@@ -13,7 +13,7 @@ _OF_TRANSPORT = ("lam", "steps", "transport", "stages", "conservative")
 
 
 def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
-    """The keys that a recipe gives another value than the default, without effect, each with the reason.
+    """The keys that have another value than by default, or by the preset, without effect, each with the reason.
 
     Args:
         recipe: the recipe.
