@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.sections import KINDS
 
 #: Keys of Mitsuba's path tracer, and of a window.
 _OF_THE_PATH_TRACER = ("albedo", "anisotropy", "light", "spp")
@@ -23,8 +24,8 @@ def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
         >>> unused_keys(Recipe(tag=("spiral",), style_weight=2.0), frames=1)
         {'style_weight': 'there is no style'}
     """
-    default = Recipe()
-    changed = {key for key in recipe.given if key in recipe.keyframes or getattr(recipe, key) != getattr(default, key)}
+    default = Recipe(preset=recipe.preset)
+    changed = {key for key in KINDS if key in recipe.keyframes or getattr(recipe, key) != getattr(default, key)}
     return {key: reason for keys, reason in _without_effect(recipe, frames) for key in keys if key in changed}
 
 
