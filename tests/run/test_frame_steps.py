@@ -86,3 +86,5 @@ def test_names_that_are_not_utf_8(run: Run, tmp_path: Path, optimiser: FakeOptim
     assert sorted(path.name for path in (out / "density").iterdir()) == ["r\ufffdsum_1.npz", "r\ufffdsum_2.npz"]
     assert run("stylize", "--out", out, "--resume").code == 0
     assert len(load_frames(out)) == 2
+    ran = run("stylize", folder, "--out", folder / "out", "--tag", "x")
+    assert ran.code == 2 and "the path is not UTF-8, expected one that is; give another folder" in ran.errors[-1]

@@ -30,6 +30,7 @@ from tnst_mi.io.formats import (
 )
 from tnst_mi.io.frame_numbers import Number
 from tnst_mi.io.listing import Listing, list_frames
+from tnst_mi.resources import expanded
 
 
 class FrameFiles(Sequence[Frame]):
@@ -213,7 +214,7 @@ def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str =
         ...     sorted(os.listdir(folder))
         ['smoke_0008.vdb', 'smoke_0009.vdb']
     """
-    path = Path(path)
+    path = expanded(Path(path))
     several = not isinstance(frames, Frame)
     frames = frames if several else [frames]
     if not isinstance(frames, Sequence) or not all(isinstance(frame, Frame) for frame in frames):
