@@ -365,7 +365,10 @@ def test_the_version(run: Run) -> None:
         ("stylize a --out b --learning-rate 2", "did you mean --eta?"),
         ("stylize a --out b --style-image x.png", "did you mean --style?"),
         ("stylize a --out b --device cuda", "did you mean --variant?"),
-        ("stylize a --out b --preview", "unexpected '--preview'; octaves = 1 gives a quick preview"),
+        (
+            "stylize a --out b --preview",
+            "unexpected '--preview'; a single octave gives a quick preview .octaves = 1, --octaves 1",
+        ),
         ("stylize a --out b --output c", "did you mean --out?"),
         ("convert a b --time-step 2", "unexpected '--time-step'; did you mean --dt?"),
         ("convert a b --camera 2", "unexpected '--camera'; tnst-mi convert --help lists what is known"),

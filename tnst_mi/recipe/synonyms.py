@@ -49,13 +49,15 @@ _OTHER_NAMES: dict[str, str] = {
 
 _BY_OTHER_NAME = {other: name for name, others in _OTHER_NAMES.items() for other in others.split()}
 
+_QUICK = "a single octave gives a quick preview (octaves = 1, --octaves 1)"
+
 #: What people look for that is no key by itself.
 _ADVICE = {
-    "preview": "octaves = 1 gives a quick preview",
-    "draft": "octaves = 1 gives a quick preview",
-    "quick": "octaves = 1 gives a quick preview",
-    "fast": "octaves = 1 gives a quick preview",
-    "low_res": "octaves = 1 gives a quick preview",
+    "preview": _QUICK,
+    "draft": _QUICK,
+    "quick": _QUICK,
+    "fast": _QUICK,
+    "low_res": _QUICK,
     "quality": "octaves and iterations decide the quality",
 }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import errno
-import math
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
@@ -28,7 +27,7 @@ from tnst_mi.run.folder import RunFolder, StoredArrays
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
-from tnst_mi.run.time_left import OctaveSize
+from tnst_mi.run.time_left import octave_sizes
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -76,9 +75,7 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        plan = prepared.plan
-        octaves = [OctaveSize(math.prod(o.shape), math.prod(plan.image_size(o))) for o in plan.octaves]
-        self._bar = ProgressBar(progress, octaves)
+        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, prepared.plan.shape))
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:

@@ -10,9 +10,14 @@ the worst case, less than a quarter for the octaves of a default run.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+from tnst_mi.fields.grid import Shape, octaves
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,12 @@ class OctaveSize:
     def costs(self) -> tuple[float, float, float]:
         """What the costs of an iteration grow with."""
         return 1.0, float(self.pixels), float(self.cells)
+
+
+def octave_sizes(recipe: Recipe, shape: Shape) -> list[OctaveSize]:
+    """The sizes of a recipe's octaves for frames of a shape (D, H, W), from coarse to fine."""
+    grids = [octave.shape for octave in octaves(shape, recipe.octaves, recipe.scale_factor)]
+    return [OctaveSize(math.prod(grid), math.prod(image_size(recipe, grid))) for grid in grids]
 
 
 @dataclass
@@ -47,12 +58,12 @@ class TimeLeft:
     """Estimates the time left from the reports of a run's iterations.
 
     Args:
-        octaves: sizes of the octaves, from coarse to fine; all have equally many iterations.
+        sizes: of the octaves, from coarse to fine; all have equally many iterations.
         clock: seconds that pass; the time of construction counts as the beginning of the run.
     """
 
-    def __init__(self, octaves: Sequence[OctaveSize], clock: Callable[[], float] = time.perf_counter) -> None:
-        self._octaves, self._clock = octaves, clock
+    def __init__(self, sizes: Sequence[OctaveSize], clock: Callable[[], float] = time.perf_counter) -> None:
+        self._octaves, self._clock = sizes, clock
         self._timed: dict[int, _Timed] = {}
         self._now = clock()
 
