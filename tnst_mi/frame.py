@@ -35,7 +35,7 @@ class Frame:
         velocity: (D, H, W, 3) float32, components (x, y, z) in cells per frame, or None.
         obstacle: (D, H, W) bool, True inside solid objects, or None.
         name: names the output files.
-        number: the frame's number in its sequence, or None.
+        number: the frame's number in its sequence, a float for a sub-frame such as 1.5, or None.
         placement: where the grid lies in the scene it came from, or None if unknown.
 
     Raises:
@@ -56,7 +56,7 @@ class Frame:
     velocity: np.ndarray | None = None
     obstacle: np.ndarray | None = None
     name: str = "frame"
-    number: int | None = None
+    number: int | float | None = None
     placement: Placement | None = None
 
     def __post_init__(self) -> None:

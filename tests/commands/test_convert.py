@@ -104,7 +104,7 @@ def test_bad_requests(run: Run, moving: Path, tmp_path: Path) -> None:
         ([file, tmp_path / "a.vdb", "--dt", "0"], "--dt 0: expected a number above 0"),
         ([file, tmp_path / "a.vdb", "--voxel-size", "-1"], "--voxel-size -1: expected a number above 0"),
         ([moving, tmp_path / "out", "--frames", "7:12"], "has the frames 7 to 9"),
-        ([moving, tmp_path / "out", "--frames", "7"], "--frames 7: expected a range of frame numbers"),
+        ([moving, tmp_path / "out", "--frames", "7:"], "--frames 7:: expected a range of frame numbers"),
     ):
         refused(run, tmp_path, ["convert", *arguments], message)
     for flags, message in (

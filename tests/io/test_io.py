@@ -71,7 +71,7 @@ def test_only_the_selected_frames_must_be_without_gaps(tmp_path: Path) -> None:
 def test_a_file_without_a_number_cannot_be_selected(tmp_path: Path) -> None:
     save_frames(tmp_path / "smoke.npz", random_frame())
     for path in (tmp_path / "smoke.npz", tmp_path):
-        with pytest.raises(InputError, match=r"frames = '3:4': the name of .*smoke.npz does not end in a frame number"):
+        with pytest.raises(InputError, match=r"frames = '3:4': the name of .*smoke.npz has no frame number"):
             open_frames(path, (3, 4))
     save_frames(tmp_path / "f_3.npz", random_frame())
     assert len(open_frames(tmp_path / "f_3.npz", (3, 3))) == 1
@@ -231,7 +231,7 @@ def test_missing_keys_are_listed(tmp_path: Path) -> None:
     [
         (["f_1", "f_2", "f_5", "f_7"], "missing between 1 and 7: 3, 4, 6"),
         (["f_1", "f_01"], "frame 1 is there more than once: f_01.npz, f_1.npz"),
-        (["a", "b"], "no file name ends in a frame number"),
+        (["a", "b"], "no file name has a frame number"),
         ([], "no frames"),
     ],
 )

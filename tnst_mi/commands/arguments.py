@@ -45,14 +45,14 @@ class StylizeArguments(Arguments):
     Values come from the defaults or a preset, then from the recipe file, then from the flags.
     """
 
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file (one frame) or folder (a sequence)."""
+    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT]", help_behavior_hint="")] = None
+    """Density file, folder of numbered ones, or pattern ('smoke_####.vdb'); with --resume, the run's by default."""
     out: Folder
     """New or empty folder for the results."""
     recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recipe file (TOML); its keys are the flags below."""
     resume: bool = False
-    """Continue the run in --out where it stopped, whatever stopped it."""
+    """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
@@ -90,7 +90,7 @@ class RenderArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the pictures."""
     views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0",)
@@ -137,7 +137,7 @@ class CompareArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the report."""
     views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0", "35,12", "-80,-25")
@@ -198,7 +198,7 @@ class ConvertArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file, or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
     """File, whose extension selects the format, or new or empty folder."""
     format: Annotated[
@@ -206,7 +206,7 @@ class ConvertArguments(Arguments):
     ] = None
     """Format of the files in a folder."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: all)")] = None
-    """Numbers of the first and the last frame of a folder to convert."""
+    """Numbers of the first and the last frame to convert, or of one; with decimal points, sub-frames are taken too."""
     reading: ReadingFlags = field(default_factory=ReadingFlags)
     """How to read the input."""
 
@@ -241,7 +241,7 @@ class InfoArguments(Arguments):
     """
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…")]
-    """Files or folders."""
+    """Files, folders, or patterns such as 'smoke_####.vdb'."""
 
 
 @dataclass(kw_only=True)

@@ -14,9 +14,15 @@ import tyro
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
+from tnst_mi.io import open_frames
+from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.recipe.keys import Number, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
+
+#: First and last frame, or all.
+Span = tuple[int | float, int | float] | None
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -91,6 +97,18 @@ def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
         raise InputError(f"--density-scale {density_scale}: expected {kind.expected}") from None
     reference = reference_density(frames)
     return Unit(reference.value, reference.scale(given))
+
+
+def open_input(path: Path, span: Span = None, given: Conventions | None = None) -> FrameFiles:
+    """The frames of a command's INPUT; what was decided in choosing the files is said on stderr.
+
+    Raises:
+        InputError: as `tnst_mi.io.open_frames`.
+    """
+    frames = open_frames(path, span, given)
+    for note in frames.notes:
+        print(f"note: {note}", file=sys.stderr)
+    return frames
 
 
 def view_of(text: str) -> tuple[float, float]:

@@ -9,12 +9,11 @@ from typing import Any
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import unit_of, view_of
+from tnst_mi.commands.base import open_input, unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
-from tnst_mi.io import open_frames
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.environment import device, peak_memory, versions
@@ -33,7 +32,7 @@ def run(arguments: CompareArguments) -> int:
     settings = _settings(arguments)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frame = open_frames(arguments.input)[0]
+    frame = open_input(arguments.input)[0]
     unit = unit_of([frame], arguments.density_scale)
     density = scaled(frame.density, unit.factor)
     if not density.any():

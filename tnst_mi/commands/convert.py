@@ -8,9 +8,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import ConvertArguments, ReadingFlags
+from tnst_mi.commands.base import open_input
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io import open_frames
 from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.formats import FORMATS, files_around, require_format
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
@@ -21,7 +21,7 @@ from tnst_mi.recipe.recipe import Recipe
 def run(arguments: ConvertArguments) -> int:
     """Convert every frame."""
     selection = Recipe() if arguments.frames is None else Recipe().updated_by_flags({"frames": arguments.frames})
-    frames = open_frames(arguments.input, selection.frame_range, _conventions(arguments.reading))
+    frames = open_input(arguments.input, selection.frame_range, _conventions(arguments.reading))
     files = _files(arguments, frames)
     suffix, lost = files[0].suffix.lower(), None
     try:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from tnst_mi.commands.arguments import InfoArguments
+from tnst_mi.commands.base import open_input
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
-from tnst_mi.io import open_frames
 from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.formats import describe
 from tnst_mi.io.sequence import FrameFiles
@@ -19,7 +19,7 @@ def run(arguments: InfoArguments) -> int:
     if not arguments.files:
         raise InputError("info: expected one or more files or folders")
     for path in arguments.files:
-        frames = open_frames(path)
+        frames = open_input(path)
         reference = ReferenceDensity()
         for index, file in enumerate(frames.files):
             print("\n".join([str(file), *describe(file), *_describe_contents(frames, index, reference)]))

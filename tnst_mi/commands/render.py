@@ -11,10 +11,9 @@ from collections.abc import Iterator, Sequence
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import RenderArguments
-from tnst_mi.commands.base import given, unit_of, view_of
+from tnst_mi.commands.base import given, open_input, unit_of, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io import open_frames
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import open_video
@@ -41,7 +40,7 @@ def run(arguments: RenderArguments) -> int:
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    stored = open_frames(arguments.input)
+    stored = open_input(arguments.input)
     unit = unit_of(stored, arguments.density_scale or ("auto" if path_traced else "1"))
     frames = ScaledFrames(stored, unit.factor)
     activate(recipe.variant)
@@ -72,14 +71,15 @@ def run(arguments: RenderArguments) -> int:
             arguments.fit,
         )
     unit.note()
-    _write(arguments, frames, shots, painter)
+    _write(arguments, stored.title, frames, shots, painter)
     return 0
 
 
-def _write(arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter) -> None:
+def _write(
+    arguments: RenderArguments, film_name: str, frames: Sequence[Frame], shots: list[Shot], painter: Painter
+) -> None:
     """Render and write every picture, and the video of a turntable."""
-    source, out = arguments.input.resolve(), arguments.out
-    film = out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
+    out, film = arguments.out, arguments.out / f"{film_name}_turntable.mp4"
     turning = arguments.turntable is not None
     with contextlib.ExitStack() as stack:
         video = stack.enter_context(open_video(film, arguments.fps)) if turning else None

@@ -70,7 +70,7 @@ class StoredFrame:
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lacking: str = "no density"
 
-    def frame(self, given: Conventions, name: str, number: int | None) -> Frame:
+    def frame(self, given: Conventions, name: str, number: int | float | None) -> Frame:
         """The frame in our axes and units.
 
         Raises:

@@ -18,6 +18,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
 from tnst_mi.io import companions
 from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
+from tnst_mi.io.grids.npy import read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers, write_arrays
 from tnst_mi.io.grids.uni import (
     FLAGS,
@@ -37,7 +38,10 @@ from tnst_mi.io.orientation import to_z_up
 #: File extensions of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
 
-#: Formats with one grid per file.
+#: Those that can be read.
+READABLE = (*FORMATS, ".npy")
+
+#: Formats with one grid per file, companions beside it.
 GRID_FORMATS = (".vol", ".uni")
 
 #: Time units per frame in the authors' data.
@@ -47,6 +51,11 @@ AUTHORS_TIME_STEP = 0.5
 _OURS, _Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
 
 _VECTORS = "holds vectors, expected a density"
+
+_COMPANION_WORDS = (companions.VELOCITY, companions.OBSTACLE)
+
+#: The arrays of one grid in an npz file: those of the paper's authors, of PhiFlow, and of numpy where none has a name.
+_LONE_ARRAYS = ("x", "data", "arr_0")
 
 
 def require_format(path: Path) -> str:
@@ -58,6 +67,18 @@ def require_format(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(FORMATS)}")
+    return suffix
+
+
+def require_readable(path: Path) -> str:
+    """The extension of a path, in lower case.
+
+    Raises:
+        InputError: it is not one of READABLE.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READABLE:
+        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(READABLE)}")
     return suffix
 
 
@@ -81,20 +102,31 @@ def read_stored(file: Path, velocities: Path | None = None, context: Any = None)
     Raises:
         InputError: a file cannot be used.
     """
-    match require_format(file):
-        case ".npz":
-            return _read_npz(file, velocities)
+    match require_readable(file):
         case ".vol":
             return _read_vol(file)
         case ".uni":
             return _read_uni(file)
-        case _:
-            return read_vdb_frame(file, context)
+    frame = _read_alone(file, context, velocities)
+    if frame.density is None:
+        return frame
+    velocity, obstacle = (companions.found_companion(file, words) for words in _COMPANION_WORDS)
+    if frame.velocity is None and velocity is not None:
+        frame = _with_velocity_of(frame, velocity, _read_alone(velocity, context))
+    if frame.obstacle is None and obstacle is not None:
+        frame = _with_obstacle_of(frame, obstacle, _read_alone(obstacle, context))
+    return frame
+
+
+def companions_of(file: Path) -> list[Path]:
+    """The existing files beside that of a density from which its velocity and its obstacle may be read."""
+    found = (companions.found_companion(file, words) for words in _COMPANION_WORDS)
+    return [path for path in found if path is not None]
 
 
 def files_around(path: Path) -> list[Path]:
     """The files that reading or writing a frame at a path may touch, whether they exist or not."""
-    return [path, *(companions.possible_companions(path) if require_format(path) in GRID_FORMATS else ())]
+    return [path, *(companions.possible_companions(path) if path.suffix.lower() in GRID_FORMATS else ())]
 
 
 def write_frame(
@@ -137,9 +169,9 @@ def describe(file: Path) -> list[str]:
     Raises:
         InputError: a file cannot be used.
     """
-    suffix = require_format(file)
-    if suffix == ".npz":
-        headers = read_headers(file).items()
+    suffix = require_readable(file)
+    if suffix in (".npz", ".npy"):
+        headers = (read_headers(file) if suffix == ".npz" else {"arr_0": read_npy_header(file)}).items()
         return [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers]
     if suffix == ".vdb":
         return describe_vdb(file)
@@ -156,18 +188,63 @@ def describe(file: Path) -> list[str]:
     return lines
 
 
+def _read_alone(file: Path, context: Any, velocities: Path | None = None) -> StoredFrame:
+    """What a file that may hold whole frames holds itself."""
+    match file.suffix.lower():
+        case ".npz":
+            return _read_npz(file, velocities)
+        case ".npy":
+            return _frame_of_arrays({"arr_0": read_npy(file)}, "holds vectors, expected a density")
+        case _:
+            return read_vdb_frame(file, context)
+
+
+def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
+    """The frame with the velocity that a companion holds."""
+    if other.velocity is None:
+        raise InputError(f"{file}: holds no velocity, as which its name has it read; rename or remove it")
+    return replace(
+        frame,
+        velocity=other.velocity,
+        staggered=other.staggered,
+        known=other.known,
+        velocity_units=other.velocity_units,
+        dt=other.dt,
+    )
+
+
+def _with_obstacle_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
+    """The frame with the obstacle that a companion holds."""
+    solid = other.density if other.obstacle is None else other.obstacle
+    if solid is None:
+        raise InputError(f"{file}: holds no obstacle, as which its name has it read; rename or remove it")
+    return replace(frame, obstacle=solid)
+
+
 def _read_npz(file: Path, velocities: Path | None) -> StoredFrame:
-    arrays = read_arrays(file, ("density", "velocity", "obstacle", "x"))
-    density = arrays.get("density", arrays.get("x"))
+    arrays = read_arrays(file, ("density", "velocity", "obstacle", *_LONE_ARRAYS))
     found = ", ".join(read_headers(file)) or "none"
-    lacking = f"no array 'density' (or 'x'), the arrays found are: {found}"
-    frame = StoredFrame(density=density, scene_up="z", lacking=lacking)
+    frame = _frame_of_arrays(arrays, f"no array 'density' (or 'x'), the arrays found are: {found}")
     if velocities is None or not (velocities / file.name).exists():
-        return replace(frame, velocity=arrays.get("velocity"), obstacle=arrays.get("obstacle"))
+        return frame
     faces = read_arrays(velocities / file.name, ("x",)).get("x")
     if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
         raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
     return replace(frame, velocity=faces, staggered=True, velocity_units=CELLS_PER_TIME, dt=AUTHORS_TIME_STEP)
+
+
+def _frame_of_arrays(arrays: dict[str, np.ndarray], lacking: str) -> StoredFrame:
+    """The frame of named arrays; one without a name that tells is a velocity if it holds vectors."""
+    density, velocity = arrays.get("density"), arrays.get("velocity")
+    lone = next((arrays[name] for name in _LONE_ARRAYS if name in arrays), None)
+    if density is None and lone is not None:
+        if lone.ndim == 4 and lone.shape[-1] == 3:
+            velocity, lacking = lone if velocity is None else velocity, _VECTORS
+        else:
+            density = lone
+    return StoredFrame(
+        density=density, velocity=velocity, obstacle=arrays.get("obstacle"), scene_up="z", lacking=lacking
+    )
 
 
 def _read_vol(file: Path) -> StoredFrame:

@@ -163,9 +163,15 @@ class Resources:
     """What to read, compute with and write."""
 
     frames: Annotated[
-        str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
+        str | None,
+        Text(
+            "FIRST:LAST",
+            'a range of frame numbers, such as "70:89"',
+            r"-?\d{1,9}(\.\d{1,6})?(:-?\d{1,9}(\.\d{1,6})?)?",
+        ),
     ] = None
-    """Numbers of the first and the last frame of a sequence to stylize; all frames if not set. In a recipe file, style,
+    """Numbers of the first and the last frame of a sequence to stylize, or of one; with decimal points, such as
+    1.0:2.5, sub-frames are taken too. All whole frames if not set. In a recipe file, and as flags in quotes, style,
     style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
     between keys: gamma = {49 = 0.1, 72 = 1.0}."""
     weights: Annotated[

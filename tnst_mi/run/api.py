@@ -93,5 +93,5 @@ def stylize(
         densities = StoredArrays(prepared.out, "density", names, prepared.suffix)
         velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix)
     elif len(densities) == len(prepared.frames) > 1:
-        record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, record["frames"])
+        record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
     return Result(densities, velocities, prepared.frames_named(names), history, record, prepared.out)

@@ -91,6 +91,21 @@ def frame_names(out: Path) -> list[str]:
     return names
 
 
+def input_of_run(out: Path) -> Path:
+    """The input of the run in a folder.
+
+    Raises:
+        InputError: its run.json is damaged, or does not name one, as for frames that were given as arrays.
+    """
+    try:
+        source = json.loads((out / "run.json").read_text("utf-8")).get("input")
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell the input of its run; give it") from None
+    if not isinstance(source, str):
+        raise InputError(f"{out / 'run.json'}: does not tell the input of its run; give it")
+    return Path(source)
+
+
 def is_file_name(name: str) -> bool:
     """Whether a frame's name stays inside the folders of the results."""
     return bool(name) and not any(character in name for character in "/\\\0")

@@ -39,18 +39,16 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
 
 
 class ScaledFrames(Sequence[Frame]):
-    """Frames with their densities scaled, on access.
+    """Frames with their densities, or their velocities, scaled, on access.
 
     Args:
         frames: the frames as they are stored.
-        factor: the factor.
-
-    Attributes:
-        factor: as given.
+        factor: of the densities.
+        velocity_factor: of the velocities.
     """
 
-    def __init__(self, frames: Sequence[Frame], factor: float) -> None:
-        self._frames, self.factor = frames, factor
+    def __init__(self, frames: Sequence[Frame], factor: float = 1.0, velocity_factor: float = 1.0) -> None:
+        self._frames, self._factor, self._velocity_factor = frames, factor, velocity_factor
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -63,9 +61,11 @@ class ScaledFrames(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
         """A frame, or several."""
         if isinstance(index, slice):
-            return ScaledFrames(self._frames[index], self.factor)
-        frame = self._frames[index]
-        return replace(frame, density=scaled(frame.density, self.factor))
+            return ScaledFrames(self._frames[index], self._factor, self._velocity_factor)
+        frame, velocity = self._frames[index], None
+        if frame.velocity is not None:
+            velocity = scaled(frame.velocity, self._velocity_factor)
+        return replace(frame, density=scaled(frame.density, self._factor), velocity=velocity)
 
 
 def reference_density(frames: Sequence[Frame]) -> ReferenceDensity:

@@ -27,6 +27,7 @@ from tnst_mi.run.folder import RunFolder, StoredArrays
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
+from tnst_mi.run.time_left import octave_sizes
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -74,7 +75,7 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        self._bar = ProgressBar(progress)
+        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, prepared.plan.shape))
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:
@@ -120,7 +121,7 @@ class Run(Iterator[StylizedFrame]):
             self._bar.say(line)
         if prepared.network.fallback:
             announce_fallback()
-        optimisation = self._optimiser(prepared.plan, prepared.frames, prepared.network.model, store)
+        optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
@@ -167,7 +168,7 @@ class Run(Iterator[StylizedFrame]):
         if len(names) > 1:
             densities = StoredArrays(folder.out, "density", names, prepared.suffix)
             records = self.record["frames"]
-            self.record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, records)
+            self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps)
         folder.write_run(self.record)
         folder.remove_work()

@@ -29,12 +29,14 @@ from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, requir
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.resources import expanded
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
-from tnst_mi.run.inputs import Frames, sequence_of
+from tnst_mi.run.inputs import Frames, ScaledFrames, sequence_of
 from tnst_mi.run.measure import (
     Measure,
     digests,
     file_digests,
+    frame_step,
     measured,
     require_coherent,
     require_same_input,
@@ -69,6 +71,8 @@ class Prepared:
     Attributes:
         recipe: with all paths absolute.
         frames: the input.
+        notes: what was decided in choosing its files.
+        step: how far the frames are apart, 2 for every second one; see `moving`.
         measures: measurements of each frame.
         brightness: likewise, rendered.
         network: judges the images.
@@ -76,13 +80,15 @@ class Prepared:
         memory: a line that says how much of it the run takes.
         cache_bytes: memory that a run may take besides, see `run.memory.cache_bytes`.
         out: the folder of the results, or None.
-        suffix: file suffix of the results, of the recipe's format or else of the input's.
+        suffix: file suffix of the results, of the recipe's format or else of the input's, if that can be written.
         overwrite: whether a run in `out` is replaced.
         record: the contents of run.json before the first frame is done, with those of an earlier run that is resumed.
     """
 
     recipe: Recipe
     frames: Sequence[Frame]
+    notes: Sequence[str]
+    step: int | float
     measures: Sequence[Measure]
     brightness: Sequence[Brightness]
     network: Network
@@ -93,6 +99,11 @@ class Prepared:
     suffix: str
     overwrite: bool
     record: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def moving(self) -> Sequence[Frame]:
+        """The frames with velocities that lead from each to the next, which may not be the next of the simulation."""
+        return self.frames if self.step == 1 else ScaledFrames(self.frames, velocity_factor=self.step)
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -146,9 +157,9 @@ def prepare(
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
-    out = None if out is None else Path(out)
+    source = Path(frames) if isinstance(frames, str | Path) else None
+    out = None if out is None else expanded(Path(out))
     if out is not None:
-        source = Path(frames) if isinstance(frames, str | Path) else None
         require_writable(out, source, None if resume or overwrite else _remedy(out))
         if overwrite:
             frame_names(out)  # refuses anything but a run
@@ -202,6 +213,7 @@ def prepare(
         },
         "main_view": list(recipe.main_view),
         "format": suffix[1:],
+        "input": None if source is None else str(expanded(source).absolute()),
         "inputs": digests(measures),
         "files": file_digests(recipe),
         "reference_density": reference.value,
@@ -225,7 +237,11 @@ def prepare(
         shape,
         density_scale,
     )
-    return Prepared(recipe, sequence, measures, bright, network, plan, memory, cache, out, suffix, overwrite, record)
+    notes = sequence.notes if isinstance(sequence, FrameFiles) else ()
+    step = frame_step([measure.number for measure in measures])
+    return Prepared(
+        recipe, sequence, notes, step, measures, bright, network, plan, memory, cache, out, suffix, overwrite, record
+    )
 
 
 def _watched(frames: Sequence[Frame], doing: str, shown: bool) -> Iterable[Frame]:
@@ -243,4 +259,4 @@ def _remedy(out: Path) -> str:
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:
     if recipe.format is not None:
         return f".{recipe.format}"
-    return frames.suffix if isinstance(frames, FrameFiles) else FORMATS[0]
+    return frames.suffix if isinstance(frames, FrameFiles) and frames.suffix in FORMATS else FORMATS[0]
