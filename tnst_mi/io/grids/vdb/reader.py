@@ -121,8 +121,9 @@ class Grid:
 
 @dataclass(frozen=True)
 class VdbFile:
-    """The contents of an OpenVDB file: metadata, and grids in file order."""
+    """The contents of an OpenVDB file: its path, metadata, and grids in file order."""
 
+    path: Path
     metadata: dict[str, Value]
     grids: list[Grid]
 
@@ -171,7 +172,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
         grids[name] = dataclasses.replace(
             grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span
         )
-    return VdbFile(metadata, list(grids.values()))
+    return VdbFile(path, metadata, list(grids.values()))
 
 
 def _read_grid(path: Path, file: BinaryIO, name: str, tree_type: str, places: tuple[int, int, int]) -> Grid:
