@@ -18,7 +18,7 @@ from tnst_mi.run.prepare import prepare
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
     recipe = Recipe() if arguments.recipe is None else Recipe.from_toml(arguments.recipe)
-    for flags in (arguments.goals, arguments.method, arguments.resources):
+    for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     resume, overwrite = arguments.resume, arguments.overwrite
     try:

@@ -27,7 +27,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
 from tnst_mi.recipe.presets import PRESETS
-from tnst_mi.recipe.sections import KINDS, Goals, Method, Resources, documentation
+from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, documentation
 from tnst_mi.resources import DATA
 
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
@@ -40,7 +40,7 @@ _LARGEST_FILE = 1 << 20
 
 
 @dataclass(frozen=True)
-class Recipe(Resources, Method, Goals):
+class Recipe(Reading, Resources, Method, Goals):
     """Everything that determines a stylization, apart from the frames themselves.
 
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their

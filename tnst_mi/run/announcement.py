@@ -24,6 +24,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     recipe, model = prepared.recipe, prepared.network.model
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
+    yield from prepared.reading
     yield prepared.memory
     if recipe.coherence > 0 and prepared.plan.window == 1:
         yield f"warning: coherence = {recipe.coherence:g} has no effect without a window"
