@@ -146,7 +146,7 @@ expected values of 0 or more
                 f"{self.name}: density has {count} negative values "
                 f"(smallest {smallest:g} {_place(density == density.min())}), expected values of 0 or more"
             )
-        self._note(Note("negative noise in the density is taken as 0", f"{count} cells down to {smallest:g}"))
+        self._note(Note("negative noise in the density is taken as 0", f"{_cells(count)} down to {smallest:g}"))
         return np.where(negative, np.float32(0.0), density)
 
     def _numbers_in_smoke(self, velocity: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ expected values of 0 or more
         bad = ~np.isfinite(velocity).all(axis=-1) & (self.density <= _NOISE * float(self.density.max()))
         if not bad.any():
             return velocity
-        self._note(Note("velocities without smoke that are no numbers are taken as 0", f"{int(bad.sum())} cells"))
+        self._note(Note("velocities without smoke that are no numbers are taken as 0", _cells(int(bad.sum()))))
         return np.where(bad[..., None], np.float32(0.0), velocity)
 
     def _note(self, note: Note) -> None:
@@ -173,3 +173,7 @@ def _place(cells: np.ndarray) -> str:
     """The first of some marked cells of a grid (D, H, W) or (D, H, W, 3), in words."""
     z, y, x = np.argwhere(cells)[0][:3].tolist()
     return f"at (z, y, x) = ({z}, {y}, {x})"
+
+
+def _cells(count: int) -> str:
+    return "1 cell" if count == 1 else f"{count} cells"

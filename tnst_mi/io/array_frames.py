@@ -106,7 +106,7 @@ def velocity_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
         density=None,
         velocity=velocity,
         staggered=velocity.shape[:3] != cells,
-        notes=tuple(Note(text) for text in (words,) if text),
+        layouts=(words,) if words else (),
     )
 
 
@@ -127,7 +127,7 @@ def obstacle_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
         solid, words = _obstacle(_arrays(path, [name])[name], name, cells)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return StoredFrame(density=None, obstacle=solid, notes=tuple(Note(text) for text in words if text))
+    return StoredFrame(density=None, obstacle=solid, layouts=tuple(text for text in words if text))
 
 
 def shape_of_density(path: Path, wanted: Wanted) -> tuple[int, ...] | None:
@@ -228,7 +228,7 @@ def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequenc
             solid,
             tuple(names[index] for index in roles.left),
         ),
-        notes=tuple(Note(words) for words in layouts if words),
+        layouts=tuple(words for words in layouts if words),
     )
 
 

@@ -69,7 +69,7 @@ def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> Sto
         velocity_units=other.velocity_units,
         dt=other.dt,
         taken=replace(frame.taken, velocity=companions.numberless(file)),
-        notes=(*frame.notes, *other.notes),
+        layouts=(*frame.layouts, *other.layouts),
     )
 
 
@@ -81,5 +81,5 @@ def _with_obstacle_of(frame: StoredFrame, file: Path, other: StoredFrame) -> Sto
         frame,
         obstacle=other.obstacle,
         taken=replace(frame.taken, obstacle=companions.numberless(file)),
-        notes=(*frame.notes, *other.notes),
+        layouts=(*frame.layouts, *other.layouts),
     )

@@ -89,7 +89,8 @@ class StoredFrame:
         corner: lowest corner of the grid in the scene.
         scale: factor of the density, unless the user gives another.
         taken: names of the grids.
-        notes: what was assumed.
+        layouts: in which other ways than the usual ones its arrays are stored, in words.
+        notes: what else was assumed.
         lacking: the error message if there is no density.
     """
 
@@ -107,6 +108,7 @@ class StoredFrame:
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
     taken: Taken = field(default_factory=Taken)
+    layouts: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
     lacking: str = "no density"
 
@@ -120,12 +122,13 @@ class StoredFrame:
             raise InputError(self.lacking)
         scale = self.scale if given.scale is None else given.scale
         density = self._turned(self.density, given)
+        notes = self.notes if self.notes or density.any() else (Note("no smoke in it"),)
         if scale != 1.0:
             with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
                 density = density.astype(np.float32) * np.float32(scale)
         obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
         velocity, placement = self.centred_velocity(given), self._placement(given)
-        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), self._notes(given))
+        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes)
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
         """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None if there is none.
@@ -146,14 +149,19 @@ class StoredFrame:
             return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
 
     def reading(self, given: Conventions) -> str:
-        """How the file is read, in words: axes, units, and which grid is what."""
-        words = [f"{given.up or self.up} up"]
+        """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
+        axes = f"{given.up or self.up} up"
+        if self.up_because and given.up is None:
+            axes += f" ({self.up_because}; --up)"
+        words = [axes]
         if self.velocity is not None:
             units, dt = self._units(given)
             words.append(f"velocity {'on faces' if self.staggered else 'at centres'} in {units}")
             words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
         words += [] if size is None else [f"voxel size {size:g}"]
+        if self.scale != 1.0 and given.scale is None:
+            words.append(f"density times 1/{1.0 / self.scale:.0f} (whole numbers, as in pictures; --scale)")
         taken = [
             f"no {role}" if name is None else f"{role} from {name}"
             for role, name in (
@@ -162,17 +170,8 @@ class StoredFrame:
                 ("obstacle", self.taken.obstacle),
             )
         ]
-        left = f"; not read: {listed(list(self.taken.left), quoted=False)}" if self.taken.left else ""
-        return f"{', '.join(words)}; {', '.join(taken)}{left}"
-
-    def _notes(self, given: Conventions) -> tuple[Note, ...]:
-        """What was assumed, but for what the user says."""
-        notes = list(self.notes)
-        if self.up_because and given.up is None:
-            notes.append(Note(f"{self.up} is taken as up: {self.up_because} (--up)"))
-        if self.scale != 1.0 and given.scale is None:
-            notes.append(Note(f"the density is stored as whole numbers and taken times {self.scale:.4g} (--scale)"))
-        return tuple(notes)
+        left = [f"not read: {listed(list(self.taken.left), quoted=False)}"] if self.taken.left else []
+        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *left])
 
     def _centres(self, velocity: np.ndarray) -> np.ndarray:
         if not self.staggered:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 #: Names that say enough by themselves, in order of preference.
 DENSITY = ("density", "dens")
@@ -79,10 +80,18 @@ def component(name: str, vector: str | None = None) -> tuple[str, int] | None:
     return None
 
 
-def listed(names: list[str], quoted: bool = True) -> str:
-    """Some names in a message of bounded length; those that may be empty or have spaces are quoted."""
-    shown = [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…" for name in names[:_SHOWN]]
-    shown = [repr(name) for name in shown] if quoted else shown
+def listed(names: Sequence[str | tuple[str, str]], quoted: bool = True) -> str:
+    """Some names in a message of bounded length.
+
+    Args:
+        names: the names, each perhaps with what is to be said behind it.
+        quoted: whether to quote them, since they may be empty or have spaces.
+    """
+    shown = []
+    for entry in names[:_SHOWN]:
+        name, remark = entry if isinstance(entry, tuple) else (entry, "")
+        name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+        shown.append(f"{name!r}{remark}" if quoted else f"{name}{remark}")
     rest = len(names) - len(shown)
     return (", ".join(shown) + (f" and {rest} more" if rest else "")) or "none"
 

@@ -81,21 +81,21 @@ def velocity_of_components(arrays: Sequence[np.ndarray], names: Sequence[str], c
     Raises:
         InputError: they do not fit the density.
     """
-    stored = {_long(array.shape) for array in arrays}
-    if stored == {_long(cells)}:
+    if all(_long(array.shape) == _long(cells) for array in arrays):
         return _three(np.stack([array.reshape(cells) for array in arrays], axis=-1)), "velocity in components"
     faces = np.zeros((*(extent + 1 for extent in cells), 3), np.float32)
-    for number, (name, array) in enumerate(zip(names, arrays, strict=True)):
+    for number, array in enumerate(arrays):
         own = tuple(extent + (axis == 2 - number) for axis, extent in enumerate(cells))
-        shapes = [own, faces.shape[:3], (cells[0], *faces.shape[1:3])]
+        shapes = (own, faces.shape[:3], (cells[0], *faces.shape[1:3]))
         shape = next((shape for shape in shapes if _long(array.shape) == _long(shape)), None)
         if shape is None:
+            stored = ", ".join(f"{name} {array.shape}" for name, array in zip(names, arrays, strict=True))
             raise InputError(
-                f"velocity component {name!r} has shape {array.shape}, expected {cells} to fit the density, or {own} "
-                "on its faces; --velocity none goes without it"
+                f"velocity components have shapes {stored}, expected {cells} of all to fit the density, or one entry "
+                "more of all along their own axes; --velocity none goes without them"
             )
         faces[(*map(slice, shape), number)] = array.reshape(shape)
-    return faces, "velocity in components on faces"
+    return faces, "velocity in components, faces"
 
 
 def picture_scale(dtype: np.dtype) -> float | None:
@@ -161,6 +161,6 @@ def _three(vectors: np.ndarray) -> np.ndarray:
 
 def _described(shape: Shape, axis: int, faces: bool) -> str:
     first = axis < len(shape) - 1 and _long(shape[:axis]) == ()
-    words = [*(["components first"] if first else []), *(["on faces, one more than cells"] if faces else [])]
+    words = [*(["components first"] if first else []), *(["faces, one more than cells"] if faces else [])]
     words += ["z is 0"] if shape[axis] == 2 else []
-    return f"velocity {shape}" + (f" has {', '.join(words)}" if words else " has axes of one entry")
+    return f"velocity {shape}" + (f": {', '.join(words)}" if words else " has axes of one entry")

@@ -124,7 +124,8 @@ class _Choice:
             found = found or self._unnamed(lambda entry: entry.scalar)
             expected = "grid 'density'" if self._noun == "grid" else "array 'density' (or 'x')"
             lacking = f"no {expected}, the {self._noun}s found are: {self._names(self._all)}"
-            lacking += "; choose with --density NAME" if any(entry.scalar for entry in self._entries) else ""
+            nameless = " ('' for the nameless one)" if any(not entry.name for entry in self._entries) else ""
+            lacking += f"; choose with --density NAME{nameless}" if any(e.scalar for e in self._entries) else ""
         self._require("density", found)
         return found, "" if found else lacking
 
@@ -230,10 +231,10 @@ class _Choice:
         for index in found:
             entry = self._entries[index]
             if not entry.scalar:
-                without = "" if role == "density" else f", --{role} none goes without it"
+                without = "" if role == "density" else f", or go without it with --{role} none"
                 raise InputError(
-                    f"{self._noun} {entry.name!r} holds {entry.kind}, expected numbers; choose another with "
-                    f"--{role} NAME{without}"
+                    f"{self._noun} {entry.name!r} holds {entry.kind}, expected numbers; export it as such, or choose "
+                    f"another with --{role} NAME{without}"
                 )
 
     def _several(self, role: str, found: _Indices) -> str:
@@ -243,12 +244,12 @@ class _Choice:
         return f"--{role} {wanted!r}: no such {self._noun}, those found are: {self._names(self._all)}"
 
     def _names(self, indices: _Indices) -> str:
-        """Names in a message: numbered where they are equal, with the type of what holds no numbers."""
+        """Names in a message: numbered where they are equal, with the type of what is no usual grid of numbers."""
         names = [self._entries[index].name for index in indices]
-        labels = []
+        labels: list[tuple[str, str]] = []
         for place, index in enumerate(indices):
             entry = self._entries[index]
             number = f"[{names[:place].count(entry.name)}]" if names.count(entry.name) > 1 else ""
-            kind = "" if entry.scalar or entry.vector else f" ({entry.kind})"
-            labels.append(f"{entry.name}{number}{kind}")
+            usual = (entry.scalar or entry.vector) and not entry.kind.startswith("level set")
+            labels.append((f"{entry.name}{number}", "" if usual else f" ({entry.kind})"))
         return grid_names.listed(labels, quoted=self._noun == "grid")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.frame import Note
 from tnst_mi.io import companions
 from tnst_mi.io.conventions import CELLS_PER_TIME, StoredFrame, Taken
 from tnst_mi.io.grids.uni import UniHeader, read_uni
@@ -32,14 +31,14 @@ def read_vol_frame(file: Path, wanted: Wanted) -> StoredFrame:
     if grid.ndim == 4:
         return StoredFrame(density=None, velocity=grid, scene_up="z", lacking=_VECTORS)
     velocity, obstacle, taken = _companions(file, wanted)
-    solid, notes = (None, ()) if obstacle is None else _solid(obstacle, read_vol(obstacle), flags=False)
+    solid, layouts = (None, ()) if obstacle is None else _solid(obstacle, read_vol(obstacle), flags=False)
     return StoredFrame(
         density=grid,
         velocity=None if velocity is None else read_vol(velocity),
         obstacle=solid,
         scene_up="z",
         taken=taken,
-        notes=notes,
+        layouts=layouts,
     )
 
 
@@ -53,7 +52,7 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
     ours = header.build.startswith(OURS)
     plane = header.shape[0] == 1 and not ours
     up = "y" if plane or header.build.startswith(OURS + Y_UP) else "z"
-    because = "the grid is a plane, as Mantaflow's are in 2-D" if plane else ""
+    because = "a plane, seen face-on" if plane else ""
     if header.components == 3:
         return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
     velocity, obstacle, taken = _companions(file, wanted)
@@ -61,8 +60,8 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
     if velocity is not None:
         frame = _with_velocity(frame, *read_uni(velocity))
     if obstacle is not None:
-        solid, notes = _solid(obstacle, read_uni(obstacle)[1], flags=True)
-        frame = replace(frame, obstacle=solid, notes=notes)
+        solid, _ = _solid(obstacle, read_uni(obstacle)[1], flags=True)
+        frame = replace(frame, obstacle=solid)
     return frame
 
 
@@ -86,12 +85,12 @@ def _companions(file: Path, wanted: Wanted) -> tuple[Path | None, Path | None, T
     return velocity, obstacle, Taken(companions.numberless(file), named[0], named[1])
 
 
-def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[Note, ...]]:
+def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:
     try:
         solid, words = solid_cells(values, flags)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-    return solid, (Note(words),) if words and not flags else ()
+    return solid, (words,) if words else ()
 
 
 def _with_velocity(frame: StoredFrame, header: UniHeader, velocity: np.ndarray) -> StoredFrame:

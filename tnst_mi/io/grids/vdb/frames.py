@@ -79,7 +79,8 @@ def read_vdb_frame(
         voxel_size=main.main.voxel_size,
         corner=(x, y, z),
         taken=found.taken,
-        notes=(*notes, *([Note(words)] if words else [])),
+        layouts=(words,) if words else (),
+        notes=notes,
         lacking=found.lacking,
     )
 
@@ -96,7 +97,7 @@ def read_vdb_obstacle(path: Path, density: Path, box: Box | None) -> StoredFrame
         return StoredFrame(density=None)
     _require_fit(path, whose.main.main, obstacle.main, f"in {density.name}")
     solid, words = solid_voxels(obstacle, box)
-    return StoredFrame(density=None, obstacle=solid, notes=tuple(Note(text) for text in (words,) if text))
+    return StoredFrame(density=None, obstacle=solid, layouts=(words,) if words else ())
 
 
 def has_density(path: Path, wanted: Wanted) -> bool:

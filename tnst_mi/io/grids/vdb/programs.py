@@ -38,7 +38,7 @@ def program_of(file: VdbFile, grid: Grid) -> Program:
     if isinstance(up, str) and up in ("y", "z") and isinstance(units, str) and units in VELOCITY_UNITS:
         return Program(up, "", units)
     if BLENDER in grid.metadata:
-        return Program("z", "the metadata are those of Blender's caches", CELLS_PER_TIME)
+        return Program("z", "as Blender's metadata say", CELLS_PER_TIME)
     words = " ".join(
         f"{name} {value}".lower() if isinstance(value, str) else name.lower()
         for metadata in (file.metadata, *(other.metadata for other in file.grids))
@@ -46,5 +46,5 @@ def program_of(file: VdbFile, grid: Grid) -> Program:
     )
     for word, program in _Z_UP.items():
         if word in words:
-            return Program("z", f"the metadata name {program}", LENGTH_PER_TIME)
-    return Program("y", "nothing in the metadata says otherwise", LENGTH_PER_TIME)
+            return Program("z", f"as {program}'s metadata say", LENGTH_PER_TIME)
+    return Program("y", "no metadata say otherwise", LENGTH_PER_TIME)

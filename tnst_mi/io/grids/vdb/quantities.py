@@ -124,7 +124,8 @@ def quantities_of(file: VdbFile, wanted: Wanted) -> Quantities:
     entries = []
     for grid in file.grids:
         components = 0 if grid.kind is None else grid.kind.components
-        entries.append(Entry(grid.name, components == 1, components == 3, type_in_words(grid)))
+        level_set = "level set of " if grid.metadata.get("class") == "level set" else ""
+        entries.append(Entry(grid.name, components == 1, components == 3, level_set + type_in_words(grid)))
     try:
         roles = chosen_roles(entries, wanted)
     except InputError as error:
