@@ -157,6 +157,8 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
     parents: dict[str, str] = {}
     for _ in range(count):
         unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
+        while unique_name in grids:  # though it should be unique
+            unique_name += _SEPARATOR
         places = start, leaves, end = cursor.unpack(_OFFSETS)
         # A grid that shares the tree of another has no leaves of its own.
         if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
