@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import FrameFiles
 
 # Bounds of a message: frames that it names, and characters of a cause.
-_NAMED, _LONGEST = 3, 110
+_NAMED, _LONGEST = 3, 68
 
 
 class Readable(Iterable[Frame]):
@@ -61,12 +62,11 @@ class Readable(Iterable[Frame]):
 
     def lines(self) -> list[str]:
         """What is to be said once all have been read: what was taken for what, assumed, mended and left out."""
-        several = len(self._frames) > 1
         lines = [
             f"read as: {reading}" + (f" ({_named(names)})" if len(self._readings) > 1 else "")
             for reading, names in self._readings.items()
         ]
-        lines += [f"note: {text}" + (f": {_named(names)}" if several else "") for text, names in self._notes.items()]
+        lines += [f"note: {text}: {_named(names)}" for text, names in self._notes.items()]
         if self._bad:
             lines.append(f"note: left out, since they cannot be read: {_shortened(self._bad)}")
         return lines
@@ -99,6 +99,9 @@ def require_readable(bad: Sequence[str], total: int, skip_bad: bool) -> None:
 
 
 def _shortened(messages: Sequence[str]) -> str:
+    """Some messages, each cut short and without the folder of the file that it starts with."""
+    parts = [text.partition(": ") for text in messages]
+    messages = [f"{Path(path).name}: {rest}" if separator else path for path, separator, rest in parts]
     shown = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in messages[:_NAMED]]
     return "; ".join(shown) + (f"; and {len(messages) - len(shown)} more" if len(messages) > len(shown) else "")
 
