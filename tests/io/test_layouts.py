@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames
 from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.formats import describe
 from tnst_mi.io.layouts import scalar_grid, solid_cells, velocity_grid, velocity_of_components
 from tnst_mi.io.roles import Wanted
 from tnst_mi.io.staggered import velocity_of_all_faces
@@ -196,3 +198,50 @@ def test_a_misfit_can_be_left_out(tmp_path: Path) -> None:
 def test_components_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="expected"):
         velocity_of_components([DENSITY, DENSITY, DENSITY[:, 1:]], "uvw", SHAPE)
+
+
+def test_planes_do_not_make_planes_of_volumes(tmp_path: Path) -> None:
+    """In a grid three cells thick, each component has the shape of vectors in a plane; a matrix says nothing."""
+    density = DENSITY[..., :3]
+    parts = {name: VELOCITY[..., :3, c] for c, name in enumerate("uvw")}
+    frame = frame_of(tmp_path, density=density, matrix=np.eye(4), **parts)
+    np.testing.assert_array_equal(frame.velocity, VELOCITY[..., :3, :])
+
+
+def test_arrays_are_described_with_their_ranges(tmp_path: Path) -> None:
+    arrays = {"density": DENSITY, "mask": DENSITY > 0.5, "flux": np.array([1.0, np.nan]), "name": np.array("smoke")}
+    np.savez(tmp_path / "a.npz", **arrays, empty=np.empty((0, 3)))
+    assert describe(tmp_path / "a.npz") == [
+        f"  array 'density': float32, shape (3, 5, 4), {DENSITY.min():g} to {DENSITY.max():g}",
+        "  array 'mask': bool, shape (3, 5, 4), 0 to 1",
+        "  array 'flux': float64, shape (2,), 1 to 1, 1 NaN or infinite",
+        "  array 'name': <U5, shape ()",
+        "  array 'empty': float64, shape (0, 3)",
+    ]
+
+
+def test_members_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", density=DENSITY)
+    with zipfile.ZipFile(tmp_path / "a.npz", "a", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("notes.npy", b"\x93NUMPY")
+    with pytest.raises(InputError, match=r"a\.npz: array 'notes' is compressed in another way than numpy does"):
+        describe(tmp_path / "a.npz")
+
+
+def test_companions_are_laid_out_like_arrays_of_one_file(tmp_path: Path) -> None:
+    for folder, save in (("npz", np.savez), ("npy", np.save)):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / f"density_0001.{folder}", DENSITY[None])
+        save(tmp_path / folder / f"vel_0001.{folder}", np.moveaxis(VELOCITY, -1, 0))
+        save(tmp_path / folder / f"obstacle_0001.{folder}", np.uint8(255 * (DENSITY > 0.5)))
+        (frame,) = load_frames(tmp_path / folder)
+        np.testing.assert_array_equal(frame.density, DENSITY)
+        np.testing.assert_array_equal(frame.velocity, VELOCITY)
+        np.testing.assert_array_equal(frame.obstacle, DENSITY > 0.5)
+        assert f"velocity from vel_####.{folder}, obstacle from obstacle_####.{folder}" in frame.reading
+        without = Conventions(names=Wanted(velocity="none", obstacle="none"))
+        frame = open_frames(tmp_path / folder, given=without)[0]
+        assert frame.velocity is None and frame.obstacle is None
+        save(tmp_path / folder / f"vel_0001.{folder}", DENSITY[1:])
+        with pytest.raises(InputError, match=rf"vel_0001\.{folder}: velocity has shape \(2, 5, 4\), expected"):
+            load_frames(tmp_path / folder)

@@ -13,6 +13,7 @@ from tnst_mi.io import load_frames, open_frames
 from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.uni import MAC, REAL, VECTOR, write_uni
 from tnst_mi.io.orientation import from_z_up
+from tnst_mi.io.roles import Wanted
 
 SHAPE = (3, 5, 4)
 RNG = np.random.default_rng(0)
@@ -106,3 +107,21 @@ def test_places_move_with_the_origin_of_the_files(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", density=np.ones(SHAPE))
     frame = open_frames(tmp_path / "a.npz", given=Conventions(voxel_size=0.5, origin=(1.0, -2.0, 3.0)))[0]
     assert frame.placement.corner == (1.0, -2.0, 3.0)
+
+
+def test_grids_in_files_of_their_own_are_named_by_words(tmp_path: Path) -> None:
+    density, faces = RNG.random((4, 6, 5)).astype(np.float32), np.ones((4, 6, 5, 3), np.float32)
+    write_uni(tmp_path / "f_0001.uni", density, REAL, "Mantaflow")
+    write_uni(tmp_path / "f_wind_0001.uni", faces, VECTOR, "Mantaflow")
+    write_uni(tmp_path / "f_vel_0001.uni", 2 * faces, VECTOR, "Mantaflow")
+    file = tmp_path / "f_0001.uni"
+
+    def read(**names: str) -> Frame:
+        return open_frames(file, given=Conventions(velocity_units="cells-per-frame", names=Wanted(**names)))[0]
+
+    assert np.abs(read().velocity).max() == 2.0 and np.abs(read(velocity="wind").velocity).max() == 1.0
+    assert read(velocity="none").velocity is None
+    with pytest.raises(InputError, match=r"f_0001\.uni: --velocity 'flow': no file f_flow_0001\.uni beside it"):
+        read(velocity="flow")
+    with pytest.raises(InputError, match=r"--density 'heat': a \.uni file holds one grid; give the density's as INPUT"):
+        read(density="heat")

@@ -15,10 +15,10 @@ from tnst_mi.io.grid_names import FLAGS, listed, plain_name
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.layouts import (
-    is_scalar_shape,
     is_vector_shape,
     picture_scale,
     scalar_grid,
+    scalar_shape,
     solid_cells,
     velocity_grid,
     velocity_of_components,
@@ -140,8 +140,8 @@ def shape_of_density(path: Path, wanted: Wanted) -> tuple[int, ...] | None:
     roles = _roles(path, headers, wanted)
     if roles.lacking:
         return None
-    shape = list(headers.values())[roles.density[0]].shape
-    return scalar_grid(np.broadcast_to(np.float32(0.0), shape), "density")[0].shape
+    shape = scalar_shape(list(headers.values())[roles.density[0]].shape)
+    return shape if shape is None or len(shape) == 3 else (1, *shape)
 
 
 def describe_arrays(path: Path) -> list[str]:
@@ -177,28 +177,38 @@ def _range(path: Path, name: str, header: ArrayHeader) -> str:
         # An array that makes no part of the frame does not keep it from being read.
         return f", cannot be read ({str(error).removeprefix(f'{path}: ')})"
     numbers = values[np.isfinite(values)]
-    span = f", {numbers.min():g} to {numbers.max():g}" if numbers.size else ""
+    span = f", {float(numbers.min()):g} to {float(numbers.max()):g}" if numbers.size else ""
     bad = values.size - numbers.size
     return span + (f", {bad} NaN or infinite" if bad else "")
 
 
 def _roles(path: Path, headers: Mapping[str, ArrayHeader], wanted: Wanted) -> Roles:
-    shapes = [header.shape for header in headers.values()]
-    # Small arrays of two axes, such as a matrix, are no reason to take others for planes.
-    flat = any(len(shape) == 2 or (len(shape) > 2 and shape[0] == 1) for shape in shapes)
+    try:
+        roles = chosen_roles(_entries(headers, plane=False), wanted, "array")
+        # Vectors in a plane have the shapes of scalars in a volume: only beside a plane are they taken for vectors.
+        if roles.density and _is_plane(list(headers.values())[roles.density[0]].shape):
+            roles = chosen_roles(_entries(headers, plane=True), wanted, "array")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return roles
+
+
+def _entries(headers: Mapping[str, ArrayHeader], plane: bool) -> list[Entry]:
     entries = []
     for name, header in headers.items():
         numeric = header.dtype.kind in "fiub"
         kind = "pickled objects, which are never unpickled" if header.dtype.hasobject else str(header.dtype)
-        scalar, vector = is_scalar_shape(header.shape), is_vector_shape(header.shape, flat)
         # What is called a density is one, whatever its shape: reading it tells what is wrong with that.
-        scalar = numeric and (scalar or plain_name(name) in ("density", "x", "obstacle"))
-        plane = len(header.shape) == 2 or (len(header.shape) == 3 and header.shape[0] == 1)
-        entries.append(Entry(name, scalar, numeric and vector, kind, plane))
-    try:
-        return chosen_roles(entries, wanted, "array")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        scalar = scalar_shape(header.shape) is not None or plain_name(name) in ("density", "x", "obstacle")
+        vector = is_vector_shape(header.shape, plane)
+        entries.append(Entry(name, numeric and scalar, numeric and vector, kind, plane))
+    return entries
+
+
+def _is_plane(shape: tuple[int, ...]) -> bool:
+    """Whether a density of this shape is a plane."""
+    cells = scalar_shape(shape)
+    return cells is not None and (len(cells) == 2 or cells[0] == 1)
 
 
 def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequence[str], roles: Roles) -> StoredFrame:

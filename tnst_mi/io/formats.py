@@ -20,9 +20,9 @@ from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
 from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.conventions import StoredFrame
 from tnst_mi.io.grids.npz import write_arrays
-from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni_header, write_uni
+from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
 from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame, write_vdb_frame
-from tnst_mi.io.grids.vol import read_vol_shape, write_vol
+from tnst_mi.io.grids.vol import read_vol, write_vol
 from tnst_mi.io.orientation import to_z_up
 from tnst_mi.io.roles import Wanted
 from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
@@ -152,12 +152,13 @@ def describe(file: Path) -> list[str]:
     lines = []
     for path in (file, *(path for path in found if path is not None)):
         if suffix == ".vol":
-            lines.append(f"  {path.name}: shape {read_vol_shape(path)}")
+            values = read_vol(path)
+            words = f"float32, shape {values.shape}"
         else:
-            header = read_uni_header(path)
-            shape = header.shape if header.components == 1 else (*header.shape, header.components)
+            header, values = read_uni(path)
             faces = ", on faces" if header.staggered else ""
-            lines.append(f"  {path.name}: {header.dtype}, shape {shape} in its own axes{faces}")
+            words = f"{header.dtype}, shape {values.shape} in its own axes{faces}"
+        lines.append(f"  {path.name}: {words}, {values.min():g} to {values.max():g}")
     return lines
 
 

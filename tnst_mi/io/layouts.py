@@ -20,9 +20,22 @@ _PICTURE_TYPES = {"uint8": 255, "uint16": 65535}
 Shape = tuple[int, ...]
 
 
-def is_scalar_shape(shape: Shape) -> bool:
-    """Whether an array of this shape can be a scalar grid."""
-    return len(_scalar_shape(shape) or ()) in (2, 3)
+def scalar_shape(shape: Shape) -> Shape | None:
+    """The extents (D, H, W) or, of a plane, (H, W) of a scalar grid in an array of some shape; None if it is none.
+
+    Example:
+        >>> from tnst_mi.io.layouts import scalar_shape
+        >>> scalar_shape((1, 4, 6, 5, 1)), scalar_shape((6, 5)), scalar_shape((2, 4, 6, 5))
+        ((4, 6, 5), (6, 5), None)
+    """
+    while len(shape) > 3:
+        if shape[-1] == 1:
+            shape = shape[:-1]
+        elif shape[0] == 1:
+            shape = shape[1:]
+        else:
+            return None
+    return shape if len(shape) >= 2 else None
 
 
 def is_vector_shape(shape: Shape, plane: bool) -> bool:
@@ -38,7 +51,7 @@ def scalar_grid(array: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     Raises:
         InputError: it is no scalar grid.
     """
-    shape = _scalar_shape(array.shape)
+    shape = scalar_shape(array.shape)
     if shape is None:
         raise InputError(f"{name} has shape {array.shape}, expected (D, H, W), one frame a file")
     if len(shape) == 2:
@@ -127,18 +140,6 @@ def solid_cells(values: np.ndarray, flags: bool = False) -> tuple[np.ndarray, st
         )
     sharp = bool(((values == 0) | (values == largest)).all())
     return values > largest / 2, "" if sharp and not byte else f"obstacle is solid above {largest / 2:g}"
-
-
-def _scalar_shape(shape: Shape) -> Shape | None:
-    """The shape without axes of one entry at its ends, as far as more than three are left; None if it is no grid."""
-    while len(shape) > 3:
-        if shape[-1] == 1:
-            shape = shape[:-1]
-        elif shape[0] == 1:
-            shape = shape[1:]
-        else:
-            return None
-    return shape if len(shape) >= 2 else None
 
 
 def _long(shape: Shape) -> Shape:
