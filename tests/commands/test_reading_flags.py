@@ -139,6 +139,11 @@ BAD: dict[str, Callable[[Path], tuple[str, bytes]]] = {
     "cut short": lambda folder: ("a.npz", npz(density=DENSITY)[:300]),
     "no density": lambda folder: ("a.npz", npz(rho=DENSITY)),
     "only a temperature": lambda folder: ("a.vdb", vdb(folder / "t.vdb", DenseGrid("temperature", DENSITY))),
+    "a velocity and a temperature": lambda folder: ("a.npz", npz(velocity=VELOCITY, temperature=DENSITY)),
+    "a velocity and an obstacle": lambda folder: (
+        "a.vdb",
+        vdb(folder / "t.vdb", DenseGrid("velocity", VELOCITY), DenseGrid("obstacle", DENSITY)),
+    ),
     "nameless": lambda folder: ("a.vdb", vdb(folder / "t.vdb", DenseGrid("", DENSITY))),
     "two densities": lambda folder: ("a.npz", npz(smoke=DENSITY, fog=DENSITY)),
     "no voxels": lambda folder: ("a.vdb", vdb(folder / "t.vdb", DenseGrid("density", 0 * DENSITY))),

@@ -131,12 +131,14 @@ def test_names_that_are_not_there_are_refused() -> None:
     assert chosen_roles(entries, Wanted("heat", "wind")).lacking.startswith("--density 'heat': no such grid")
 
 
-@pytest.mark.parametrize("role", ["density", "obstacle"])
-def test_what_holds_no_numbers_is_refused_by_its_type(role: str) -> None:
-    entries = [*scalars("density"), Entry(role, False, False, "bool")]
-    message = rf"grid '{role}' holds bool, expected numbers; export it as such, or choose another with --{role} NAME"
+def test_what_holds_no_numbers_is_refused_by_its_type_or_left() -> None:
+    masks = [Entry(name, False, False, "bool") for name in ("density", "obstacle", "velocity")]
+    message = "grid 'density' holds bool, expected numbers; export it as such, or choose another with --density NAME"
     with pytest.raises(InputError, match=message):
-        chosen_roles(entries[role == "density" :], Wanted())
+        chosen_roles(masks, Wanted())
+    assert chosen([*scalars("density"), masks[1]]) == (["density"], [], [], ["obstacle"])
+    with pytest.raises(InputError, match=r"grid 'obstacle' holds bool, .* or go without it with --obstacle none"):
+        chosen_roles([*scalars("density"), masks[1]], Wanted(obstacle="obstacle"))
 
 
 def test_lone_arrays_without_a_name() -> None:

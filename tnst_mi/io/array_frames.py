@@ -61,8 +61,13 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
         raise InputError(f"{path}: {error}") from None
     # By itself, a velocity such as runs write is described but makes no frame.
     name = names[roles.velocity[0]] if len(roles.velocity) == 1 else None
-    alone = None if name is None else arrays[name]
-    return StoredFrame(density=None, velocity=alone, scene_up="z", taken=Taken(velocity=name), lacking=roles.lacking)
+    return StoredFrame(
+        density=None,
+        velocity=None if name is None else arrays[name],
+        scene_up="z",
+        taken=Taken(None, name, None, tuple(other for other in names if other != name)),
+        lacking=roles.lacking,
+    )
 
 
 def read_authors_frame(path: Path, velocities: Path, wanted: Wanted) -> StoredFrame:

@@ -147,7 +147,7 @@ class _Choice:
     def obstacle(self, wanted: str | None, required: bool) -> _Indices:
         """The entry of the obstacle."""
         if wanted is None:
-            found = self._called("obstacle", grid_names.OBSTACLE)
+            found = self._called("obstacle", grid_names.OBSTACLE, lambda entry: entry.scalar)
         else:
             found = self._wanted("obstacle", wanted)
             if not found and required and wanted != NONE:

@@ -140,7 +140,7 @@ def quantities_of(file: VdbFile, wanted: Wanted) -> Quantities:
             "goes without it, or choose another with --velocity NAME"
         )
     names = [None if quantity is None else quantity.name for quantity in (density, velocity, obstacle)]
-    left = tuple(repr(file.grids[index].name) for index in roles.left)
+    left = tuple(_in_words(file.grids[index]) for index in roles.left)
     taken = Taken(names[0], names[1], names[2], left)
     return Quantities(density, velocity, obstacle, taken, roles.lacking)
 
@@ -158,6 +158,11 @@ def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
         return solid_cells(values, plain_name(obstacle.main.name) == FLAGS)
     except InputError as error:
         raise InputError(f"{obstacle.main.path}: {error}") from None
+
+
+def _in_words(grid: Grid) -> str:
+    """The name of a grid, with the type of one whose values cannot be read."""
+    return repr(grid.name) if grid.kind is not None else f"{grid.name!r} ({type_in_words(grid)})"
 
 
 def type_in_words(grid: Grid) -> str:
