@@ -102,8 +102,8 @@ expected values of 0 or more
                     f"{self.name}: velocity has shape {velocity.shape}, expected {(*density.shape, 3)} "
                     f"to fit the density"
                 )
-            velocity = self._numbers_in_smoke(velocity)
-            self._require_finite("velocity", velocity)
+            if not np.isfinite(velocity).all():
+                velocity = self._numbers_in_smoke(velocity)
             object.__setattr__(self, "velocity", velocity)
         if self.obstacle is not None:
             object.__setattr__(self, "obstacle", self._checked_obstacle(density.shape))
@@ -150,12 +150,16 @@ expected values of 0 or more
         return np.where(negative, np.float32(0.0), density)
 
     def _numbers_in_smoke(self, velocity: np.ndarray) -> np.ndarray:
-        """The velocity with 0 for what is no number in cells without smoke."""
+        """A velocity with 0 for what is no number in cells without smoke.
+
+        Raises:
+            InputError: some of it is no number in smoke.
+        """
         bad = ~np.isfinite(velocity).all(axis=-1) & (self.density <= _NOISE * float(self.density.max()))
-        if not bad.any():
-            return velocity
+        mended = np.where(bad[..., None], np.float32(0.0), velocity)
+        self._require_finite("velocity", mended)
         self._note(Note("velocities without smoke that are no numbers are taken as 0", _cells(int(bad.sum()))))
-        return np.where(bad[..., None], np.float32(0.0), velocity)
+        return mended
 
     def _note(self, note: Note) -> None:
         object.__setattr__(self, "notes", (*self.notes, note))
