@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from pathlib import Path
 
 from tqdm import tqdm
 
@@ -17,7 +18,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
-from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, open_video
+from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
@@ -72,22 +73,28 @@ def run(arguments: RenderArguments) -> int:
             recipe.quadrature,
             arguments.fit,
         )
-    say(readable.lines())
-    unit.note()
-    _write(arguments, frames, shots, painter, recipe.fps or FRAMES_PER_SECOND)
+    turning = arguments.turntable is not None
+    with open_video(_film(arguments), recipe.fps or FRAMES_PER_SECOND) if turning else nullcontext() as video:
+        say(readable.lines())
+        unit.note()
+        _write(arguments, frames, shots, painter, video)
+    if turning:
+        print(f"video     {_film(arguments)}")
     return 0
 
 
+def _film(arguments: RenderArguments) -> Path:
+    """The path of the video."""
+    source = arguments.input.resolve()
+    return arguments.out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
+
+
 def _write(
-    arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter, frames_per_second: float
+    arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter, video: Video | None
 ) -> None:
-    """Render and write every picture, and the video of a turntable."""
-    source, out = arguments.input.resolve(), arguments.out
-    film = out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
-    turning = arguments.turntable is not None
-    with contextlib.ExitStack() as stack:
-        video = stack.enter_context(open_video(film, frames_per_second)) if turning else None
-        bar = stack.enter_context(tqdm(total=len(shots), unit="picture", dynamic_ncols=True))
+    """Render and write every picture, and add it to the video of a turntable."""
+    out = arguments.out
+    with tqdm(total=len(shots), unit="picture", dynamic_ncols=True) as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
             image = painter.paint(frame.density, shot.view, number)
             picture = painter.shown(image)
@@ -99,8 +106,6 @@ def _write(
             # tqdm.write keeps the lines apart from the progress bar.
             tqdm.write(f"picture   {out / name}.png and {name}.exr", file=sys.stdout)
             bar.update()
-    if turning:
-        print(f"video     {film}")
 
 
 def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[Shot, Frame]]:

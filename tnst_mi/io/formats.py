@@ -153,7 +153,7 @@ def describe(file: Path) -> list[str]:
     for path in (file, *(path for path in found if path is not None)):
         if suffix == ".vol":
             values = read_vol(path)
-            words = f"float32, shape {values.shape}"
+            words = f"shape {values.shape}, float32"
         else:
             header, values = read_uni(path)
             faces = ", on faces" if header.staggered else ""
