@@ -200,6 +200,13 @@ def test_components_that_do_not_fit() -> None:
         velocity_of_components([DENSITY, DENSITY, DENSITY[:, 1:]], "uvw", SHAPE)
 
 
+def test_flags_that_are_no_flags() -> None:
+    for values in ([np.nan, 1.0], [np.inf, 0.0], [1e20, 0.0]):
+        with pytest.raises(InputError, match="obstacle has values from"):
+            solid_cells(np.array(values), flags=True)
+    assert solid_cells(np.empty((0, 3)))[0].shape == (0, 3)
+
+
 def test_planes_do_not_make_planes_of_volumes(tmp_path: Path) -> None:
     """In a grid three cells thick, each component has the shape of vectors in a plane; a matrix says nothing."""
     density = DENSITY[..., :3]

@@ -17,6 +17,9 @@ from tnst_mi.io.grids.uni import OBSTACLE_FLAG
 #: Types of numbers that stand for 0 to 1, with their largest value: those of pictures.
 _PICTURE_TYPES = {"uint8": 255, "uint16": 65535}
 
+#: Larger values are no bits of cell types.
+_LARGEST_FLAG = 1 << 24
+
 Shape = tuple[int, ...]
 
 
@@ -128,9 +131,11 @@ def solid_cells(values: np.ndarray, flags: bool = False) -> tuple[np.ndarray, st
     Raises:
         InputError: they are something else.
     """
-    if flags:
-        return (values.astype(np.int32) & OBSTACLE_FLAG) != 0, "obstacle is what flags mark as solid"
+    if values.size == 0:
+        return np.zeros(values.shape, bool), ""
     low, high = float(values.min()), float(values.max())
+    if flags and -_LARGEST_FLAG <= low <= high <= _LARGEST_FLAG:
+        return (values.astype(np.int32) & OBSTACLE_FLAG) != 0, "obstacle is what flags mark as solid"
     byte = high > 1.0 and (values.dtype == np.uint8 or bool(((values == 0) | (values == 255)).all()))
     largest = 255.0 if byte else 1.0
     if not 0.0 <= low <= high <= largest:
