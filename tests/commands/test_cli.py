@@ -193,15 +193,15 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[4:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
-    said = [line.split(": ")[0] for line in ran.errors[:4]]
-    assert said == ["device", "network", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
+    assert (ran.code, ran.errors[5:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    said = [line.split(": ")[0] for line in ran.errors[:5]]
+    assert said == ["device", "network", "read as", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[4].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[5].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 5
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 6
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
@@ -321,8 +321,10 @@ def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
     ran = run("info", tmp_path / "v.npz")
     assert (ran.code, ran.errors) == (0, [])
     assert ran.out.splitlines()[1:] == [
-        "  array 'velocity': float32, shape (2, 2, 2, 3)",
+        "  array 'velocity': float32, shape (2, 2, 2, 3), 0 to 4",
+        "  read as: y up, velocity at centres in cells-per-frame; no density, velocity from velocity, no obstacle",
         "  velocity: at most 5 cells per frame",
+        "  no frame: no array 'density' (or 'x'), the arrays found are: velocity",
     ]
 
 

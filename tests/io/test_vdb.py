@@ -189,7 +189,7 @@ def test_grids_that_make_no_frame(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=rf"a\.vdb: .*{message}"):
             load_frames(path)
     write_vdb(path, [DenseGrid("smoke", density), DenseGrid("velocity", velocity)], {})
-    assert load_frames(path)[0].mass == 24.0  # the only scalar grid is the density, whatever it is called
+    assert load_frames(path)[0].mass == 24.0  # the only grid that is smoke by name
     for name in ("Obstacle", "FLAGS"):
         write_vdb(path, [DenseGrid(name, 3 * density), DenseGrid("vel", velocity)], {})
         with pytest.raises(InputError, match=f"no grid 'density', the grids found are: '{name}', 'vel'"):
@@ -246,7 +246,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     whole = unpacked("blender_half_zip", tmp_path).read_bytes()
     path = tmp_path / "a.vdb"
     for content, message in (
-        (b"", "no OpenVDB file"),
+        (b"", "is empty"),
         (b"PK" + whole[2:], "no OpenVDB file"),
         (whole[:8] + struct.pack("<I", 213) + whole[12:], "OpenVDB file version 213, expected 222 to 224"),
         (whole[:20] + b"\0" + whole[21:], "written as a stream"),

@@ -67,6 +67,17 @@ CHANGED: dict[str, Any] = {
     "variant": "llvm_ad_rgb",
     "format": "npz",
     "fps": 12.0,
+    "density": "smoke",
+    "velocity": "vel",
+    "obstacle": "none",
+    "up": "z",
+    "flip": "xz",
+    "units": "length-per-time",
+    "dt": 0.04,
+    "scale": 0.5,
+    "voxel_size": 0.1,
+    "origin": (1.0, -2.0, 0.5),
+    "skip_bad": True,
 }
 
 
@@ -107,7 +118,7 @@ def test_a_recipe_survives_toml(tmp_path: Path) -> None:
 
 def test_flags_say_what_toml_says() -> None:
     texts = {name: KINDS[name].show(value) for name, value in CHANGED.items() if not isinstance(value, tuple)}
-    texts |= {"azimuth": "80,110", "elevation": "0,0"}
+    texts |= {"azimuth": "80,110", "elevation": "0,0", "origin": "1,-2,0.5"}
     texts |= {name: CHANGED[name] for name in ("style", "semantic", "tag")}
     by_flags = Recipe().updated_by_flags(texts)
     assert by_flags == Recipe().updated(CHANGED, "", Path.cwd())

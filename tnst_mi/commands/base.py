@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,15 +14,12 @@ import tyro
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
-from tnst_mi.io import open_frames
-from tnst_mi.io.conventions import Conventions
-from tnst_mi.io.sequence import FrameFiles
-from tnst_mi.recipe.keys import Number, Texts
+from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
 
-#: First and last frame, or all.
-Span = tuple[int | float, int | float] | None
+#: Earlier names of flags, which still work.
+_OTHER_FLAGS = {"units": ("--velocity-units",)}
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -38,10 +35,13 @@ class Arguments:
 def recipe_flag(name: str) -> Any:
     """The type of the flag for a recipe key: its text or texts; None or () if the flag is not given."""
     kind = KINDS[name]
+    if isinstance(kind, Switch) and kind.bare:
+        return Annotated[bool, tyro.conf.arg(help=documentation()[name])]
     options = tyro.conf.arg(
         metavar=kind.placeholder,
         help=documentation()[name],
         help_behavior_hint=f"(default: {kind.show(getattr(Recipe(), name))})",
+        aliases=_OTHER_FLAGS.get(name),
     )
     if isinstance(kind, Texts):
         return Annotated[tuple[str, ...], tyro.conf.UseAppendAction, options]
@@ -50,13 +50,21 @@ def recipe_flag(name: str) -> Any:
 
 def recipe_flags(keys: Iterable[str]) -> type:
     """A dataclass of the flags for some keys of the recipe."""
-    fields = [(key, recipe_flag(key), field(default=() if isinstance(KINDS[key], Texts) else None)) for key in keys]
+    fields = [(key, recipe_flag(key), field(default=_not_given(KINDS[key]))) for key in keys]
     return make_dataclass("RecipeFlags", fields)
 
 
 def given(flags: Any) -> dict[str, Any]:
     """The texts of the recipe flags that were given, by key."""
-    return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
+    texts = {key: "true" if text is True else text for key, text in dataclasses.asdict(flags).items()}
+    return {key: text for key, text in texts.items() if text not in (None, (), False)}
+
+
+def _not_given(kind: Kind) -> Any:
+    """The value of a flag that is not given."""
+    if isinstance(kind, Switch) and kind.bare:
+        return False
+    return () if isinstance(kind, Texts) else None
 
 
 @dataclass(frozen=True)
@@ -84,7 +92,7 @@ class Unit:
             )
 
 
-def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
+def unit_of(frames: Iterable[Frame], density_scale: str) -> Unit:
     """The unit of frames that are read for it, by the text of --density-scale.
 
     Raises:
@@ -99,16 +107,10 @@ def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
     return Unit(reference.value, reference.scale(given))
 
 
-def open_input(path: Path, span: Span = None, given: Conventions | None = None) -> FrameFiles:
-    """The frames of a command's INPUT; what was decided in choosing the files is said on stderr.
-
-    Raises:
-        InputError: as `tnst_mi.io.open_frames`.
-    """
-    frames = open_frames(path, span, given)
-    for note in frames.notes:
-        print(f"note: {note}", file=sys.stderr)
-    return frames
+def say(lines: Iterable[str]) -> None:
+    """Print lines on stderr."""
+    for line in lines:
+        print(line, file=sys.stderr)
 
 
 def view_of(text: str) -> tuple[float, float]:

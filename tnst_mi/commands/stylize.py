@@ -23,7 +23,7 @@ _MASS_REMARKED = 0.05
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
     source, recipe = _input_and_recipe(arguments)
-    for flags in (arguments.goals, arguments.method, arguments.resources):
+    for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     resume, overwrite = arguments.resume, arguments.overwrite
     try:

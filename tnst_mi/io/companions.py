@@ -67,6 +67,11 @@ def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
     return named or smoke or alone
 
 
+def numberless(file: Path) -> str:
+    """The name of a file with # for its digits, which is the same for all frames of a sequence."""
+    return re.sub(r"\d", "#", file.name)
+
+
 def _all_possible(file: Path, words: tuple[str, ...]) -> list[Path]:
     """All paths at which companions of a density file are looked for, in order of preference."""
     before, after = _around_the_word(file.stem)

@@ -1,22 +1,28 @@
-"""What files leave open: the up axis, the unit of the velocities, the duration of a frame, the size of a cell."""
+"""What files leave open: names, the up axis, the units of density and velocity, the duration of a frame, places."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.frame import Frame, Placement
+from tnst_mi.frame import Frame, Note, Placement
+from tnst_mi.io.grid_names import listed
 from tnst_mi.io.orientation import from_z_up, mirrored
-from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.roles import Wanted
+from tnst_mi.io.staggered import centred_velocity, velocity_of_all_faces
 
 #: Units of velocities in files: cells per frame; cells, or scene units of length, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"
 VELOCITY_UNITS = (CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME)
 
-#: Default time units per frame: Mantaflow's in Blender at 25 frames per second; seconds.
-MANTAFLOW_TIME_STEP, SECONDS_PER_FRAME = 0.1, 1.0 / 24.0
+#: Usual time units per frame: Mantaflow's in Blender, which are proportional to the frame's duration; seconds.
+MANTAFLOW_TIME_STEP, MANTAFLOW_RATE, SECONDS_PER_FRAME = 0.1, 25.0, 1.0 / 24.0
+
+
+#: The note on a frame of a sequence whose file has no density.
+WITHOUT_SMOKE = "has no density, so it is taken as a frame without smoke"
 
 
 @dataclass(frozen=True)
@@ -28,14 +34,39 @@ class Conventions:
         flip: our axes to mirror, any of "x", "y" and "z".
         velocity_units: one of VELOCITY_UNITS.
         dt: duration of a frame, in the unit of time of the velocities.
+        fps: frames per second, from which the duration of a frame follows if `dt` is None.
         voxel_size: edge of a cell, in the unit of length of the scene.
+        scale: factor of the densities.
+        origin: (X, Y, Z) in the scene of the origin of the files' coordinates, which is added to where grids lie.
+        names: of the grids.
     """
 
     up: str | None = None
     flip: str = ""
     velocity_units: str | None = None
     dt: float | None = None
+    fps: float | None = None
     voxel_size: float | None = None
+    scale: float | None = None
+    origin: tuple[float, float, float] | None = None
+    names: Wanted = field(default_factory=Wanted)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a file's grids were taken for, by name; None for what is not there.
+
+    Attributes:
+        density: the name of the density's grid.
+        velocity: that of the velocity's, or of its components.
+        obstacle: that of the obstacle's.
+        left: the names of the other grids.
+    """
+
+    density: str | None = None
+    velocity: str | None = None
+    obstacle: str | None = None
+    left: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +77,20 @@ class StoredFrame:
         density: (D, H, W) in the axes of the file, or None.
         velocity: (D, H, W, 3), or None.
         obstacle: (D, H, W), or None.
-        staggered: whether component c of the velocity lies on the lower face of each cell along axis c.
+        staggered: whether component c of the velocity lies on the lower face of each cell along axis c. Then it may
+            have one entry more along each axis, for the upper faces of the last cells.
         known: (D, H, W) bool, the cells whose velocities are stored; None for all.
         up: the up axis of the file.
+        up_because: the evidence for it, in words; empty if the format says it.
         scene_up: the up axis of the scene that the grid is placed in, for formats without a scene; else None.
         velocity_units: one of VELOCITY_UNITS.
-        dt: duration of a frame in the velocity's unit of time; None for cells per frame.
+        dt: duration of a frame in the velocity's unit of time; None for the usual one of its unit.
         voxel_size: edge of a cell in the scene, or None if the file does not give it.
         corner: lowest corner of the grid in the scene.
+        scale: factor of the density, unless the user gives another.
+        taken: names of the grids.
+        layouts: in which other ways than the usual ones its arrays are stored, in words.
+        notes: what else was assumed.
         lacking: the error message if there is no density.
     """
 
@@ -63,11 +100,16 @@ class StoredFrame:
     staggered: bool = False
     known: np.ndarray | None = None
     up: str = "y"
+    up_because: str = ""
     scene_up: str | None = None
     velocity_units: str = CELLS_PER_FRAME
     dt: float | None = None
     voxel_size: float | None = None
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    taken: Taken = field(default_factory=Taken)
+    layouts: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     lacking: str = "no density"
 
     def frame(self, given: Conventions, name: str, number: int | float | None) -> Frame:
@@ -78,9 +120,15 @@ class StoredFrame:
         """
         if self.density is None:
             raise InputError(self.lacking)
+        scale = self.scale if given.scale is None else given.scale
         density = self._turned(self.density, given)
+        notes = self.notes if self.notes or density.any() else (Note("no smoke in it"),)
+        if scale != 1.0:
+            with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
+                density = density.astype(np.float32) * np.float32(scale)
         obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
-        return Frame(density, self.centred_velocity(given), obstacle, name, number, self._placement(given))
+        velocity, placement = self.centred_velocity(given), self._placement(given)
+        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes)
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
         """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None if there is none.
@@ -97,18 +145,40 @@ class StoredFrame:
         factor = self._cells_per_frame(given)
         # Frame rejects values that are or become infinite or NaN here.
         with np.errstate(over="ignore", invalid="ignore"):
-            centres = centred_velocity(self.velocity, self.known) if self.staggered else self.velocity
+            centres = self._centres(self.velocity)
             return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
 
     def reading(self, given: Conventions) -> str:
-        """How the file is read, in words."""
-        words = [f"{given.up or self.up} up"]
+        """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
+        axes = f"{given.up or self.up} up"
+        if self.up_because and given.up is None:
+            axes += f" ({self.up_because}; --up)"
+        words = [axes]
         if self.velocity is not None:
             units, dt = self._units(given)
             words.append(f"velocity {'on faces' if self.staggered else 'at centres'} in {units}")
-            words += [] if dt is None else [f"{dt:g} time units per frame"]
+            words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
-        return ", ".join([*words, *([] if size is None else [f"voxel size {size:g}"])])
+        words += [] if size is None else [f"voxel size {size:g}"]
+        if self.scale != 1.0 and given.scale is None:
+            words.append(f"density times 1/{1.0 / self.scale:.0f} (whole numbers, as in pictures; --scale)")
+        taken = [
+            f"no {role}" if name is None else f"{role} from {name}"
+            for role, name in (
+                ("density", self.taken.density),
+                ("velocity", self.taken.velocity),
+                ("obstacle", self.taken.obstacle),
+            )
+        ]
+        left = [f"not read: {listed(list(self.taken.left), quoted=False)}"] if self.taken.left else []
+        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *left])
+
+    def _centres(self, velocity: np.ndarray) -> np.ndarray:
+        if not self.staggered:
+            return velocity
+        if self.density is not None and velocity.shape[:3] == tuple(extent + 1 for extent in self.density.shape):
+            return velocity_of_all_faces(velocity)
+        return centred_velocity(velocity, self.known)
 
     def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
         if array.ndim < 3:  # wrong shape: Frame reports it
@@ -122,13 +192,15 @@ class StoredFrame:
         units = given.velocity_units or self.velocity_units
         if units == CELLS_PER_FRAME:
             if given.dt is not None:
-                raise InputError(f"velocity is in {units}, which --dt does not change; give --velocity-units too")
+                raise InputError(f"velocity is in {units}, which --dt does not change; give --units too")
             return units, None
         if given.dt is not None:
             return units, given.dt
-        if units == self.velocity_units:
+        if units == self.velocity_units and self.dt is not None:
             return units, self.dt
-        return units, MANTAFLOW_TIME_STEP if units == CELLS_PER_TIME else SECONDS_PER_FRAME
+        if units == CELLS_PER_TIME:
+            return units, MANTAFLOW_TIME_STEP * (1.0 if given.fps is None else MANTAFLOW_RATE / given.fps)
+        return units, SECONDS_PER_FRAME if given.fps is None else 1.0 / given.fps
 
     def _cells_per_frame(self, given: Conventions) -> float:
         """The factor from the stored velocity to cells per frame."""
@@ -146,4 +218,5 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         if size is None:
             return None
-        return Placement(size, self.corner, self.scene_up or given.up or self.up)
+        x, y, z = (at + moved for at, moved in zip(self.corner, given.origin or (0.0, 0.0, 0.0), strict=True))
+        return Placement(size, (x, y, z), self.scene_up or given.up or self.up)

@@ -6,34 +6,26 @@ Only npz and .vdb files hold whole frames; .vol and .uni have companion files be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
 from tnst_mi.io import companions
-from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
-from tnst_mi.io.grids.npy import read_npy, read_npy_header
-from tnst_mi.io.grids.npz import read_arrays, read_headers, write_arrays
-from tnst_mi.io.grids.uni import (
-    FLAGS,
-    INTEGER,
-    OBSTACLE_FLAG,
-    REAL,
-    VECTOR,
-    UniHeader,
-    read_uni,
-    read_uni_header,
-    write_uni,
-)
-from tnst_mi.io.grids.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
-from tnst_mi.io.grids.vol import read_vol, read_vol_shape, write_vol
+from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_frame, read_authors_frame
+from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
+from tnst_mi.io.context import SequenceContext
+from tnst_mi.io.conventions import StoredFrame
+from tnst_mi.io.grids.npz import write_arrays
+from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
+from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame, write_vdb_frame
+from tnst_mi.io.grids.vol import read_vol, write_vol
 from tnst_mi.io.orientation import to_z_up
+from tnst_mi.io.roles import Wanted
+from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
 
 #: File extensions of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
@@ -43,19 +35,6 @@ READABLE = (*FORMATS, ".npy")
 
 #: Formats with one grid per file, companions beside it.
 GRID_FORMATS = (".vol", ".uni")
-
-#: Time units per frame in the authors' data.
-AUTHORS_TIME_STEP = 0.5
-
-# Our .uni files declare their conventions in the build information.
-_OURS, _Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
-
-_VECTORS = "holds vectors, expected a density"
-
-_COMPANION_WORDS = (companions.VELOCITY, companions.OBSTACLE)
-
-#: The arrays of one grid in an npz file: those of the paper's authors, of PhiFlow, and of numpy where none has a name.
-_LONE_ARRAYS = ("x", "data", "arr_0")
 
 
 def require_format(path: Path) -> str:
@@ -82,45 +61,40 @@ def require_readable(path: Path) -> str:
     return suffix
 
 
-def sequence_context(files: Sequence[Path]) -> Any:
-    """What reading one frame of a sequence needs from all its files: the voxel box of .vdb files, else None.
-
-    Raises:
-        InputError: the files cannot be used.
-    """
-    return box_of_all([file for file in files if file.suffix.lower() == ".vdb"])
-
-
-def read_stored(file: Path, velocities: Path | None = None, context: Any = None) -> StoredFrame:
+def read_stored(
+    file: Path, velocities: Path | None = None, context: SequenceContext | None = None, wanted: Wanted | None = None
+) -> StoredFrame:
     """Read a frame as it is stored.
 
     Args:
         file: the file of its density.
         velocities: in the layout of the paper's authors, the folder of the velocities, in npz files of the same names.
-        context: the result of `sequence_context`; None for a single file.
+        context: what the other files of its sequence say; None for a single file.
+        wanted: names that the user gives for grids.
 
     Raises:
         InputError: a file cannot be used.
     """
+    wanted = wanted or Wanted()
     match require_readable(file):
         case ".vol":
-            return _read_vol(file)
+            return read_vol_frame(file, wanted)
         case ".uni":
-            return _read_uni(file)
-    frame = _read_alone(file, context, velocities)
-    if frame.density is None:
-        return frame
-    velocity, obstacle = (companions.found_companion(file, words) for words in _COMPANION_WORDS)
-    if frame.velocity is None and velocity is not None:
-        frame = _with_velocity_of(frame, velocity, _read_alone(velocity, context))
-    if frame.obstacle is None and obstacle is not None:
-        frame = _with_obstacle_of(frame, obstacle, _read_alone(obstacle, context))
-    return frame
+            return read_uni_frame(file, wanted)
+        case ".npz" if velocities is not None:
+            return read_authors_frame(file, velocities, wanted)
+        case ".npz" | ".npy":
+            return with_arrays_beside(file, read_array_frame(file, wanted, context and context.shape), wanted)
+        case _ if context is None:
+            return read_vdb_frame(file, wanted=wanted)
+        case _:
+            frame = read_vdb_frame(file, context.box, wanted, context.has_density)
+            return with_grids_beside(file, frame, context, wanted)
 
 
 def companions_of(file: Path) -> list[Path]:
     """The existing files beside that of a density from which its velocity and its obstacle may be read."""
-    found = (companions.found_companion(file, words) for words in _COMPANION_WORDS)
+    found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
     return [path for path in found if path is not None]
 
 
@@ -170,117 +144,22 @@ def describe(file: Path) -> list[str]:
         InputError: a file cannot be used.
     """
     suffix = require_readable(file)
-    if suffix in (".npz", ".npy"):
-        headers = (read_headers(file) if suffix == ".npz" else {"arr_0": read_npy_header(file)}).items()
-        return [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers]
+    if suffix in ARRAY_FORMATS:
+        return describe_arrays(file)
     if suffix == ".vdb":
         return describe_vdb(file)
     found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
     lines = []
     for path in (file, *(path for path in found if path is not None)):
         if suffix == ".vol":
-            lines.append(f"  {path.name}: shape {read_vol_shape(path)}")
+            values = read_vol(path)
+            words = f"shape {values.shape}, float32"
         else:
-            header = read_uni_header(path)
-            shape = header.shape if header.components == 1 else (*header.shape, header.components)
+            header, values = read_uni(path)
             faces = ", on faces" if header.staggered else ""
-            lines.append(f"  {path.name}: {header.dtype}, shape {shape} in its own axes{faces}")
+            words = f"{header.dtype}, shape {values.shape} in its own axes{faces}"
+        lines.append(f"  {path.name}: {words}, {values.min():g} to {values.max():g}")
     return lines
-
-
-def _read_alone(file: Path, context: Any, velocities: Path | None = None) -> StoredFrame:
-    """What a file that may hold whole frames holds itself."""
-    match file.suffix.lower():
-        case ".npz":
-            return _read_npz(file, velocities)
-        case ".npy":
-            return _frame_of_arrays({"arr_0": read_npy(file)}, "holds vectors, expected a density")
-        case _:
-            return read_vdb_frame(file, context)
-
-
-def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
-    """The frame with the velocity that a companion holds."""
-    if other.velocity is None:
-        raise InputError(f"{file}: holds no velocity, as which its name has it read; rename or remove it")
-    return replace(
-        frame,
-        velocity=other.velocity,
-        staggered=other.staggered,
-        known=other.known,
-        velocity_units=other.velocity_units,
-        dt=other.dt,
-    )
-
-
-def _with_obstacle_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
-    """The frame with the obstacle that a companion holds."""
-    solid = other.density if other.obstacle is None else other.obstacle
-    if solid is None:
-        raise InputError(f"{file}: holds no obstacle, as which its name has it read; rename or remove it")
-    return replace(frame, obstacle=solid)
-
-
-def _read_npz(file: Path, velocities: Path | None) -> StoredFrame:
-    arrays = read_arrays(file, ("density", "velocity", "obstacle", *_LONE_ARRAYS))
-    found = ", ".join(read_headers(file)) or "none"
-    frame = _frame_of_arrays(arrays, f"no array 'density' (or 'x'), the arrays found are: {found}")
-    if velocities is None or not (velocities / file.name).exists():
-        return frame
-    faces = read_arrays(velocities / file.name, ("x",)).get("x")
-    if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
-        raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
-    return replace(frame, velocity=faces, staggered=True, velocity_units=CELLS_PER_TIME, dt=AUTHORS_TIME_STEP)
-
-
-def _frame_of_arrays(arrays: dict[str, np.ndarray], lacking: str) -> StoredFrame:
-    """The frame of named arrays; one without a name that tells is a velocity if it holds vectors."""
-    density, velocity = arrays.get("density"), arrays.get("velocity")
-    lone = next((arrays[name] for name in _LONE_ARRAYS if name in arrays), None)
-    if density is None and lone is not None:
-        if lone.ndim == 4 and lone.shape[-1] == 3:
-            velocity, lacking = lone if velocity is None else velocity, _VECTORS
-        else:
-            density = lone
-    return StoredFrame(
-        density=density, velocity=velocity, obstacle=arrays.get("obstacle"), scene_up="z", lacking=lacking
-    )
-
-
-def _read_vol(file: Path) -> StoredFrame:
-    grid = read_vol(file)
-    if grid.ndim == 4:
-        return StoredFrame(density=None, velocity=grid, scene_up="z", lacking=_VECTORS)
-    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
-    return StoredFrame(
-        density=grid,
-        velocity=None if velocity is None else read_vol(velocity),
-        obstacle=None if obstacle is None else read_vol(obstacle),
-        scene_up="z",
-    )
-
-
-def _read_uni(file: Path) -> StoredFrame:
-    header, grid = read_uni(file)
-    up = "y" if header.build.startswith(_OURS + _Y_UP) else "z"
-    if header.components == 3:
-        return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
-    frame = StoredFrame(density=grid, up=up)
-    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
-    if velocity is not None:
-        frame = _with_velocity(frame, *read_uni(velocity))
-    if obstacle is not None:
-        _, flags = read_uni(obstacle)
-        frame = replace(frame, obstacle=(flags & OBSTACLE_FLAG) != 0 if flags.dtype.kind == "i" else flags > 0)
-    return frame
-
-
-def _with_velocity(frame: StoredFrame, header: UniHeader, velocity: np.ndarray) -> StoredFrame:
-    """The frame with the velocity of a .uni file."""
-    frame = replace(frame, velocity=velocity, staggered=header.staggered)
-    if header.build.startswith(_OURS):
-        return frame
-    return replace(frame, velocity_units=CELLS_PER_TIME, dt=MANTAFLOW_TIME_STEP)
 
 
 def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:
@@ -289,7 +168,7 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
     kind = VECTOR if stored.ndim == 4 else REAL
     if stored.dtype == bool:
         stored, kind = stored.astype(np.int32) * OBSTACLE_FLAG, INTEGER | FLAGS
-    write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
+    write_uni(path, stored, kind, OURS + (Y_UP if y_up else ""))
 
 
 def _write_grids(write: Callable[[Path, np.ndarray], None], path: Path, grids: dict[str, np.ndarray]) -> None:

@@ -14,18 +14,18 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import overload
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.conventions import Conventions, StoredFrame
 from tnst_mi.io.formats import (
     FORMATS,
+    SequenceContext,
     companions_of,
     files_around,
     read_stored,
     require_format,
-    sequence_context,
     write_frame,
 )
 from tnst_mi.io.frame_numbers import Number
@@ -57,9 +57,14 @@ class FrameFiles(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
         """Read one frame, or select several, which are read on access."""
         if isinstance(index, slice):
-            chosen = replace(self._listing, files=self.files[index], numbers=self.numbers[index])
-            return FrameFiles(self.source, chosen, self._given)
+            return self.only(range(len(self))[index])
         return self.frame_of(index, self.stored(index))
+
+    def only(self, indices: Iterable[int]) -> FrameFiles:
+        """Some of the frames, each read as in the whole sequence."""
+        chosen = list(indices)
+        files, numbers = ([items[index] for index in chosen] for items in (self.files, self.numbers))
+        return FrameFiles(self.source, replace(self._listing, files=files, numbers=numbers), self._given)
 
     @property
     def files(self) -> list[Path]:
@@ -99,7 +104,7 @@ class FrameFiles(Sequence[Frame]):
         Raises:
             InputError: a file cannot be used.
         """
-        return read_stored(self.files[index], self._listing.velocities, self._context)
+        return read_stored(self.files[index], self._listing.velocities, self._context, self._given.names)
 
     def frame_of(self, index: int, stored: StoredFrame) -> Frame:
         """The frame made from what `stored` has read.
@@ -115,11 +120,13 @@ class FrameFiles(Sequence[Frame]):
             raise InputError(f"{file}: {str(error).removeprefix(f'{name}: ')}") from None
 
     @functools.cached_property
-    def _context(self) -> Any:
+    def _context(self) -> SequenceContext | None:
         """What reading one frame needs from all files: it is read the same whichever frames are selected."""
         sequence = self._listing.sequence
         beside = [path for file in sequence for path in companions_of(file)]
-        return sequence_context([*sequence, *beside]) if self.source.is_dir() or len(sequence) > 1 or beside else None
+        if not (self.source.is_dir() or len(sequence) > 1 or beside):
+            return None
+        return SequenceContext([*sequence, *beside], self._given.names)
 
 
 def open_frames(

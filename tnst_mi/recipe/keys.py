@@ -110,10 +110,11 @@ class Integer:
 
 @dataclass(frozen=True)
 class Switch:
-    """True or false."""
+    """True or false; the flag of a `bare` one has no value, and means true."""
 
     placeholder: str = "true|false"
     expected: str = "true or false"
+    bare: bool = False
 
     def check(self, value: Any) -> bool:
         """Accept truth values."""

@@ -26,13 +26,13 @@ from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, picture
 from tnst_mi.recipe.paths import located, shipped_name
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.recipe_file import read_recipe_file
-from tnst_mi.recipe.sections import KINDS, Goals, Method, Resources, documentation
+from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, documentation
 from tnst_mi.recipe.synonyms import advice, meant
 from tnst_mi.resources import expanded
 
 
 @dataclass(frozen=True)
-class Recipe(Resources, Method, Goals):
+class Recipe(Reading, Resources, Method, Goals):
     """Everything that determines a stylization, apart from the frames themselves.
 
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their

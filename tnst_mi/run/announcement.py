@@ -26,8 +26,8 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     recipe, model = prepared.recipe, prepared.network.model
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
+    yield from prepared.reading
     yield prepared.memory
-    yield from (f"note: {note}" for note in prepared.notes)
     if prepared.step != 1:
         yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
     for path in (*recipe.style, *recipe.content):

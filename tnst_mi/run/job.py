@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from tnst_mi.errors import StoppedError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
+from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
 from tnst_mi.machine import environment
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
@@ -169,7 +170,7 @@ class Run(Iterator[StylizedFrame]):
             densities = StoredArrays(folder.out, "density", names, prepared.suffix)
             records = self.record["frames"]
             self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
-            folder.write_sequence(self.record, prepared.recipe.fps)
+            folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
         folder.write_run(self.record)
         folder.remove_work()
 

@@ -42,6 +42,7 @@ from tnst_mi.run.measure import (
     require_same_input,
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
+from tnst_mi.run.readable import Readable
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -71,12 +72,12 @@ class Prepared:
     Attributes:
         recipe: with all paths absolute.
         frames: the input.
-        notes: what was decided in choosing its files.
         step: how far the frames are apart, 2 for every second one; see `moving`.
         measures: measurements of each frame.
         brightness: likewise, rendered.
         network: judges the images.
         plan: of the optimisation.
+        reading: lines that say how the frames were read.
         memory: a line that says how much of it the run takes.
         cache_bytes: memory that a run may take besides, see `run.memory.cache_bytes`.
         out: the folder of the results, or None.
@@ -87,12 +88,12 @@ class Prepared:
 
     recipe: Recipe
     frames: Sequence[Frame]
-    notes: Sequence[str]
     step: int | float
     measures: Sequence[Measure]
     brightness: Sequence[Brightness]
     network: Network
     plan: Plan
+    reading: Sequence[str]
     memory: str
     cache_bytes: int
     out: Path | None
@@ -165,8 +166,9 @@ def prepare(
             frame_names(out)  # refuses anything but a run
     sequence = sequence_of(frames, recipe)
     # Reading the first frame finds most bad inputs before the network is loaded.
-    shape = sequence[0].density.shape
-    require_indexable(3 * math.prod(shape), f"{sequence[0].name}: its velocity is an array")
+    first = next(iter(Readable(sequence, recipe.skip_bad)))
+    shape = first.density.shape
+    require_indexable(3 * math.prod(shape), f"{first.name}: its velocity is an array")
     rows, columns = image_size(recipe, shape)
     if recipe.views * rows * columns >= LARGEST_COUNT:
         raise InputError(
@@ -183,7 +185,9 @@ def prepare(
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
-    measures, reference = measured(_watched(sequence, "reading", progress))
+    readable = Readable(sequence, recipe.skip_bad)
+    measures, reference = measured(_watched(readable, "reading", progress))
+    sequence = readable.frames()
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
@@ -237,14 +241,13 @@ def prepare(
         shape,
         density_scale,
     )
-    notes = sequence.notes if isinstance(sequence, FrameFiles) else ()
-    step = frame_step([measure.number for measure in measures])
+    step, said = frame_step([measure.number for measure in measures]), readable.lines()
     return Prepared(
-        recipe, sequence, notes, step, measures, bright, network, plan, memory, cache, out, suffix, overwrite, record
+        recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
     )
 
 
-def _watched(frames: Sequence[Frame], doing: str, shown: bool) -> Iterable[Frame]:
+def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
     """The frames, with a progress bar on stderr while they are read; a single one needs none."""
     shown = shown and len(frames) > 1
     return tqdm(frames, doing, unit="frame", disable=not shown, dynamic_ncols=True, leave=False, delay=1.0)

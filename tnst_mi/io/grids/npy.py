@@ -33,7 +33,7 @@ def read_npy_header(path: Path) -> ArrayHeader:
     """Read the shape and type of the array in an npy file.
 
     Raises:
-        InputError: the file is missing or damaged, or the array is pickled or claims an impossible shape.
+        InputError: the file is missing or damaged, or the array claims an impossible shape.
     """
     with _opened(path) as stream:
         return parsed_header(path, "array", stream)
@@ -43,7 +43,7 @@ def read_npy(path: Path) -> np.ndarray:
     """Read the array of an npy file.
 
     Raises:
-        InputError: as `read_npy_header`; or the data are truncated, not numeric, or too large.
+        InputError: as `read_npy_header`; or the data are pickled, truncated, not numeric, or too large.
     """
     with _opened(path) as stream:
         header = parsed_header(path, "array", stream)
@@ -59,7 +59,7 @@ def parsed_header(path: Path, what: str, stream: BufferedIOBase) -> ArrayHeader:
         stream: yields the array.
 
     Raises:
-        InputError: the array is pickled, of an unknown version, or claims an impossible shape.
+        InputError: the array is of an unknown version, or claims an impossible shape.
     """
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -70,8 +70,6 @@ def parsed_header(path: Path, what: str, stream: BufferedIOBase) -> ArrayHeader:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # headers written by Python 2 are fine
         shape, fortran_order, dtype = read(stream, max_header_size=_LARGEST_HEADER)
-    if dtype.hasobject:
-        raise InputError(f"{path}: {what} holds pickled objects, expected numbers (they are never unpickled)")
     if any(extent < 0 for extent in shape):
         raise InputError(f"{path}: {what} claims the shape {shape}")
     return ArrayHeader(shape, dtype, fortran_order)
@@ -88,8 +86,10 @@ def read_array(path: Path, what: str, header: ArrayHeader, stream: BufferedIOBas
         most: bytes that the stream can hold.
 
     Raises:
-        InputError: the data are not numeric, too large, or not as many as the header claims.
+        InputError: the data are pickled, not numeric, too large, or not as many as the header claims.
     """
+    if header.dtype.hasobject:
+        raise InputError(f"{path}: {what} holds pickled objects, expected numbers (they are never unpickled)")
     if header.dtype.kind not in "fiub":
         raise InputError(f"{path}: {what} has type {header.dtype}, expected numbers")
     size = math.prod(header.shape) * header.dtype.itemsize

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import tokenize
 import zipfile
 import zlib
@@ -12,13 +13,18 @@ from typing import cast
 
 import numpy as np
 
+from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.grids.npy import ArrayHeader, parsed_header, read_array
 from tnst_mi.io.untrusted import LARGEST_RATIO, opening
 
+# What numpy writes; other methods unfold to any size.
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
+    lzma.LZMAError,
     tokenize.TokenError,
     SyntaxError,
     EOFError,
@@ -32,7 +38,7 @@ def read_headers(path: Path) -> dict[str, ArrayHeader]:
     """Read the shape and type of every array in an npz file.
 
     Raises:
-        InputError: the file is missing or damaged, or an array is pickled or claims an impossible size.
+        InputError: the file is missing or damaged, or an array claims an impossible shape.
     """
     with _opened(path) as archive:
         return {name: _read_header(path, archive, name) for name in _names(archive)}
@@ -42,7 +48,7 @@ def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
     """Read the arrays named in `keys`, as far as an npz file contains them.
 
     Raises:
-        InputError: as `read_headers`; or the data are truncated, damaged, not numeric, or too large.
+        InputError: as `read_headers`; or the data are pickled, truncated, damaged, not numeric, or too large.
     """
     with _opened(path) as archive:
         return {key: _read_array(path, archive, key) for key in keys if key in _names(archive)}
@@ -65,19 +71,21 @@ def _names(archive: zipfile.ZipFile) -> list[str]:
     return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
+def _member(path: Path, archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
     """Open an array's archive member for reading; `ZipFile.open` is annotated as returning plain `IO`."""
+    if archive.getinfo(f"{name}.npy").compress_type not in _METHODS:
+        raise InputError(f"{path}: array {name!r} is compressed in another way than numpy does; save it with numpy")
     return cast("zipfile.ZipExtFile", archive.open(f"{name}.npy"))
 
 
 def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader:
-    with _member(archive, name) as stream:
+    with _member(path, archive, name) as stream:
         return parsed_header(path, f"array {name!r}", stream)
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
     """Read one array, rejecting a claimed size that its archive member cannot hold."""
     member, what = archive.getinfo(f"{name}.npy"), f"array {name!r}"
-    with _member(archive, name) as stream:
+    with _member(path, archive, name) as stream:
         most = min(LARGEST_RATIO * member.compress_size, member.file_size)
         return read_array(path, what, parsed_header(path, what, stream), stream, most)

@@ -121,8 +121,9 @@ class Grid:
 
 @dataclass(frozen=True)
 class VdbFile:
-    """The contents of an OpenVDB file: metadata, and grids in file order."""
+    """The contents of an OpenVDB file: its path, metadata, and grids in file order."""
 
+    path: Path
     metadata: dict[str, Value]
     grids: list[Grid]
 
@@ -156,6 +157,8 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
     parents: dict[str, str] = {}
     for _ in range(count):
         unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
+        while unique_name in grids:  # though it should be unique
+            unique_name += _SEPARATOR
         places = start, leaves, end = cursor.unpack(_OFFSETS)
         # A grid that shares the tree of another has no leaves of its own.
         if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
@@ -171,7 +174,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
         grids[name] = dataclasses.replace(
             grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span
         )
-    return VdbFile(metadata, list(grids.values()))
+    return VdbFile(path, metadata, list(grids.values()))
 
 
 def _read_grid(path: Path, file: BinaryIO, name: str, tree_type: str, places: tuple[int, int, int]) -> Grid:
