@@ -204,11 +204,11 @@ def _leaves_of(grid: DenseGrid, background: np.ndarray) -> tuple[_Nodes, np.ndar
 
 def _occupied(told: np.ndarray, before: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Which leaves (X, Y, Z) hold a voxel (Z, Y, X[, 3]) of which something is told."""
-    occupied = told.any(axis=3) if told.ndim == 4 else told
-    for axis, (margin, count) in enumerate(zip(before[::-1].tolist(), counts[::-1].tolist(), strict=True)):
-        starts = np.maximum(np.arange(count) * LEAF_EDGE - margin, 0)
-        occupied = np.add.reduceat(occupied, starts, axis=axis, dtype=np.int64) > 0
-    return occupied.transpose(2, 1, 0)
+    voxels = told.any(axis=3) if told.ndim == 4 else told
+    after = counts * LEAF_EDGE - before - voxels.shape[::-1]
+    padded = np.pad(voxels, [*zip(before[::-1], after[::-1], strict=True)])
+    x, y, z = counts.tolist()
+    return padded.reshape(z, LEAF_EDGE, y, LEAF_EDGE, x, LEAF_EDGE).any(axis=(1, 3, 5)).transpose(2, 1, 0)
 
 
 def _merged(tiles: _Nodes) -> tuple[_Nodes, _Nodes]:
