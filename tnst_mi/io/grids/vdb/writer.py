@@ -208,7 +208,7 @@ def _occupied(told: np.ndarray, before: np.ndarray, counts: np.ndarray) -> np.nd
     after = counts * LEAF_EDGE - before - voxels.shape[::-1]
     padded = np.pad(voxels, [*zip(before[::-1], after[::-1], strict=True)])
     x, y, z = counts.tolist()
-    return padded.reshape(z, LEAF_EDGE, y, LEAF_EDGE, x, LEAF_EDGE).any(axis=(1, 3, 5)).transpose(2, 1, 0)
+    return np.transpose(padded.reshape(z, LEAF_EDGE, y, LEAF_EDGE, x, LEAF_EDGE).any(axis=(1, 3, 5)), (2, 1, 0))
 
 
 def _merged(tiles: _Nodes) -> tuple[_Nodes, _Nodes]:
