@@ -23,7 +23,7 @@ _STRAY = 1e-3
 _NEIGHBOURS = [shift for shift in itertools.product((-1, 0, 1), repeat=3) if any(shift)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clump:
     """A part of the smoke of a frame that is far from the rest.
 
