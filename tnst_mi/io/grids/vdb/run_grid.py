@@ -166,7 +166,7 @@ def _require_small(grid: RunGrid, spans: Sequence[Span], crop: bool) -> None:
     widest = max(spans, key=lambda span: len(stray(span.clumps)) or len(span.clumps))
     what = f"{widest.path}: its grid spans {words(grid.box)} cells with {voxels} voxels of smoke"
     if strays := stray(widest.clumps):
-        raise InputError(f"{what}: {_named_strays(strays, widest.clumps)}; --ignore-stray on drops them")
+        raise InputError(f"{what}: {_named_strays(strays, widest.clumps)}; --ignore-stray drops them")
     if not crop and any(span.clumps for span in spans):
         raise InputError(f"{what}, expected at most {LARGEST_BOX}, not almost empty; --crop on takes the smoke")
     mass = sum(clump.mass for clump in widest.clumps) or 1.0
@@ -222,7 +222,7 @@ def _stray_notes(spans: Sequence[Span], ignored: bool) -> Iterator[str]:
     span = found[0]
     others = f" (and in {len(found) - 1} other files)" if len(found) > 1 else ""
     strays = _named_strays(stray(span.clumps), span.clumps)
-    remedy = "left out" if ignored else "they make the grid larger: --ignore-stray on drops them"
+    remedy = "left out" if ignored else "they make the grid larger: --ignore-stray drops them"
     yield f"{span.path.name}: {strays}{others}; {remedy}"
 
 
