@@ -16,7 +16,7 @@ from tnst_mi.geometry.boxes import Box, union
 from tnst_mi.io.conventions import Taken
 from tnst_mi.io.grid_names import FLAGS, listed, plain_name
 from tnst_mi.io.grids.vdb.level_set import fog_volume, is_level_set
-from tnst_mi.io.grids.vdb.programs import DENSITY
+from tnst_mi.io.grids.vdb.programs import NAME
 from tnst_mi.io.grids.vdb.reader import HALF, Grid, VdbFile
 from tnst_mi.io.layouts import solid_cells
 from tnst_mi.io.roles import Entry, Roles, Wanted, chosen_roles
@@ -127,9 +127,7 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
         components = 0 if grid.kind is None else grid.kind.components
         level_set = "level set of " if is_level_set(grid) else ""
         entries.append(Entry(grid.name, components == 1, components == 3, level_set + type_in_words(grid)))
-    told = file.metadata.get(DENSITY)
-    if wanted.density is None and isinstance(told, str) and told in {grid.name for grid in file.grids}:
-        wanted = replace(wanted, density=told)  # a result keeps the name that the density had
+    wanted = _with_told_names(file, wanted)
     try:
         roles = chosen_roles(entries, wanted)
     except InputError as error:
@@ -151,6 +149,16 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
     left = tuple(_in_words(file.grids[index]) for index in roles.left)
     taken = Taken(names[0], names[1], names[2], left)
     return Quantities(density, velocity, obstacle, taken, roles.lacking)
+
+
+def _with_told_names(file: VdbFile, wanted: Wanted) -> Wanted:
+    """The names that the user gives, and where there are none, those that a file of ours tells."""
+    told = {}
+    for role in ("density", "velocity", "obstacle"):
+        name = file.metadata.get(NAME.format(role))
+        if getattr(wanted, role) is None and isinstance(name, str) and name in {grid.name for grid in file.grids}:
+            told[role] = name
+    return replace(wanted, **told)
 
 
 def _with_level_set(file: VdbFile, roles: Roles, fog: bool) -> Roles:

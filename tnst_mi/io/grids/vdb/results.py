@@ -13,7 +13,7 @@ from tnst_mi.geometry.boxes import Box, grown, image, union
 from tnst_mi.geometry.placement import FileSource, GridSource, OwnVoxels, Placement
 from tnst_mi.geometry.resampling import resampled
 from tnst_mi.io.conventions import CELLS_PER_FRAME
-from tnst_mi.io.grids.vdb.programs import DENSITY, UNITS, UP
+from tnst_mi.io.grids.vdb.programs import NAME, UNITS, UP
 from tnst_mi.io.grids.vdb.quantities import Quantities
 from tnst_mi.io.grids.vdb.reader import VdbFile
 from tnst_mi.io.grids.vdb.writer import DenseGrid, write_vdb
@@ -77,11 +77,11 @@ def write_vdb_frame(path: Path, arrays: Mapping[str, np.ndarray], placement: Pla
         LOWEST: ("vec3i", first),
         HIGHEST: ("vec3i", tuple(box[1].tolist())),
     }
-    if source is not None and "density" in source.grids:
-        metadata[DENSITY] = ("string", source.grids["density"].name)
     grids = []
     for role, array in arrays.items():
         kept = None if source is None else source.grids.get(role)
+        if kept is not None:
+            metadata[NAME.format(role)] = ("string", kept.name)
         grids.append(
             DenseGrid(
                 role if kept is None else kept.name,
