@@ -7,24 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.geometry.placement import Placement
+
+__all__ = ["Frame", "Note", "Placement"]
 
 #: Share of the largest density up to which a cell counts as one without smoke, and a negative density as noise.
 _NOISE = 1e-6
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Position, size and orientation of a grid in its scene.
-
-    Attributes:
-        voxel_size: edge of a cell, in the scene's unit of length.
-        corner: (X, Y, Z) of the centre of the grid's lowest cell, in the axes of the scene.
-        up: the axis of the scene that points up, "y" or "z".
-    """
-
-    voxel_size: float = 1.0
-    corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    up: str = "z"
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,12 @@ def test_three_scalars_half_a_voxel_lower_lie_on_faces(tmp_path: Path) -> None:
     assert "velocity on faces" in frame.reading
 
 
-def test_components_elsewhere_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.vdb: voxels of grid 'vel\.x' have size 0\.5"):
-        frame_of(tmp_path, DenseGrid("density", DENSITY, (0, 0, 0), 0.5), *components(0.3))
+def test_components_elsewhere_are_interpolated(tmp_path: Path) -> None:
+    frame = frame_of(tmp_path, DenseGrid("density", DENSITY, (0, 0, 0), 0.5), *components(0.3))
+    own = frame_of(tmp_path, DenseGrid("density", DENSITY, (0, 0, 0), 0.5), *components(0.0))
+    assert frame.velocity is not None and own.velocity is not None
+    inner = own.velocity[1:-1, 1:-1, 1:-1]
+    assert np.abs(frame.velocity[1:-1, 1:-1, 1:-1] - inner).max() > 0.0
 
 
 def test_a_lone_grid_is_taken_if_it_is_smoke_by_name(tmp_path: Path) -> None:
@@ -131,7 +134,7 @@ def test_the_axis_that_is_up_follows_from_metadata(
 def test_metadata_of_any_grid_count(tmp_path: Path) -> None:
     write_vdb(tmp_path / "a.vdb", [DenseGrid("heat", DENSITY), DenseGrid("density", DENSITY)], {})
     file = read_vdb(tmp_path / "a.vdb")
-    marked = replace(file.grids[0], metadata={"embergen_version": "0.5.5.2"})
+    marked = replace(file.grids[0], stored={"embergen_version": ("string", b"0.5.5.2")})
     assert program_of(file, file.grids[1]).up == "y"
     assert program_of(replace(file, grids=[marked, file.grids[1]]), file.grids[1]).up == "z"
 

@@ -77,6 +77,9 @@ CHANGED: dict[str, Any] = {
     "scale": 0.5,
     "voxel_size": 0.1,
     "origin": (1.0, -2.0, 0.5),
+    "fog": True,
+    "crop": False,
+    "ignore_stray": True,
     "skip_bad": True,
 }
 

@@ -19,7 +19,7 @@ from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
 
 #: Earlier names of flags, which still work.
-_OTHER_FLAGS = {"units": ("--velocity-units",)}
+_OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",)}
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

@@ -23,7 +23,8 @@ from tnst_mi.run.readable import Readable
 def run(arguments: ConvertArguments) -> int:
     """Convert every frame."""
     selection = {} if arguments.frames is None else {"frames": arguments.frames}
-    recipe = Recipe().updated_by_flags(selection | given(arguments.reading))
+    # Other programs expect the whole grid, at rest.
+    recipe = Recipe().updated_by_flags({"crop": "off"} | selection | given(arguments.reading))
     every = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
     _files(arguments, every)  # what is asked for is checked before anything is read
     readable = Readable(every, recipe.skip_bad)

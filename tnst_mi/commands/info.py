@@ -31,6 +31,8 @@ def run(arguments: InfoArguments) -> int:
         reference = ReferenceDensity()
         for frame in checked_shapes(_described(frames, conventions_of(recipe), recipe.skip_bad)):
             reference.add(frame.density)
+        for note in frames.grid_notes if reference.value > 0 else ():
+            print(f"{path}: note: {note}")
         if reference.value > 0:
             print(
                 f"{path}: reference density {reference.value:.4g}: the 99th percentile of the smoky cells, which "

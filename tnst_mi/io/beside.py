@@ -41,9 +41,9 @@ def with_grids_beside(file: Path, frame: StoredFrame, context: SequenceContext, 
         return frame
     velocity, obstacle = _found_beside(file, frame, wanted)
     if velocity is not None:
-        frame = _with_velocity_of(frame, velocity, read_vdb_frame(velocity, context.box))
+        frame = _with_velocity_of(frame, velocity, read_vdb_frame(velocity, context.run, name=file.stem))
     if obstacle is not None:
-        frame = _with_obstacle_of(frame, obstacle, read_vdb_obstacle(obstacle, file, context.box))
+        frame = _with_obstacle_of(frame, obstacle, read_vdb_obstacle(obstacle, file.stem, context.run))
     return frame
 
 
@@ -68,6 +68,7 @@ def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> Sto
         known=other.known,
         velocity_units=other.velocity_units,
         dt=other.dt,
+        velocity_cell=other.velocity_cell,
         taken=replace(frame.taken, velocity=companions.numberless(file)),
         layouts=(*frame.layouts, *other.layouts),
     )

@@ -1,17 +1,19 @@
-"""What reading one frame of a sequence needs from all its files: the box of the voxels, the shape of missing grids."""
+"""What reading one frame of a sequence needs from all its files: the grid of the run, the shape of missing arrays."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.array_frames import ARRAY_FORMATS, shape_of_density
-from tnst_mi.io.grids.vdb.frames import box_of_all, has_density
-from tnst_mi.io.grids.vdb.tree import Box
+from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.grids.vdb.frames import has_density, run_grid_of
+from tnst_mi.io.grids.vdb.run_grid import RunGrid
 from tnst_mi.io.roles import Wanted
 
 
@@ -21,18 +23,32 @@ class SequenceContext:
     A frame whose file has no density is one without smoke if another file has one.
     """
 
-    def __init__(self, files: Sequence[Path], wanted: Wanted) -> None:
-        """Set the files, and the names that the user gives for grids."""
-        self._files, self._wanted = files, wanted
+    def __init__(
+        self, files: Sequence[Path], given: Conventions, numbers: Mapping[Path, float] = MappingProxyType({})
+    ) -> None:
+        """Set the files, what the user overrides, and the numbers of the frames as far as they are known."""
+        self._files, self._given, self._numbers = files, given, numbers
 
-    @cached_property
-    def box(self) -> Box | None:
-        """The voxels of the frames in .vdb files; None if there are none.
+    @property
+    def run(self) -> RunGrid | None:
+        """The grid on which .vdb files are read; None if there are none with voxels.
 
         Raises:
-            InputError: the files do not fit together.
+            InputError: it would be too large.
         """
-        return box_of_all([file for file in self._files if file.suffix.lower() == ".vdb"], self._wanted)
+        run = self._run
+        if isinstance(run, InputError):
+            raise InputError(str(run))
+        return run
+
+    @cached_property
+    def _run(self) -> RunGrid | InputError | None:
+        # An error is kept too: it would be found anew for every frame.
+        files = [file for file in self._files if file.suffix.lower() == ".vdb"]
+        try:
+            return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers)
+        except InputError as error:
+            return error
 
     @cached_property
     def has_density(self) -> bool:
@@ -49,4 +65,4 @@ class SequenceContext:
         for file in self._files:
             if file.suffix.lower() in formats:
                 with contextlib.suppress(InputError):
-                    yield found(file, self._wanted)
+                    yield found(file, self._given.names)

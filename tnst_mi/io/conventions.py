@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Note, Placement
+from tnst_mi.geometry.placement import FileSource, OwnVoxels
 from tnst_mi.io.grid_names import listed
 from tnst_mi.io.orientation import from_z_up, mirrored
 from tnst_mi.io.roles import Wanted
@@ -26,6 +27,19 @@ WITHOUT_SMOKE = "has no density, so it is taken as a frame without smoke"
 
 
 @dataclass(frozen=True)
+class Boxing:
+    """Which part of sparse grids is read.
+
+    Attributes:
+        crop: whether it is cropped to the smoke, and may move with it, where that halves the number of cells.
+        ignore_stray: whether voxels far from the smoke, with next to none of its mass, are left out.
+    """
+
+    crop: bool = False
+    ignore_stray: bool = False
+
+
+@dataclass(frozen=True)
 class Conventions:
     """The user's overrides for what files declare or their format implies; None overrides nothing.
 
@@ -39,6 +53,8 @@ class Conventions:
         scale: factor of the densities.
         origin: (X, Y, Z) in the scene of the origin of the files' coordinates, which is added to where grids lie.
         names: of the grids.
+        box: which part of sparse grids is read.
+        fog: whether the inside of a level set is its density.
     """
 
     up: str | None = None
@@ -50,6 +66,8 @@ class Conventions:
     scale: float | None = None
     origin: tuple[float, float, float] | None = None
     names: Wanted = field(default_factory=Wanted)
+    box: Boxing = field(default_factory=Boxing)
+    fog: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +104,11 @@ class StoredFrame:
         velocity_units: one of VELOCITY_UNITS.
         dt: duration of a frame in the velocity's unit of time; None for the usual one of its unit.
         voxel_size: edge of a cell in the scene, or None if the file does not give it.
-        corner: lowest corner of the grid in the scene.
+        velocity_cell: edge of the cells that velocities are counted in, in cells of the grid.
+        drift: by how many cells per frame (X, Y, Z) the grid moves in its scene until the next frame; None if it rests.
+        corner: centre of the grid's lowest cell in the scene.
+        own: the voxels of the file, to which results return; None if it has none.
+        source: what else results keep of the file, or None.
         scale: factor of the density, unless the user gives another.
         taken: names of the grids.
         layouts: in which other ways than the usual ones its arrays are stored, in words.
@@ -105,7 +127,11 @@ class StoredFrame:
     velocity_units: str = CELLS_PER_FRAME
     dt: float | None = None
     voxel_size: float | None = None
+    velocity_cell: float = 1.0
+    drift: np.ndarray | None = None
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    own: OwnVoxels | None = None
+    source: FileSource | None = None
     scale: float = 1.0
     taken: Taken = field(default_factory=Taken)
     layouts: tuple[str, ...] = ()
@@ -146,7 +172,10 @@ class StoredFrame:
         # Frame rejects values that are or become infinite or NaN here.
         with np.errstate(over="ignore", invalid="ignore"):
             centres = self._centres(self.velocity)
-            return self._turned(centres if factor == 1.0 else centres * np.float32(factor), given)
+            centres = centres if factor == 1.0 else centres * np.float32(factor)
+            if self.drift is not None:
+                centres = centres - self.drift.astype(np.float32)
+            return self._turned(centres, given)
 
     def reading(self, given: Conventions) -> str:
         """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
@@ -206,9 +235,9 @@ class StoredFrame:
         """The factor from the stored velocity to cells per frame."""
         units, dt = self._units(given)
         if dt is None:
-            return 1.0
+            return self.velocity_cell
         if units == CELLS_PER_TIME:
-            return dt
+            return dt * self.velocity_cell
         size = given.voxel_size or self.voxel_size
         if size is None:
             raise InputError(f"velocity in {units} needs the size of a cell, which the file lacks; give --voxel-size")
@@ -218,5 +247,8 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         if size is None:
             return None
-        x, y, z = (at + moved for at, moved in zip(self.corner, given.origin or (0.0, 0.0, 0.0), strict=True))
-        return Placement(size, (x, y, z), self.scene_up or given.up or self.up)
+        placement = Placement(size, self.corner, self.scene_up or given.up or self.up, self.own, self.source)
+        if given.flip or size != self.voxel_size:
+            # Such a grid is another one than that of the file.
+            placement = replace(placement, own=None)
+        return placement if given.origin is None else placement.moved(given.origin)

@@ -21,7 +21,8 @@ from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.conventions import StoredFrame
 from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
-from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame, write_vdb_frame
+from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame
+from tnst_mi.io.grids.vdb.results import write_vdb_frame
 from tnst_mi.io.grids.vol import read_vol, write_vol
 from tnst_mi.io.orientation import to_z_up
 from tnst_mi.io.roles import Wanted
@@ -62,7 +63,11 @@ def require_readable(path: Path) -> str:
 
 
 def read_stored(
-    file: Path, velocities: Path | None = None, context: SequenceContext | None = None, wanted: Wanted | None = None
+    file: Path,
+    velocities: Path | None = None,
+    context: SequenceContext | None = None,
+    wanted: Wanted | None = None,
+    fog: bool = False,
 ) -> StoredFrame:
     """Read a frame as it is stored.
 
@@ -71,6 +76,7 @@ def read_stored(
         velocities: in the layout of the paper's authors, the folder of the velocities, in npz files of the same names.
         context: what the other files of its sequence say; None for a single file.
         wanted: names that the user gives for grids.
+        fog: whether the inside of a level set is its density.
 
     Raises:
         InputError: a file cannot be used.
@@ -86,9 +92,9 @@ def read_stored(
         case ".npz" | ".npy":
             return with_arrays_beside(file, read_array_frame(file, wanted, context and context.shape), wanted)
         case _ if context is None:
-            return read_vdb_frame(file, wanted=wanted)
+            return read_vdb_frame(file, wanted=wanted, fog=fog)
         case _:
-            frame = read_vdb_frame(file, context.box, wanted, context.has_density)
+            frame = read_vdb_frame(file, context.run, wanted, context.has_density, fog)
             return with_grids_beside(file, frame, context, wanted)
 
 

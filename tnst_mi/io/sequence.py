@@ -36,15 +36,23 @@ from tnst_mi.resources import expanded
 class FrameFiles(Sequence[Frame]):
     """The frames of a file, a folder or a pattern, in the order of their numbers; each access reads the file anew."""
 
-    def __init__(self, source: Path, listing: Listing, given: Conventions | None = None) -> None:
+    def __init__(
+        self,
+        source: Path,
+        listing: Listing,
+        given: Conventions | None = None,
+        context: SequenceContext | None = None,
+    ) -> None:
         """Set the files of the frames, and how to read them.
 
         Args:
             source: the file, the folder or the pattern.
             listing: its files.
             given: the user's overrides, see `tnst_mi.io.conventions.Conventions`.
+            context: what reading a frame needs from the whole sequence, if that has been found out already.
         """
         self.source, self._listing, self._given = source, listing, given or Conventions()
+        self._known_context = context
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -64,7 +72,7 @@ class FrameFiles(Sequence[Frame]):
         """Some of the frames, each read as in the whole sequence."""
         chosen = list(indices)
         files, numbers = ([items[index] for index in chosen] for items in (self.files, self.numbers))
-        return FrameFiles(self.source, replace(self._listing, files=files, numbers=numbers), self._given)
+        return FrameFiles(self.source, replace(self._listing, files=files, numbers=numbers), self._given, self._context)
 
     @property
     def files(self) -> list[Path]:
@@ -89,6 +97,16 @@ class FrameFiles(Sequence[Frame]):
         return displayable(name)
 
     @property
+    def grid_notes(self) -> tuple[str, ...]:
+        """What was decided about the grid on which the files are read, to be said once they have been.
+
+        Raises:
+            InputError: there is no such grid.
+        """
+        run = None if self._context is None else self._context.run
+        return () if run is None else run.notes
+
+    @property
     def suffix(self) -> str:
         """The extension of the files, which identifies their format."""
         return self.files[0].suffix.lower()
@@ -104,7 +122,19 @@ class FrameFiles(Sequence[Frame]):
         Raises:
             InputError: a file cannot be used.
         """
-        return read_stored(self.files[index], self._listing.velocities, self._context, self._given.names)
+        return read_stored(
+            self.files[index], self._listing.velocities, self._context, self._given.names, self._given.fog
+        )
+
+    def result(self, file: Path) -> StoredFrame:
+        """Read the result of a frame, a file of the same name, on the grid of these files.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+        stored = read_stored(file, context=self._context)
+        # Its velocity is not that of the smoke: it does not go with a moving grid.
+        return replace(stored, drift=None)
 
     def frame_of(self, index: int, stored: StoredFrame) -> Frame:
         """The frame made from what `stored` has read.
@@ -122,11 +152,16 @@ class FrameFiles(Sequence[Frame]):
     @functools.cached_property
     def _context(self) -> SequenceContext | None:
         """What reading one frame needs from all files: it is read the same whichever frames are selected."""
+        if self._known_context is not None:
+            return self._known_context
         sequence = self._listing.sequence
         beside = [path for file in sequence for path in companions_of(file)]
-        if not (self.source.is_dir() or len(sequence) > 1 or beside):
+        if not (self.source.is_dir() or len(sequence) > 1 or beside or self.suffix == ".vdb"):
             return None
-        return SequenceContext([*sequence, *beside], self._given.names)
+        numbers = {
+            file: float(number) for file, number in zip(self.files, self.numbers, strict=True) if number is not None
+        }
+        return SequenceContext([*sequence, *beside], self._given, numbers)
 
 
 def open_frames(

@@ -123,10 +123,10 @@ class Switch:
         return value
 
     def read(self, text: str) -> bool:
-        """Read "true" or "false"."""
-        if text not in ("true", "false"):
+        """Read "true" or "on", "false" or "off"."""
+        if text not in ("true", "false", "on", "off"):
             raise ValueError
-        return text == "true"
+        return text in ("true", "on")
 
     def show(self, value: bool) -> str:
         """Write "true" or "false"."""

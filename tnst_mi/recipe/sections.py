@@ -222,6 +222,13 @@ class Reading:
     origin: Annotated[tuple[float, float, float] | None, Unset(Point())] = None
     """Place in the scene of the origin of the files' coordinates, which is added to where their grids lie: Blender's
     caches lie at the scene's origin, wherever their domain is."""
+    fog: Annotated[bool, Switch(bare=True)] = False
+    """Take the inside of a level set as its density: from 0 at the surface to 1 where the narrow band ends."""
+    crop: Annotated[bool, Switch()] = True
+    """Crop the grid of .vdb files to the smoke of all frames and what the stylization reaches around it, or move it
+    with the smoke, where that at least halves the number of cells; off takes the whole grid."""
+    ignore_stray: Annotated[bool, Switch(bare=True)] = False
+    """Leave out voxels of .vdb files that are far from the smoke and together have less than a thousandth of it."""
     skip_bad: Annotated[bool, Switch(bare=True)] = False
     """Leave out the frames of a sequence that cannot be read, rather than stop before the work begins."""
 

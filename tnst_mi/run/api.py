@@ -90,8 +90,8 @@ def stylize(
             velocities.append(frame.stylized.velocity)
     names = [frame_record["name"] for frame_record in record["frames"]]
     if prepared.out is not None:
-        densities = StoredArrays(prepared.out, "density", names, prepared.suffix)
-        velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix)
+        densities = StoredArrays(prepared.out, "density", names, prepared.suffix, prepared.frames)
+        velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix, prepared.frames)
     elif len(densities) == len(prepared.frames) > 1:
         record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
     return Result(densities, velocities, prepared.frames_named(names), history, record, prepared.out)

@@ -32,6 +32,7 @@ from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
+from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
@@ -230,9 +231,24 @@ class RunFolder:
 class StoredArrays(Sequence[np.ndarray]):
     """The arrays that a run wrote, in the order of their names; each access reads a file."""
 
-    def __init__(self, out: Path, kind: str, names: Sequence[str], suffix: str = FORMATS[0]) -> None:
-        """Take the "density" or "velocity" of the named frames, in files whose names end in `suffix`."""
-        self._out, self._kind, self._names, self._suffix = out, kind, names, suffix
+    def __init__(
+        self,
+        out: Path,
+        kind: str,
+        names: Sequence[str],
+        suffix: str = FORMATS[0],
+        inputs: Sequence[Frame] = (),
+    ) -> None:
+        """Take the "density" or "velocity" of the named frames.
+
+        Args:
+            out: the folder of the run.
+            kind: "density" or "velocity".
+            names: of the frames.
+            suffix: with which the names of the files end.
+            inputs: the frames of the run, on whose grid results are that lie on voxels of their own.
+        """
+        self._out, self._kind, self._names, self._suffix, self._inputs = out, kind, names, suffix, inputs
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -249,10 +265,10 @@ class StoredArrays(Sequence[np.ndarray]):
             InputError: its file has been damaged since the run.
         """
         if isinstance(index, slice):
-            return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
+            return StoredArrays(self._out, self._kind, self._names[index], self._suffix, self._inputs)
         name, as_told = self._names[index], Conventions()
         file = self._out / self._kind / f"{name}{self._suffix}"
-        stored = read_stored(file)
+        stored = self._inputs.result(file) if isinstance(self._inputs, FrameFiles) else read_stored(file)
         if self._kind == "density":
             return stored.frame(as_told, name, None).density
         velocity = stored.centred_velocity(as_told)

@@ -12,7 +12,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
 from tnst_mi.frame import Frame
-from tnst_mi.io.conventions import Conventions
+from tnst_mi.io.conventions import Boxing, Conventions
 from tnst_mi.io.roles import Wanted
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
@@ -33,7 +33,7 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
     if recipe.frames is not None:
         raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
     for key in Reading.__annotations__:
-        if (value := getattr(recipe, key)) not in (None, False):
+        if (value := getattr(recipe, key)) != getattr(Recipe(), key):
             raise InputError(f"{key} = {value!r}: says how files are read, but the frames were given as arrays")
     if isinstance(frames, np.ndarray):
         return [Frame(frames)]
@@ -56,6 +56,8 @@ def conventions_of(recipe: Recipe) -> Conventions:
         scale=recipe.scale,
         origin=recipe.origin,
         names=Wanted(recipe.density, recipe.velocity, recipe.obstacle),
+        box=Boxing(recipe.crop, recipe.ignore_stray),
+        fog=recipe.fog,
     )
 
 

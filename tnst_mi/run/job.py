@@ -167,7 +167,7 @@ class Run(Iterator[StylizedFrame]):
         names = [measure.name for measure in prepared.measures]
         self.record["frames"].sort(key=lambda record: names.index(record["name"]))
         if len(names) > 1:
-            densities = StoredArrays(folder.out, "density", names, prepared.suffix)
+            densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]
             self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)

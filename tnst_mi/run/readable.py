@@ -69,6 +69,8 @@ class Readable(Iterable[Frame]):
         ]
         lines += [f"note: {note}" for note in (files.notes if files else ())]
         lines += [f"note: {text}: {_named(names)}" for text, names in self._notes.items()]
+        if self.kept and isinstance(self._frames, FrameFiles):
+            lines += [f"note: {note}" for note in self._frames.grid_notes]
         if self._bad:
             lines.append(f"note: left out, since they cannot be read: {_shortened(self._bad)}")
         return lines
@@ -94,7 +96,7 @@ def require_readable(bad: Sequence[str], total: int, skip_bad: bool) -> None:
     """
     if not bad or (skip_bad and len(bad) < total):
         return
-    if len(bad) == 1:
+    if len(set(bad)) == 1:
         raise InputError(bad[0])
     remedy = "; --skip-bad leaves them out" if len(bad) < total else ""
     raise InputError(f"{len(bad)} of {total} frames cannot be read: {_shortened(bad)}{remedy}")

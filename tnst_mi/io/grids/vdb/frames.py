@@ -1,83 +1,101 @@
-"""Frames as OpenVDB files: which box of voxels a frame spans, and where it lies.
+"""Frames as OpenVDB files: which box of voxels a frame spans, and its grids at the cells of its run.
 
 A file holds the active voxels, not the domain of the simulation. Our files and Blender's declare the domain; otherwise
-it is the box around the active voxels, which must be the same for all frames of a sequence: `box_of_all`.
+it is the box around the active voxels. The grid on which all files of a run are read is chosen in `run_grid`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.frame import Note, Placement
-from tnst_mi.io.conventions import CELLS_PER_FRAME, WITHOUT_SMOKE, StoredFrame
-from tnst_mi.io.grids.vdb.metadata import Value
-from tnst_mi.io.grids.vdb.programs import BLENDER, UNITS, UP, program_of
-from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, solid_voxels, type_in_words
+from tnst_mi.frame import Note
+from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
+from tnst_mi.geometry.boxes import Box, extents, image, union
+from tnst_mi.geometry.placement import OwnVoxels
+from tnst_mi.io.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
+from tnst_mi.io.grids.vdb.clumps import clumps_of
+from tnst_mi.io.grids.vdb.limits import require_small
+from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
+from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
+from tnst_mi.io.grids.vdb.quantities import Quantities, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.reader import Grid, VdbFile, read_vdb
-from tnst_mi.io.grids.vdb.tree import Box, require_small
-from tnst_mi.io.grids.vdb.writer import DenseGrid, write_vdb
-from tnst_mi.io.orientation import to_z_up
+from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
+from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
+from tnst_mi.io.grids.vdb.span import Span
 from tnst_mi.io.roles import Wanted
-
-# Metadata that our files carry; other programs may write it too.
-_LOWEST, _HIGHEST = "tnst_mi_box_min", "tnst_mi_box_max"
-
-# Voxel coordinates have 32 bits: beyond this one, the position is stored in the translation alone.
-_FARTHEST = 1 << 30
-
-# Grids match if the sizes and positions of their voxels differ by less than this fraction of the size.
-_TOLERANCE = 1e-4
 
 
 def read_vdb_frame(
-    path: Path, box: Box | None = None, wanted: Wanted | None = None, smoke: bool = False
+    path: Path,
+    run: RunGrid | None = None,
+    wanted: Wanted | None = None,
+    smoke: bool = False,
+    fog: bool = False,
+    name: str | None = None,
 ) -> StoredFrame:
-    """Read the voxels of a frame in `box`, or in the file's own box.
+    """Read a frame at the cells of a run.
 
     Args:
         path: the file.
-        box: the voxels; None for those of the file.
+        run: the grid of the run; None for the file's own.
         wanted: names that the user gives for grids.
         smoke: whether other frames of its sequence have a density, so that one without is a frame without smoke.
+        fog: whether the inside of a level set is its density.
+        name: of the frame; None for that of the file without its ending.
 
     Raises:
-        InputError: the file cannot be used, its grids do not fit together, or it has no active voxel and no box.
+        InputError: the file cannot be used, or it has no active voxel and no box.
     """
     file = read_vdb(path)
-    found = _fitting(file, wanted)
+    found = quantities_of(file, wanted or Wanted(), fog)
     density, velocity, obstacle, main = found.density, found.velocity, found.obstacle, found.main
     notes: tuple[Note, ...] = ()
-    if density is None and smoke and box is not None:
+    if density is None and smoke and run is not None:
         notes = (Note(WITHOUT_SMOKE),)
-        if main is None:
-            return StoredFrame(density=_nothing(path, box), taken=found.taken, notes=notes)
     elif main is None:
         return StoredFrame(density=None, taken=found.taken, lacking=found.lacking)
-    box = box or _box_of(path, file, found)
-    if box is None:
-        raise InputError(f"{path}: no active voxel in it, so the size of the grid is unknown")
-    require_small(path, box, sum(part.components for part in (density, velocity, obstacle) if part is not None))
-    x, y, z = (low * main.main.voxel_size + at for low, at in zip(map(int, box[0]), main.main.translation, strict=True))
-    solid, words = (None, "") if obstacle is None or density is None else solid_voxels(obstacle, box)
-    staggered = velocity is not None and on_faces(velocity, main.main)
+    if run is None:
+        run = run_grid([span] if (span := _span_of(file, found)) else [])
+    cells = run.box_of(name or path.stem)
+    require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
+    if main is None:
+        return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
+    own = OwnVoxels(main.main.affine, _from(cells, between(run.cells, main.main.affine)))
+    values = None
+    if density is not None:
+        values, own = density_on(density, cells, run.cells, own)
+    motion, known, staggered = None, None, False
+    if velocity is not None:
+        staggered = is_as_stored(velocity, main.main, run.cells)
+        if staggered:
+            motion, known = stored_velocity(velocity, main.main, cells, run.cells)
+        else:
+            motion = velocity_on(velocity, cells, run.cells)
+    solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
     program = program_of(file, main.main)
-    values = None if density is None else density.values_in(box)
+    x, y, z = run.cells(cells[0]).tolist()
     return StoredFrame(
-        density=_nothing(path, box) if notes else values,
-        velocity=None if velocity is None else velocity.values_in(box),
+        density=_nothing(cells) if notes else values,
+        velocity=motion,
         obstacle=solid,
         staggered=staggered,
         # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
-        known=velocity.active_in(box) if velocity is not None and staggered else None,
+        known=known,
         up=program.up,
         up_because=program.up_because,
         velocity_units=program.velocity_units,
-        voxel_size=main.main.voxel_size,
+        velocity_cell=1.0 if velocity is None else _ratio(velocity.main.affine.edge, run.cells.edge),
+        drift=run.drift_of(name or path.stem),
+        voxel_size=run.cells.edge,
         corner=(x, y, z),
+        own=own,
+        source=source_of(file, found),
         taken=found.taken,
         layouts=(words,) if words else (),
         notes=notes,
@@ -85,18 +103,22 @@ def read_vdb_frame(
     )
 
 
-def read_vdb_obstacle(path: Path, density: Path, box: Box | None) -> StoredFrame:
-    """Read the obstacle, in `box`, of a frame whose density is in another file; None if there is none.
+def read_vdb_obstacle(path: Path, name: str, run: RunGrid | None) -> StoredFrame:
+    """Read the obstacle of a frame, whose density is in another file; None if there is none.
+
+    Args:
+        path: the file.
+        name: of the frame.
+        run: the grid of its run.
 
     Raises:
-        InputError: a file cannot be used, or the voxels of both differ in size or position.
+        InputError: a file cannot be used.
     """
-    found, whose = quantities_of(read_vdb(path), Wanted()), quantities_of(read_vdb(density), Wanted())
+    found = quantities_of(read_vdb(path), Wanted())
     obstacle = found.obstacle or found.density
-    if obstacle is None or whose.main is None or box is None:
+    if obstacle is None or run is None:
         return StoredFrame(density=None)
-    _require_fit(path, whose.main.main, obstacle.main, f"in {density.name}")
-    solid, words = solid_voxels(obstacle, box)
+    solid, words = solid_on(obstacle, run.box_of(name), run.cells)
     return StoredFrame(density=None, obstacle=solid, layouts=(words,) if words else ())
 
 
@@ -109,35 +131,12 @@ def has_density(path: Path, wanted: Wanted) -> bool:
     return not quantities_of(read_vdb(path), wanted).lacking
 
 
-def write_vdb_frame(path: Path, arrays: dict[str, np.ndarray], placement: Placement | None = None) -> None:
-    """Write named y-up grids (D, H, W) at their original placement; without one, the file is z up, as in Blender."""
-    placement = placement or Placement()
-    if placement.up == "z":
-        arrays = {name: to_z_up(array) for name, array in arrays.items()}
-    size = placement.voxel_size
-    i, j, k = (round(coordinate / size) for coordinate in placement.corner)
-    first = (i, j, k) if max(map(abs, (i, j, k))) <= _FARTHEST else (0, 0, 0)
-    rest = [coordinate - index * size for coordinate, index in zip(placement.corner, first, strict=True)]
-    x, y, z = (value if abs(value) > _TOLERANCE * size else 0.0 for value in rest)
-    extents = next(iter(arrays.values())).shape[2::-1]
-    last = tuple(low + extent - 1 for low, extent in zip(first, extents, strict=True))
-    metadata: dict[str, tuple[str, Value]] = {
-        "creator": ("string", "tnst_mi"),
-        UP: ("string", placement.up),
-        UNITS: ("string", CELLS_PER_FRAME),
-        _LOWEST: ("vec3i", first),
-        _HIGHEST: ("vec3i", last),
-    }
-    grids = [DenseGrid(name, array.astype(np.float32), first, size, (x, y, z)) for name, array in arrays.items()]
-    write_vdb(path, grids, metadata)
-
-
 def describe_vdb(path: Path) -> list[str]:
     """The contents of a file, one line per grid."""
     lines = []
     for grid in read_vdb(path).grids:
         words = [type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec]
-        words.append(f"voxel size {grid.voxel_size:g}")
+        words.append(_voxels(grid))
         if grid.kind is not None:
             box = grid.topology.active_box()
             words.append(f"{grid.topology.active_voxels} active voxels")
@@ -148,50 +147,57 @@ def describe_vdb(path: Path) -> list[str]:
     return lines
 
 
-def box_of_all(paths: Sequence[Path], wanted: Wanted | None = None) -> Box | None:
-    """The smallest box that holds the boxes of several files, the frames of one sequence; None if none has one.
+def run_grid_of(
+    paths: Sequence[Path],
+    wanted: Wanted | None = None,
+    boxing: Boxing | None = None,
+    fog: bool = False,
+    numbers: Mapping[Path, float] | None = None,
+) -> RunGrid | None:
+    """The grid on which the files of a sequence are read; None if none has a density or velocity with voxels.
 
     Files that cannot be read are left out: reading their frames tells why.
 
+    Args:
+        paths: the files, in the order of the frames.
+        wanted: names that the user gives for grids.
+        boxing: which part of the grids is read.
+        fog: whether the inside of a level set is its density.
+        numbers: of the frames, as far as they are known.
+
     Raises:
-        InputError: the files' voxels differ in size or position.
+        InputError: the grid would be too large, or almost empty.
     """
-    lowest, highest, first = [], [], None
+    spans = []
     for path in paths:
-        try:
+        with contextlib.suppress(InputError):
             file = read_vdb(path)
-            found = _fitting(file, wanted)
-            box = _box_of(path, file, found)
-        except InputError:
-            continue
-        if found.main is None:
-            continue
-        first = first or found.main.main
-        _require_fit(path, first, found.main.main, f"in {first.path.name}")
-        if box is not None:
-            lowest.append(box[0])
-            highest.append(box[1])
-    return (np.min(lowest, axis=0), np.max(highest, axis=0)) if lowest else None
+            span = _span_of(file, quantities_of(file, wanted or Wanted(), fog), (numbers or {}).get(path))
+            spans += [] if span is None else [span]
+    return run_grid(spans, boxing) if any(span.box is not None for span in spans) else None
 
 
-def _fitting(file: VdbFile, wanted: Wanted | None) -> Quantities:
-    """The quantities of a frame, checked to have the same voxels."""
-    found = quantities_of(file, wanted or Wanted())
-    if found.main is None:
-        return found
-    main = found.main.main
-    for quantity in (found.density, found.velocity, found.obstacle):
-        if quantity is None or (quantity.split and on_faces(quantity, main)):
-            continue
-        for grid in quantity.grids:
-            _require_fit(grid.path, main, grid, f"of grid {main.name!r}")
-    return found
-
-
-def _nothing(path: Path, box: Box) -> np.ndarray:
+def _nothing(box: Box) -> np.ndarray:
     """A density (Z, Y, X) without smoke."""
-    require_small(path, box)
-    return np.zeros((box[1] - box[0] + 1)[::-1], np.float32)
+    return np.zeros(extents(box)[::-1], np.float32)
+
+
+def _from(cells: Box, voxels_of: Affine) -> Affine:
+    """A map from cells that counts them from the lowest one of a box."""
+    return Affine(voxels_of.matrix, voxels_of(cells[0]))
+
+
+def _ratio(edge: float, other: float) -> float:
+    """The ratio of two edges, which is 1 if they differ by rounding alone."""
+    return 1.0 if math.isclose(edge, other, rel_tol=EDGE_TOLERANCE) else edge / other
+
+
+def _voxels(grid: Grid) -> str:
+    """The size of a grid's voxels, in words."""
+    if isinstance(grid.transform, str):
+        return f"placed by a {grid.transform}"
+    edges = [f"{edge:g}" for edge in grid.transform.edges]
+    return f"voxel size {edges[0] if len(set(edges)) == 1 else '×'.join(edges)}"
 
 
 def _range(grid: Grid) -> list[str]:
@@ -205,29 +211,34 @@ def _range(grid: Grid) -> list[str]:
     return [f"{values.min():g} to {values.max():g}"] if values.size else []
 
 
-def _require_fit(path: Path, one: Grid, other: Grid, whose: str) -> None:
-    sizes = np.array([one.voxel_size, other.voxel_size])
-    apart = np.abs(np.subtract(one.translation, other.translation)).max()
-    if np.ptp(sizes) > _TOLERANCE * sizes[0] or apart > _TOLERANCE * sizes[0]:
-        raise InputError(
-            f"{path}: voxels of grid {other.name!r} have size {other.voxel_size:g} at {other.translation}, "
-            f"expected {one.voxel_size:g} at {one.translation} like those {whose}; resample it"
-        )
-
-
-def _box_of(path: Path, file: VdbFile, found: Quantities) -> Box | None:
-    """The box that a file declares, extended to the active voxels of its density; else the box of all active voxels."""
-    told = _told_box(path, file, found)
-    parts = (found.density, found.velocity) if told is None else (found.main,)
-    boxes = [told, *(part.active_box() for part in parts if part is not None)]
-    known = [box for box in boxes if box is not None]
-    if not known:
+def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> Span | None:
+    """What a file spans; None if it has neither density nor velocity."""
+    if found.main is None:
         return None
-    return np.min([low for low, _ in known], axis=0), np.max([high for _, high in known], axis=0)
+    voxels, density, velocity = found.main.main.affine, found.density, found.velocity
+    trees = [] if density is None else [grid.tree for grid in density.grids]
+    told = _told_box(file, found)
+    boxes = [told, *(tree.active_box() for tree in trees)]
+    moves = None if velocity is None else between(velocity.main.affine, voxels)
+    # A velocity with voxels of its own is read where there is smoke.
+    if velocity is not None and moves is not None and told is None and (moves.whole or density is None):
+        active = velocity.active_box()
+        boxes.append(None if active is None else image(active, moves))
+    return Span(
+        file.path,
+        voxels,
+        union(boxes),
+        tuple(clumps_of(trees)),
+        () if velocity is None else tuple(grid.affine for grid in velocity.grids),
+        BLENDER in found.main.main.metadata,
+        float(trees[0].background) if trees else 0.0,
+        number,
+    )
 
 
-def _told_box(path: Path, file: VdbFile, found: Quantities) -> Box | None:
-    corners = [file.metadata.get(key) for key in (_LOWEST, _HIGHEST)]
+def _told_box(file: VdbFile, found: Quantities) -> Box | None:
+    """The domain that a file declares, in voxels of its density or else of its velocity; None if it does not."""
+    corners = [file.metadata.get(key) for key in (LOWEST, HIGHEST)]
     resolution = None if found.main is None else found.main.main.metadata.get(BLENDER)
     if not all(isinstance(corner, tuple) and len(corner) == 3 for corner in corners):
         if not isinstance(resolution, tuple) or len(resolution) != 3:
@@ -235,5 +246,5 @@ def _told_box(path: Path, file: VdbFile, found: Quantities) -> Box | None:
         corners = [(0, 0, 0), np.array(resolution, np.int64) - 1]
     low, high = (np.array(corner, np.int64) for corner in corners)
     if (high < low).any():
-        raise InputError(f"{path}: damaged: says that it spans voxels {low.tolist()} to {high.tolist()}")
+        raise InputError(f"{file.path}: damaged: says that it spans voxels {low.tolist()} to {high.tolist()}")
     return low, high

@@ -10,6 +10,9 @@ from tnst_mi.io.grids.vdb.reader import Grid, VdbFile
 #: Metadata that our files carry; other programs may write it too.
 UP, UNITS = "tnst_mi_up", "tnst_mi_velocity_units"
 
+#: The names of their grids, which are those of their sources, by what they are: "tnst_mi_density" and so on.
+NAME = "tnst_mi_{}"
+
 #: Blender's caches (Mantaflow) store with every grid the resolution of the domain, whose first voxel is (0, 0, 0).
 BLENDER = "file_base_resolution"
 

@@ -6,21 +6,20 @@ components of a velocity, at the centres of the density's voxels or, half a voxe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.geometry.affine import PLACE_TOLERANCE
+from tnst_mi.geometry.boxes import Box, union
 from tnst_mi.io.conventions import Taken
 from tnst_mi.io.grid_names import FLAGS, listed, plain_name
+from tnst_mi.io.grids.vdb.level_set import fog_volume, is_level_set
+from tnst_mi.io.grids.vdb.programs import NAME
 from tnst_mi.io.grids.vdb.reader import HALF, Grid, VdbFile
-from tnst_mi.io.grids.vdb.tree import Box
 from tnst_mi.io.layouts import solid_cells
-from tnst_mi.io.roles import Entry, Wanted, chosen_roles
-
-# Voxels match if their sizes and positions differ by less than this fraction of the size.
-_TOLERANCE = 1e-4
+from tnst_mi.io.roles import Entry, Roles, Wanted, chosen_roles
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,7 @@ class Quantity:
 
     def active_box(self) -> Box | None:
         """The smallest box around all active voxels; None if there are none."""
-        boxes = [box for grid in self.grids if (box := grid.topology.active_box()) is not None]
-        if not boxes:
-            return None
-        return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+        return union(grid.topology.active_box() for grid in self.grids)
 
     def values_in(self, box: Box) -> np.ndarray:
         """The values of all voxels of a box, (Z, Y, X) or (Z, Y, X, 3).
@@ -114,8 +110,13 @@ class Quantities:
         return self.density or self.velocity
 
 
-def quantities_of(file: VdbFile, wanted: Wanted) -> Quantities:
+def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantities:
     """Choose the grids of a file for the quantities of a frame.
+
+    Args:
+        file: the file.
+        wanted: names that the user gives for grids.
+        fog: whether the inside of a level set is a density; without a density by name, that of a lone one is taken.
 
     Raises:
         InputError: several could be meant, one that the user names is not there, or one is of another type.
@@ -124,12 +125,14 @@ def quantities_of(file: VdbFile, wanted: Wanted) -> Quantities:
     entries = []
     for grid in file.grids:
         components = 0 if grid.kind is None else grid.kind.components
-        level_set = "level set of " if grid.metadata.get("class") == "level set" else ""
+        level_set = "level set of " if is_level_set(grid) else ""
         entries.append(Entry(grid.name, components == 1, components == 3, level_set + type_in_words(grid)))
+    wanted = _with_told_names(file, wanted)
     try:
         roles = chosen_roles(entries, wanted)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    roles = _with_level_set(file, roles, fog)
     density, velocity, obstacle = (
         Quantity(tuple(file.grids[index] for index in chosen), components) if chosen else None
         for chosen, components in ((roles.density, 1), (roles.velocity, 3), (roles.obstacle, 1))
@@ -139,10 +142,44 @@ def quantities_of(file: VdbFile, wanted: Wanted) -> Quantities:
             f"{path}: grid {velocity.name} holds {type_in_words(velocity.main)}, expected vectors; --velocity none "
             "goes without it, or choose another with --velocity NAME"
         )
+    if density is not None and fog:
+        grids = tuple(fog_volume(grid) if is_level_set(grid) else grid for grid in density.grids)
+        density = Quantity(grids, density.components)
     names = [None if quantity is None else quantity.name for quantity in (density, velocity, obstacle)]
     left = tuple(_in_words(file.grids[index]) for index in roles.left)
     taken = Taken(names[0], names[1], names[2], left)
     return Quantities(density, velocity, obstacle, taken, roles.lacking)
+
+
+def _with_told_names(file: VdbFile, wanted: Wanted) -> Wanted:
+    """The names that the user gives, and where there are none, those that a file of ours tells."""
+    told = {}
+    for role in ("density", "velocity", "obstacle"):
+        name = file.metadata.get(NAME.format(role))
+        if getattr(wanted, role) is None and isinstance(name, str) and name in {grid.name for grid in file.grids}:
+            told[role] = name
+    return replace(wanted, **told)
+
+
+def _with_level_set(file: VdbFile, roles: Roles, fog: bool) -> Roles:
+    """The roles with the density that may be the inside of a level set.
+
+    Raises:
+        InputError: the density is a level set, and its inside is not asked for.
+    """
+    if roles.density:
+        grid = file.grids[roles.density[0]]
+        if is_level_set(grid) and not fog:
+            raise InputError(
+                f"{file.path}: grid {grid.name!r} is a level set (signed distances), expected a density; --fog takes "
+                "its inside as one, or choose another grid with --density NAME"
+            )
+        return roles
+    found = tuple(index for index in roles.left if is_level_set(file.grids[index]))
+    if fog and len(found) == 1:
+        left = tuple(index for index in roles.left if index not in found)
+        return replace(roles, density=found, left=left, lacking="")
+    return replace(roles, lacking=f"{roles.lacking}; --fog takes the inside of a level set") if found else roles
 
 
 def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
@@ -152,7 +189,7 @@ def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
         InputError: its values do not say so.
     """
     values = obstacle.values_in(box)
-    if obstacle.main.metadata.get("class") == "level set":
+    if is_level_set(obstacle.main):
         return values < 0.0, "obstacle is the inside of a level set"
     try:
         return solid_cells(values, plain_name(obstacle.main.name) == FLAGS)
@@ -179,11 +216,8 @@ def on_faces(velocity: Quantity, main: Grid) -> bool:
     """
     if not velocity.split:
         return velocity.staggered
-    size = main.voxel_size
-    lower = -0.5 * size * np.eye(3)[: len(velocity.grids)]
-    offsets = _offsets(velocity.grids, main)
-    return bool(np.abs(offsets - lower).max() < _TOLERANCE * size)
-
-
-def _offsets(grids: Sequence[Grid], main: Grid) -> np.ndarray:
-    return np.array([np.subtract(grid.translation, main.translation) for grid in grids])
+    lower = -0.5 * np.eye(3)[: len(velocity.grids)]
+    voxels = [main.affine.inverse().after(grid.affine) for grid in velocity.grids]
+    turned = max(np.abs(map.matrix - np.eye(3)).max() for map in voxels)
+    apart = np.abs(np.array([map.offset for map in voxels]) - lower).max()
+    return bool(max(turned, apart) < PLACE_TOLERANCE)

@@ -21,7 +21,7 @@ ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4
 
 _SIZE = struct.Struct("<q")
 _BLOSC_HEADER = struct.Struct("<4BIII")  # versions, flags, size of a value; bytes, bytes of a block, compressed bytes
-_BLOSC_LEVEL = 5
+_BLOSC_LEVEL = 9  # as OpenVDB does
 
 # A run of values is at most a few hundred kilobytes: threads cost more than they gain.
 blosc.set_nthreads(1)
