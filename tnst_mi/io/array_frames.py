@@ -31,6 +31,8 @@ ARRAY_FORMATS = (".npz", ".npy")
 #: Time units per frame in the authors' data.
 AUTHORS_TIME_STEP = 0.5
 
+_VECTORS = "holds vectors, expected a density"
+
 #: The name of the array in an npy file, as numpy calls the first one without a name in an npz file.
 _UNNAMED = "arr_0"
 
@@ -66,7 +68,7 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
         velocity=None if name is None else arrays[name],
         scene_up="z",
         taken=Taken(None, name, None, tuple(other for other in names if other != name)),
-        lacking=roles.lacking,
+        lacking=_VECTORS if name is not None and len(names) == 1 else roles.lacking,
     )
 
 
@@ -203,9 +205,10 @@ def _entries(headers: Mapping[str, ArrayHeader], plane: bool) -> list[Entry]:
     for name, header in headers.items():
         numeric = header.dtype.kind in "fiub"
         kind = "pickled objects, which are never unpickled" if header.dtype.hasobject else str(header.dtype)
-        # What is called a density is one, whatever its shape: reading it tells what is wrong with that.
-        scalar = scalar_shape(header.shape) is not None or plain_name(name) in ("density", "x", "obstacle")
         vector = is_vector_shape(header.shape, plane)
+        # What is called a density is one, whatever its shape: reading it tells what is wrong with that.
+        scalar = scalar_shape(header.shape) is not None or plain_name(name) in ("density", "obstacle")
+        scalar = scalar or (name == "x" and not vector)
         entries.append(Entry(name, numeric and scalar, numeric and vector, kind, plane))
     return entries
 

@@ -12,11 +12,11 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import StoredArrays
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
+from tnst_mi.run.stored_arrays import StoredArrays
 
 
 @dataclass(frozen=True)

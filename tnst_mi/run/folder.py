@@ -15,9 +15,9 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -27,12 +27,10 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import remove_unfinished, written_whole
 from tnst_mi.io.companions import OBSTACLE, companion
-from tnst_mi.io.conventions import Conventions
-from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
+from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
-from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
@@ -226,55 +224,6 @@ class RunFolder:
         """Write run.json."""
         with written_whole(self.out / "run.json") as temporary:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
-
-
-class StoredArrays(Sequence[np.ndarray]):
-    """The arrays that a run wrote, in the order of their names; each access reads a file."""
-
-    def __init__(
-        self,
-        out: Path,
-        kind: str,
-        names: Sequence[str],
-        suffix: str = FORMATS[0],
-        inputs: Sequence[Frame] = (),
-    ) -> None:
-        """Take the "density" or "velocity" of the named frames.
-
-        Args:
-            out: the folder of the run.
-            kind: "density" or "velocity".
-            names: of the frames.
-            suffix: with which the names of the files end.
-            inputs: the frames of the run, on whose grid results are that lie on voxels of their own.
-        """
-        self._out, self._kind, self._names, self._suffix, self._inputs = out, kind, names, suffix, inputs
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self._names)
-
-    @overload
-    def __getitem__(self, index: int) -> np.ndarray: ...
-    @overload
-    def __getitem__(self, index: slice) -> StoredArrays: ...
-    def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
-        """Read one array, or select several.
-
-        Raises:
-            InputError: its file has been damaged since the run.
-        """
-        if isinstance(index, slice):
-            return StoredArrays(self._out, self._kind, self._names[index], self._suffix, self._inputs)
-        name, as_told = self._names[index], Conventions()
-        file = self._out / self._kind / f"{name}{self._suffix}"
-        stored = self._inputs.result(file) if isinstance(self._inputs, FrameFiles) else read_stored(file)
-        if self._kind == "density":
-            return stored.frame(as_told, name, None).density
-        velocity = stored.centred_velocity(as_told)
-        if velocity is None:
-            raise InputError(f"{file}: holds no velocity, expected that of a run's result")
-        return velocity
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:

@@ -24,10 +24,11 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
-from tnst_mi.run.folder import RunFolder, StoredArrays
+from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
+from tnst_mi.run.stored_arrays import StoredArrays
 from tnst_mi.run.time_left import octave_sizes
 
 #: A full disk, or an exhausted quota.
