@@ -14,7 +14,6 @@ import difflib
 import importlib
 import io
 import os
-import re
 import sys
 import textwrap
 import traceback
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.resources import VERSION, expanded
 
 if TYPE_CHECKING:
@@ -92,16 +92,8 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 def _failed(arguments: list[str], message: str, code: int) -> int:
     if "--debug" in arguments:
         traceback.print_exc()
-    print("tnst-mi:", _one_line(message), file=sys.stderr)
+    print("tnst-mi:", one_line(message), file=sys.stderr)
     return code
-
-
-def _one_line(message: str) -> str:
-    """A message without the escape codes of libraries and the control characters of file names, in one line."""
-    # Bytes of file names that are not UTF-8 are surrogates here, which no stream can write.
-    text = message.encode("utf-8", "replace").decode("utf-8")
-    text = re.sub(r"\x1b\[[0-?]*[ -/]*[@-~]", "", text)
-    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 
 
 def _run(arguments: list[str]) -> int:

@@ -60,7 +60,7 @@ class Frame:
         >>> tnst_mi.Frame(np.full((2, 3, 4), -0.5))
         Traceback (most recent call last):
         tnst_mi.errors.InputError: frame: density has 24 negative values (smallest -0.5 at (z, y, x) = (0, 0, 0)), \
-expected values of 0 or more
+expected values of 0 or more; set them to 0, or choose another grid (--density NAME)
     """
 
     density: np.ndarray
@@ -81,7 +81,7 @@ expected values of 0 or more
             )
         if density.size == 0:
             raise InputError(f"{self.name}: density has shape {density.shape}, expected at least one cell")
-        self._require_finite("density", density)
+        self._require_finite("density", density, "set them to 0, or choose another grid (--density NAME)")
         object.__setattr__(self, "density", self._without_noise(density))
         if self.velocity is not None:
             velocity = self._numbers("velocity", self.velocity)
@@ -109,13 +109,13 @@ expected values of 0 or more
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(array, dtype=np.float32)
 
-    def _require_finite(self, key: str, array: np.ndarray) -> None:
+    def _require_finite(self, key: str, array: np.ndarray, remedy: str) -> None:
         finite = np.isfinite(array)
         bad = array.size - int(finite.sum())
         if bad:
             raise InputError(
                 f"{self.name}: {key} has {bad} NaN or infinite values (the first {_place(~finite)}), "
-                "expected finite numbers"
+                f"expected finite numbers; {remedy}"
             )
 
     def _without_noise(self, density: np.ndarray) -> np.ndarray:
@@ -132,7 +132,8 @@ expected values of 0 or more
         if smallest < -_NOISE * float(density.max()):
             raise InputError(
                 f"{self.name}: density has {count} negative values "
-                f"(smallest {smallest:g} {_place(density == density.min())}), expected values of 0 or more"
+                f"(smallest {smallest:g} {_place(density == density.min())}), expected values of 0 or more; "
+                "set them to 0, or choose another grid (--density NAME)"
             )
         self._note(Note("negative noise in the density is taken as 0", f"{_cells(count)} down to {smallest:g}"))
         return np.where(negative, np.float32(0.0), density)
@@ -145,7 +146,7 @@ expected values of 0 or more
         """
         bad = ~np.isfinite(velocity).all(axis=-1) & (self.density <= _NOISE * float(self.density.max()))
         mended = np.where(bad[..., None], np.float32(0.0), velocity)
-        self._require_finite("velocity", mended)
+        self._require_finite("velocity", mended, "set them to 0, or go without (--velocity none)")
         self._note(Note("velocities without smoke that are no numbers are taken as 0", _cells(int(bad.sum()))))
         return mended
 

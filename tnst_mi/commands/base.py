@@ -14,6 +14,7 @@ import tyro
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
+from tnst_mi.machine.terminal import printable
 from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
@@ -110,7 +111,7 @@ def unit_of(frames: Iterable[Frame], density_scale: str) -> Unit:
 def say(lines: Iterable[str]) -> None:
     """Print lines on stderr."""
     for line in lines:
-        print(line, file=sys.stderr)
+        print(printable(line), file=sys.stderr)
 
 
 def view_of(text: str) -> tuple[float, float]:

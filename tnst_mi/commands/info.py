@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from tnst_mi.io import open_frames
 from tnst_mi.io.array_frames import ARRAY_FORMATS
 from tnst_mi.io.conventions import Conventions, StoredFrame
 from tnst_mi.io.formats import describe
+from tnst_mi.io.listing import SeveralSequencesError
 from tnst_mi.io.sequence import FrameFiles, checked_shapes
+from tnst_mi.machine.terminal import printable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import require_readable
@@ -27,18 +30,35 @@ def run(arguments: InfoArguments) -> int:
         raise InputError("info: expected one or more files or folders")
     recipe = Recipe().updated_by_flags(given(arguments.reading))
     for path in arguments.files:
-        frames = open_frames(path, given=conventions_of(recipe))
-        reference = ReferenceDensity()
-        for frame in checked_shapes(_described(frames, conventions_of(recipe), recipe.skip_bad)):
-            reference.add(frame.density)
-        for note in frames.grid_notes if reference.value > 0 else ():
-            print(f"{path}: note: {note}")
-        if reference.value > 0:
-            print(
+        try:
+            _describe_sequence(path, conventions_of(recipe), recipe.skip_bad)
+        except SeveralSequencesError as error:
+            for pattern in error.patterns:
+                _describe_sequence(pattern, conventions_of(recipe), recipe.skip_bad)
+            raise
+    return 0
+
+
+def _describe_sequence(path: Path, conventions: Conventions, skip_bad: bool) -> None:
+    """Print a paragraph for every file of an input, and what is true of all."""
+    frames = open_frames(path, given=conventions)
+    reference = ReferenceDensity()
+    for frame in checked_shapes(_described(frames, conventions, skip_bad)):
+        reference.add(frame.density)
+    of_grid = frames.grid_notes if reference.value > 0 else ()
+    _show([f"{path}: note: {note}" for note in (*frames.notes, *of_grid)])
+    if reference.value > 0:
+        _show(
+            [
                 f"{path}: reference density {reference.value:.4g}: the 99th percentile of the smoky cells, which "
                 f"stylize takes as 1 (density_scale = {reference.scale():.4g})"
-            )
-    return 0
+            ]
+        )
+
+
+def _show(lines: Iterable[str]) -> None:
+    for line in lines:
+        print(printable(line))
 
 
 def _described(frames: FrameFiles, conventions: Conventions, skip_bad: bool) -> Iterator[Frame]:
@@ -52,7 +72,7 @@ def _described(frames: FrameFiles, conventions: Conventions, skip_bad: bool) -> 
         try:
             stored = frames.stored(index)
             if stored.density is None:
-                print("\n".join([str(file), *describe(file), *_describe_alone(stored, conventions)]))
+                _show([str(file), *describe(file), *_describe_alone(stored, conventions)])
                 if stored.velocity is not None and not (stored.taken.left or stored.taken.obstacle):
                     print(f"  no frame: {stored.lacking}")
                     continue  # nothing is wrong with it: runs write velocities by themselves
@@ -60,11 +80,11 @@ def _described(frames: FrameFiles, conventions: Conventions, skip_bad: bool) -> 
         except InputError as error:
             bad.append(str(error))
             continue
-        print("\n".join([str(file), *describe(file), f"  read as: {frame.reading}", *_describe_notes(frame)]))
+        _show([str(file), *describe(file), f"  read as: {frame.reading}", *_describe_notes(frame)])
         # The shape of plain arrays has been described already.
         if file.suffix.lower() not in ARRAY_FORMATS:
             print(f"  shape (z, y, x): {frame.density.shape}")
-        print("\n".join(describe_frame(frame)))
+        _show(describe_frame(frame))
         yield frame
     require_readable(bad, len(frames), skip_bad)
 

@@ -31,8 +31,6 @@ ARRAY_FORMATS = (".npz", ".npy")
 #: Time units per frame in the authors' data.
 AUTHORS_TIME_STEP = 0.5
 
-_VECTORS = "holds vectors, expected a density"
-
 #: The name of the array in an npy file, as numpy calls the first one without a name in an npz file.
 _UNNAMED = "arr_0"
 
@@ -68,7 +66,7 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
         velocity=None if name is None else arrays[name],
         scene_up="z",
         taken=Taken(None, name, None, tuple(other for other in names if other != name)),
-        lacking=_VECTORS if name is not None and len(names) == 1 else roles.lacking,
+        lacking=roles.lacking,
     )
 
 

@@ -23,6 +23,18 @@ _Named = tuple[Path, NumberedName]
 _SHOWN = 3
 
 
+class SeveralSequencesError(InputError):
+    """An input has several sequences, of which one has to be chosen.
+
+    Attributes:
+        patterns: one for each, by which it can be chosen.
+    """
+
+    def __init__(self, message: str, patterns: Sequence[Path]) -> None:
+        super().__init__(message)
+        self.patterns = tuple(patterns)
+
+
 @dataclass(frozen=True)
 class Listing:
     """The files of the frames of an input.
@@ -125,9 +137,12 @@ def _require_one_series(source: Path, named: Sequence[_Named]) -> None:
         return
     spans = [f"{pattern} ({_span(numbers)})" for pattern, numbers in list(series.items())[:_SHOWN]]
     more = f" and {len(series) - _SHOWN} others" if len(series) > _SHOWN else ""
-    pattern = (source if source.is_dir() else source.parent) / next(iter(series))
-    raise InputError(
-        f"{source}: has {len(series)} sequences: {', '.join(spans)}{more}; give one as a pattern, such as '{pattern}'"
+    folder = source if source.is_dir() else source.parent
+    patterns = [folder / pattern for pattern in series]
+    raise SeveralSequencesError(
+        f"{source}: has {len(series)} sequences: {', '.join(spans)}{more}; give one as a pattern, such as "
+        f"'{patterns[0]}'",
+        patterns,
     )
 
 

@@ -126,6 +126,8 @@ class _Choice:
             lacking = f"no {expected}, the {self._noun}s found are: {self._names(self._all)}"
             nameless = " ('' for the nameless one)" if any(not entry.name for entry in self._entries) else ""
             lacking += f"; choose with --density NAME{nameless}" if any(e.scalar for e in self._entries) else ""
+            if len(self._all) == 1 and self._unnamed(lambda entry: entry.vector and not entry.scalar):
+                lacking = "holds vectors, expected a density"
         self._require("density", found)
         return found, "" if found else lacking
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from tqdm import tqdm
 
+from tnst_mi.machine.terminal import printable
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.time_left import OctaveSize, TimeLeft
 
@@ -39,7 +40,7 @@ class ProgressBar:
     def say(self, line: str) -> None:
         """Write a line above the bar."""
         if self._shown:
-            tqdm.write(line, file=sys.stderr)
+            tqdm.write(printable(line), file=sys.stderr)
 
     def close(self) -> None:
         """End the line."""
