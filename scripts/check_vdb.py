@@ -162,7 +162,7 @@ def writer_agrees(python: str, compression: str, folder: Path) -> bool:
 def placement_agrees(python: str, kind: str, folder: Path) -> bool:
     """Whether results lie where their sources lay; prints a line for each frame of a kind."""
     from tnst_mi.io import open_frames, save_frames
-    from tnst_mi.io.conventions import Boxing, Conventions
+    from tnst_mi.io.interpretation.conventions import Boxing, Conventions
 
     sources, results = folder / kind, folder / f"{kind}_results"
     sources.mkdir()

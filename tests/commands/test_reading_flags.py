@@ -14,7 +14,7 @@ from jobs import SHAPE, FakeOptimiser, optimiser
 
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
-from tnst_mi.io.orientation import from_z_up
+from tnst_mi.io.interpretation.orientation import from_z_up
 from tnst_mi.recipe.recipe import Recipe
 
 __all__ = ["optimiser", "run", "smoke"]
@@ -217,6 +217,28 @@ def test_frames_without_smoke_are_said(run: Run, tmp_path: Path, optimiser: Fake
         assert "note: has no density, so it is taken as a frame without smoke: f_1" in ran.errors
         assert "note: no smoke in it: f_2" in ran.errors
     assert load_frames(tmp_path)[1].velocity is not None
+
+
+def test_results_are_read_again_without_being_told_how(
+    run: Run, heat: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    """Results keep the names of their source, which only the user could tell; they tell them from then on."""
+    out = tmp_path / "out"
+    assert run("stylize", heat, "--out", out, "--style", "spirals", *FLAGS).code == 0
+    (result,) = read_vdb(out / "density" / "heat.vdb").grids
+    assert result.name == "heat"
+    ran = run("info", out)
+    assert ran.code == 0 and "density from 'heat', no velocity" in ran.out
+    assert f"note: {out}: is the folder of a run; the frames are read from {out / 'density'}" in ran.out
+    again = tmp_path / "again"
+    assert run("stylize", out, "--out", again, "--style", "spirals").code == 0
+    np.testing.assert_allclose(load_frames(again)[0].density, 2 * load_frames(out)[0].density)  # the fake's doing
+    # What the user names goes before what the file tells.
+    assert run("convert", heat, tmp_path / "all.vdb", *FLAGS).code == 0
+    (converted,) = load_frames(tmp_path / "all.vdb")
+    assert converted.velocity is not None
+    assert "density from 'heat', velocity from 'wind'" in converted.reading
+    refused(run, tmp_path, ["info", tmp_path / "all.vdb", "--density", "fog"], "--density 'fog': no such grid")
 
 
 def test_results_of_npy_files_are_npz(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:

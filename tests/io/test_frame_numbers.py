@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tnst_mi.io.frame_numbers import missing, numbered, pattern_of, step_of
+from tnst_mi.io.files.frame_numbers import missing, numbered, pattern_of, step_of
 
 
 def numbers(*names: str) -> list[int | float | None]:

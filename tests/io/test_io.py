@@ -22,9 +22,9 @@ from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.grids.npz import read_arrays, write_arrays
 from tnst_mi.io.grids.vol import write_vol
+from tnst_mi.io.interpretation.staggered import centred_velocity
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
-from tnst_mi.io.staggered import centred_velocity
 
 SHAPE = (3, 5, 4)
 

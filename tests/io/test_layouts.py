@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.formats import describe
-from tnst_mi.io.layouts import scalar_grid, solid_cells, velocity_grid, velocity_of_components
-from tnst_mi.io.roles import Wanted
-from tnst_mi.io.staggered import velocity_of_all_faces
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.layouts import scalar_grid, solid_cells, velocity_grid, velocity_of_components
+from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.io.interpretation.staggered import velocity_of_all_faces
 
 SHAPE = (3, 5, 4)
 RNG = np.random.default_rng(0)

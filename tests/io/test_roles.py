@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grid_names import component, listed
-from tnst_mi.io.roles import NONE, Entry, Roles, Wanted, chosen_roles
+from tnst_mi.io.interpretation.grid_names import component, listed
+from tnst_mi.io.interpretation.roles import NONE, Entry, Roles, Wanted, chosen_roles
 
 
 def scalars(*names: str) -> list[Entry]:

@@ -20,12 +20,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Placement
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io import load_frames, open_frames, save_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, require_small, write_vdb
-from tnst_mi.io.grids.vdb.cursor import Cursor
-from tnst_mi.io.grids.vdb.metadata import read_transform, written_string, written_transform
-from tnst_mi.io.orientation import from_z_up
-from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.metadata import read_transform, written_string, written_transform
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.orientation import from_z_up
+from tnst_mi.io.interpretation.staggered import centred_velocity
 
 DATA = Path(__file__).parents[1] / "data" / "vdb"
 OFFICIAL = ("blender_float_blosc", "blender_half_zip", "inactive", "shared", "sparse_float", "sparse_half", "tiles")

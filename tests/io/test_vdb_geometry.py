@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tnst_mi.frame import Frame
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io import open_frames, save_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
+from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.sequence import FrameFiles
 
 FIRST = (3, -2, 5)

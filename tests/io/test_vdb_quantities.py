@@ -11,11 +11,11 @@ import pytest
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.io.grids.vdb.programs import program_of
-from tnst_mi.io.orientation import from_z_up
-from tnst_mi.io.roles import Wanted
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.orientation import from_z_up
+from tnst_mi.io.interpretation.roles import Wanted
 
 SHAPE = (3, 5, 4)
 RNG = np.random.default_rng(0)

@@ -10,10 +10,10 @@ import pytest
 
 from tnst_mi.errors import InputError
 from tnst_mi.io import open_frames, save_frames
-from tnst_mi.io.conventions import Boxing, Conventions
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.io.grids.vdb.clumps import clumps_of, stray
 from tnst_mi.io.grids.vdb.run_grid import REACH
+from tnst_mi.io.interpretation.conventions import Boxing, Conventions
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.optimisation.mask import soft_mask
 

@@ -11,8 +11,8 @@ import pytest
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames, save_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
+from tnst_mi.io.interpretation.conventions import Conventions
 
 RANDOM = np.random.default_rng(3)
 DENSITY = np.where(RANDOM.random((9, 10, 11)) < 0.5, RANDOM.random((9, 10, 11)), 0.0).astype(np.float32)

@@ -14,9 +14,9 @@ from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.array_frames import ARRAY_FORMATS
-from tnst_mi.io.conventions import Conventions, StoredFrame
+from tnst_mi.io.files.listing import SeveralSequencesError
 from tnst_mi.io.formats import describe
-from tnst_mi.io.listing import SeveralSequencesError
+from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.io.sequence import FrameFiles, checked_shapes
 from tnst_mi.machine.terminal import printable
 from tnst_mi.recipe.recipe import Recipe

@@ -10,11 +10,11 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Note
-from tnst_mi.io.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
-from tnst_mi.io.grid_names import FLAGS, listed, plain_name
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
-from tnst_mi.io.layouts import (
+from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
+from tnst_mi.io.interpretation.grid_names import FLAGS, listed, plain_name
+from tnst_mi.io.interpretation.layouts import (
     is_vector_shape,
     picture_scale,
     scalar_grid,
@@ -23,7 +23,7 @@ from tnst_mi.io.layouts import (
     velocity_grid,
     velocity_of_components,
 )
-from tnst_mi.io.roles import Entry, Roles, Wanted, chosen_roles
+from tnst_mi.io.interpretation.roles import Entry, Roles, Wanted, chosen_roles
 
 #: File extensions of these formats.
 ARRAY_FORMATS = (".npz", ".npy")

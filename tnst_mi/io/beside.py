@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-from tnst_mi.io import companions
 from tnst_mi.io.array_frames import obstacle_beside, velocity_beside
 from tnst_mi.io.context import SequenceContext
-from tnst_mi.io.conventions import StoredFrame
+from tnst_mi.io.files import companions
 from tnst_mi.io.grids.vdb.frames import read_vdb_frame, read_vdb_obstacle
-from tnst_mi.io.roles import NONE, Wanted
+from tnst_mi.io.interpretation.conventions import StoredFrame
+from tnst_mi.io.interpretation.roles import NONE, Wanted
 
 
 def with_arrays_beside(file: Path, frame: StoredFrame, wanted: Wanted) -> StoredFrame:

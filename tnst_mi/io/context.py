@@ -11,10 +11,10 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.array_frames import ARRAY_FORMATS, shape_of_density
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.grids.vdb.frames import has_density, run_grid_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid
-from tnst_mi.io.roles import Wanted
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.roles import Wanted
 
 
 class SequenceContext:

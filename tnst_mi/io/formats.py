@@ -1,7 +1,7 @@
 """Read and write one frame in each format: npz, Mitsuba's .vol, Mantaflow's .uni, OpenVDB's .vdb.
 
 Only npz and .vdb files hold whole frames; .vol and .uni have companion files beside the density
-(`tnst_mi.io.companions`). All are written with velocities at the cell centres in cells per frame.
+(`tnst_mi.io.files.companions`). All are written with velocities at the cell centres in cells per frame.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
-from tnst_mi.io import companions
 from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_frame, read_authors_frame
 from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
 from tnst_mi.io.context import SequenceContext
-from tnst_mi.io.conventions import StoredFrame
+from tnst_mi.io.files import companions
 from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
 from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame
 from tnst_mi.io.grids.vdb.results import write_vdb_frame
 from tnst_mi.io.grids.vol import read_vol, write_vol
-from tnst_mi.io.orientation import to_z_up
-from tnst_mi.io.roles import Wanted
+from tnst_mi.io.interpretation.conventions import StoredFrame
+from tnst_mi.io.interpretation.orientation import to_z_up
+from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
 
 #: File extensions of the formats that can be read and written.

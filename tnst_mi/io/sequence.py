@@ -4,7 +4,7 @@ An npz file holds `density` (D, H, W) and may hold `velocity` (D, H, W, 3) in ce
 (D, H, W); docs/formats.md describes the other formats. The authors' files hold one array `x` each: densities in a
 folder `d`, velocities in a folder `v` beside it. Their velocities are on the cell faces (MAC), in cells per time unit,
 with 0.5 time units per frame: reading averages the two faces of each cell (the last cell has only one) and multiplies
-by 0.5. Which files are frames is decided by `tnst_mi.io.listing`.
+by 0.5. Which files are frames is decided by `tnst_mi.io.files.listing`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from typing import overload
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.conventions import Conventions, StoredFrame
+from tnst_mi.io.files.frame_numbers import Number
+from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
     FORMATS,
     SequenceContext,
@@ -28,8 +29,7 @@ from tnst_mi.io.formats import (
     require_format,
     write_frame,
 )
-from tnst_mi.io.frame_numbers import Number
-from tnst_mi.io.listing import Listing, list_frames
+from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.resources import expanded
 
 
@@ -48,7 +48,7 @@ class FrameFiles(Sequence[Frame]):
         Args:
             source: the file, the folder or the pattern.
             listing: its files.
-            given: the user's overrides, see `tnst_mi.io.conventions.Conventions`.
+            given: the user's overrides, see `tnst_mi.io.interpretation.conventions.Conventions`.
             context: what reading a frame needs from the whole sequence, if that has been found out already.
         """
         self.source, self._listing, self._given = source, listing, given or Conventions()
@@ -170,7 +170,7 @@ def open_frames(
     """List the frames of a file, a folder, a folder that a program made, or a pattern, without reading them.
 
     Args:
-        path: the file, the folder, or the pattern (`tnst_mi.io.patterns`).
+        path: the file, the folder, or the pattern (`tnst_mi.io.files.patterns`).
         numbers: the first and the last frame to take, both included; floats take sub-frames too. None takes all whole
             frames, or all sub-frames if there are no others.
         given: the user's overrides for what the files declare or their format implies.

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io import companions
-from tnst_mi.io.conventions import CELLS_PER_TIME, StoredFrame, Taken
+from tnst_mi.io.files import companions
 from tnst_mi.io.grids.uni import UniHeader, read_uni
 from tnst_mi.io.grids.vol import read_vol
-from tnst_mi.io.layouts import solid_cells
-from tnst_mi.io.roles import NONE, Wanted
+from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, StoredFrame, Taken
+from tnst_mi.io.interpretation.layouts import solid_cells
+from tnst_mi.io.interpretation.roles import NONE, Wanted
 
 #: Our .uni files declare their conventions in the build information.
 OURS, Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"

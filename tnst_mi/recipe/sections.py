@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, get_type_hints
 
 from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
-from tnst_mi.io.conventions import VELOCITY_UNITS
+from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 from tnst_mi.recipe.optional_keys import Point, Unset

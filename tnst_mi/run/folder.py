@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import remove_unfinished, written_whole
-from tnst_mi.io.companions import OBSTACLE, companion
+from tnst_mi.io.files.companions import OBSTACLE, companion
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png

@@ -12,8 +12,8 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
 from tnst_mi.frame import Frame
-from tnst_mi.io.conventions import Boxing, Conventions
-from tnst_mi.io.roles import Wanted
+from tnst_mi.io.interpretation.conventions import Boxing, Conventions
+from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.sections import Reading

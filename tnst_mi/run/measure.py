@@ -12,7 +12,7 @@ from typing import Any
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
-from tnst_mi.io.frame_numbers import is_next, step_of
+from tnst_mi.io.files.frame_numbers import is_next, step_of
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe

@@ -10,8 +10,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.formats import FORMATS, read_stored
+from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.sequence import FrameFiles
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.geometry.boxes import Box, union
-from tnst_mi.io.grids.vdb.tree import LEAF_EDGE, Tree
+from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, Tree
 
 # Smoke is of one clump if it lies in neighbouring bins, cubes with this edge. It divides the edges of nodes.
 _BIN = 32

@@ -18,17 +18,17 @@ from tnst_mi.frame import Note
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
-from tnst_mi.io.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.grids.vdb.clumps import clumps_of
+from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
 from tnst_mi.io.grids.vdb.quantities import Quantities, quantities_of, type_in_words
-from tnst_mi.io.grids.vdb.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
 from tnst_mi.io.grids.vdb.span import Span
-from tnst_mi.io.roles import Wanted
+from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
+from tnst_mi.io.interpretation.roles import Wanted
 
 
 def read_vdb_frame(

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grids.vdb.reader import Grid
-from tnst_mi.io.grids.vdb.tree import Tree
+from tnst_mi.io.grids.vdb.file_format.reader import Grid
+from tnst_mi.io.grids.vdb.file_format.tree import Tree
 
 _CLASS = "level set"
 _WORDS = ("sdf", "levelset", "level_set")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.boxes import Box, size, words
-from tnst_mi.io.grids.vdb.tree import LEAF_EDGE, LEAF_VOXELS
+from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, LEAF_VOXELS
 from tnst_mi.machine.environment import free_memory
 
 #: Largest dense grid that is made from a tree, in cells.

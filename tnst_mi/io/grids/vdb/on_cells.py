@@ -12,10 +12,10 @@ from tnst_mi.geometry.affine import Affine, between
 from tnst_mi.geometry.boxes import Box, grown, intersection
 from tnst_mi.geometry.placement import OwnVoxels
 from tnst_mi.geometry.resampling import needed_box, resampled
+from tnst_mi.io.grids.vdb.file_format.reader import Grid
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.quantities import Quantity, on_faces, solid_voxels
-from tnst_mi.io.grids.vdb.reader import Grid
-from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.interpretation.staggered import centred_velocity
 
 # A cell is solid if at least this share of it is.
 _SOLID = 0.5

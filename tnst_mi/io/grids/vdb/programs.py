@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tnst_mi.io.conventions import CELLS_PER_TIME, LENGTH_PER_TIME, VELOCITY_UNITS
-from tnst_mi.io.grids.vdb.reader import Grid, VdbFile
+from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile
+from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, LENGTH_PER_TIME, VELOCITY_UNITS
 
 #: Metadata that our files carry; other programs may write it too.
 UP, UNITS = "tnst_mi_up", "tnst_mi_velocity_units"
@@ -27,7 +27,7 @@ class Program:
     Attributes:
         up: the up axis, "y" or "z".
         up_because: the evidence for it in words; empty if the file says it.
-        velocity_units: one of `tnst_mi.io.conventions.VELOCITY_UNITS`.
+        velocity_units: one of `tnst_mi.io.interpretation.conventions.VELOCITY_UNITS`.
     """
 
     up: str

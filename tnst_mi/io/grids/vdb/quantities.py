@@ -13,13 +13,13 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import PLACE_TOLERANCE
 from tnst_mi.geometry.boxes import Box, union
-from tnst_mi.io.conventions import Taken
-from tnst_mi.io.grid_names import FLAGS, listed, plain_name
+from tnst_mi.io.grids.vdb.file_format.reader import HALF, Grid, VdbFile
 from tnst_mi.io.grids.vdb.level_set import fog_volume, is_level_set
 from tnst_mi.io.grids.vdb.programs import NAME
-from tnst_mi.io.grids.vdb.reader import HALF, Grid, VdbFile
-from tnst_mi.io.layouts import solid_cells
-from tnst_mi.io.roles import Entry, Roles, Wanted, chosen_roles
+from tnst_mi.io.interpretation.conventions import Taken
+from tnst_mi.io.interpretation.grid_names import FLAGS, listed, plain_name
+from tnst_mi.io.interpretation.layouts import solid_cells
+from tnst_mi.io.interpretation.roles import Entry, Roles, Wanted, chosen_roles
 
 
 @dataclass(frozen=True)

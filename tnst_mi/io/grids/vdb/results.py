@@ -12,12 +12,12 @@ from tnst_mi.geometry.affine import Affine
 from tnst_mi.geometry.boxes import Box, grown, image, union
 from tnst_mi.geometry.placement import FileSource, GridSource, OwnVoxels, Placement
 from tnst_mi.geometry.resampling import resampled
-from tnst_mi.io.conventions import CELLS_PER_FRAME
+from tnst_mi.io.grids.vdb.file_format.reader import VdbFile
+from tnst_mi.io.grids.vdb.file_format.writer import DenseGrid, write_vdb
 from tnst_mi.io.grids.vdb.programs import NAME, UNITS, UP
 from tnst_mi.io.grids.vdb.quantities import Quantities
-from tnst_mi.io.grids.vdb.reader import VdbFile
-from tnst_mi.io.grids.vdb.writer import DenseGrid, write_vdb
-from tnst_mi.io.orientation import to_z_up
+from tnst_mi.io.interpretation.conventions import CELLS_PER_FRAME
+from tnst_mi.io.interpretation.orientation import to_z_up
 
 #: Metadata that our files carry; other programs may write it too: the lowest and the highest voxel of the domain.
 LOWEST, HIGHEST = "tnst_mi_box_min", "tnst_mi_box_max"

@@ -17,10 +17,10 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, PLACE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, grown, image, intersection, size, union, words
-from tnst_mi.io.conventions import Boxing
 from tnst_mi.io.grids.vdb.clumps import Clump, smoke_box, stray
 from tnst_mi.io.grids.vdb.limits import LARGEST_BOX, is_almost_empty
 from tnst_mi.io.grids.vdb.span import Span
+from tnst_mi.io.interpretation.conventions import Boxing
 
 #: Cells around the smoke that a stylization can change: as far as the blur of its mask reaches.
 REACH = 5

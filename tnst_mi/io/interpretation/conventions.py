@@ -9,10 +9,10 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Note, Placement
 from tnst_mi.geometry.placement import FileSource, OwnVoxels
-from tnst_mi.io.grid_names import listed
-from tnst_mi.io.orientation import from_z_up, mirrored
-from tnst_mi.io.roles import Wanted
-from tnst_mi.io.staggered import centred_velocity, velocity_of_all_faces
+from tnst_mi.io.interpretation.grid_names import listed
+from tnst_mi.io.interpretation.orientation import from_z_up, mirrored
+from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.io.interpretation.staggered import centred_velocity, velocity_of_all_faces
 
 #: Units of velocities in files: cells per frame; cells, or scene units of length, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"

@@ -35,7 +35,7 @@ def plain_name(name: str) -> str:
     """The words of a name in small letters, without the numbers and signs around them.
 
     Example:
-        >>> from tnst_mi.io.grid_names import plain_name
+        >>> from tnst_mi.io.interpretation.grid_names import plain_name
         >>> [plain_name(name) for name in (" density ", "Density[0]", "smokeDensity_01")]
         ['density', 'density', 'smoke density']
     """
@@ -65,7 +65,7 @@ def component(name: str, vector: str | None = None) -> tuple[str, int] | None:
         vector: the name of the vector; None for those that a velocity usually has.
 
     Example:
-        >>> from tnst_mi.io.grid_names import component
+        >>> from tnst_mi.io.interpretation.grid_names import component
         >>> component("vel.x"), component("velocityZ"), component("v"), component("Cd.x")
         (('vel', 0), ('velocity', 2), ('', 1), None)
     """

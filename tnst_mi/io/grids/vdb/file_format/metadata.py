@@ -13,7 +13,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
-from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
 
 #: A metadata value: a string, a number, or three numbers.
 Value = str | bool | int | float | tuple[int, ...] | tuple[float, ...]

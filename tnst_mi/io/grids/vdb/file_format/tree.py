@@ -14,8 +14,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.boxes import Box
-from tnst_mi.io.grids.vdb.cursor import Cursor
-from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, ValueType, read_run
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.values import ACTIVE_MASK, ValueType, read_run
 
 #: Voxels along an edge of a leaf, and in the whole leaf.
 LEAF_EDGE, LEAF_VOXELS = 8, 512

@@ -18,10 +18,10 @@ import numpy as np
 
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.grids.vdb.metadata import written_metadata, written_string, written_transform
-from tnst_mi.io.grids.vdb.reader import HALF, MAGIC
-from tnst_mi.io.grids.vdb.tree import LEAF_EDGE, LEAF_VOXELS
-from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, BLOSC, ZIP, written_run
+from tnst_mi.io.grids.vdb.file_format.metadata import written_metadata, written_string, written_transform
+from tnst_mi.io.grids.vdb.file_format.reader import HALF, MAGIC
+from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, LEAF_VOXELS
+from tnst_mi.io.grids.vdb.file_format.values import ACTIVE_MASK, BLOSC, ZIP, written_run
 
 #: Supported compressions by name.
 COMPRESSIONS = {"blosc": BLOSC | ACTIVE_MASK, "zip": ZIP | ACTIVE_MASK, "none": ACTIVE_MASK}

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.companions import OBSTACLE, VELOCITY, densities, found_companion
-from tnst_mi.io.folders import frame_files, frame_folder
+from tnst_mi.io.files.companions import OBSTACLE, VELOCITY, densities, found_companion
+from tnst_mi.io.files.folders import frame_files, frame_folder
+from tnst_mi.io.files.frame_numbers import Number, NumberedName, missing, numbered, pattern_of
+from tnst_mi.io.files.patterns import is_pattern, matches
 from tnst_mi.io.formats import GRID_FORMATS, READABLE, require_readable
-from tnst_mi.io.frame_numbers import Number, NumberedName, missing, numbered, pattern_of
-from tnst_mi.io.patterns import is_pattern, matches
 from tnst_mi.resources import expanded
 
 #: A file with its name taken apart.
@@ -124,7 +124,7 @@ def _listing(
     ordered = sorted(named, key=lambda pair: (pair[1].number or 0, pair[0].name))
     chosen = _selected(ordered, span)
     _require_complete(source, chosen)
-    remarks = [*notes, *_beside(chosen[0][0]), *_left_alone(left)]
+    remarks = [*notes, *_left_alone(left)]
     if span is None and len(chosen) < len(ordered):
         remarks.append(_of_sub_frames([name.number for _, name in ordered if name.number is not None]))
     of_chosen = [name.number for _, name in chosen]
@@ -199,15 +199,6 @@ def _require_complete(source: Path, named: Sequence[_Named]) -> None:
     if gaps:
         shown = ", ".join(f"{gap}" for gap in gaps[:10]) + (", …" if len(gaps) > 10 else "")
         raise InputError(f"{source}: frames are missing between {numbers[0]} and {numbers[-1]}: {shown}")
-
-
-def _beside(file: Path) -> list[str]:
-    """What the frame of a file takes from files beside it, where its format does not always do so."""
-    if file.suffix.lower() in GRID_FORMATS:
-        return []
-    found = {"velocity": found_companion(file, VELOCITY), "obstacle": found_companion(file, OBSTACLE)}
-    names = [f"{kind} from {path.name}" for kind, path in found.items() if path is not None]
-    return [f"{file.name}: {', '.join(names)}"] if names else []
 
 
 def _left_alone(files: Sequence[Path]) -> list[str]:

@@ -1,7 +1,7 @@
 """Which of the grids or arrays of a file are the density, the velocity and the obstacle of a frame.
 
-The names decide (`tnst_mi.io.grid_names`). What is not called by a usual name is never taken silently: the user names
-it, by `--density NAME` and the like.
+The names decide (`tnst_mi.io.interpretation.grid_names`). What is not called by a usual name is never taken silently:
+the user names it, by `--density NAME` and the like.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tnst_mi.errors import InputError
-from tnst_mi.io import grid_names
+from tnst_mi.io.interpretation import grid_names
 
 #: In place of a name: the role stays empty, whatever the file holds.
 NONE = "none"
@@ -89,7 +89,7 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
             role holds no numbers. The message does not name the file.
 
     Example:
-        >>> from tnst_mi.io.roles import Entry, Wanted, chosen_roles
+        >>> from tnst_mi.io.interpretation.roles import Entry, Wanted, chosen_roles
         >>> names = ("Density", "vel.x", "vel.y", "vel.z", "temperature")
         >>> entries = [Entry(name, True, False, "float") for name in names]
         >>> chosen_roles(entries, Wanted())

@@ -14,7 +14,7 @@ import numpy as np
 from blosc.blosc_extension import error as BloscError
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
 
 # Bits of a grid's compression flags.
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4

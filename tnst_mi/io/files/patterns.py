@@ -13,7 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.frame_numbers import NumberedName, numbered, plain_number
+from tnst_mi.io.files.frame_numbers import NumberedName, numbered, plain_number
 
 _PLACE = re.compile(r"#+|%0?\d*d|\$F+\d*|\$\{F+\d*\}|<(?:F\d*|frame)>|\{(?:frame|F)[^{}]*\}", re.IGNORECASE)
 _WILDCARD = re.compile(r"\*|\?|\[!?[^\]]+\]")

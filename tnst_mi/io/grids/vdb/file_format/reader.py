@@ -14,10 +14,10 @@ from typing import BinaryIO
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
-from tnst_mi.io.grids.vdb.cursor import Cursor
-from tnst_mi.io.grids.vdb.metadata import Stored, Value, read_metadata, read_transform, values_of
-from tnst_mi.io.grids.vdb.tree import Tree, TreeReader
-from tnst_mi.io.grids.vdb.values import BLOSC, VALUE_TYPES, ZIP, ValueType
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.metadata import Stored, Value, read_metadata, read_transform, values_of
+from tnst_mi.io.grids.vdb.file_format.tree import Tree, TreeReader
+from tnst_mi.io.grids.vdb.file_format.values import BLOSC, VALUE_TYPES, ZIP, ValueType
 from tnst_mi.io.untrusted import opening
 
 #: The first eight bytes of every file.
@@ -55,7 +55,7 @@ class Grid:
         tree_type: type of the tree as written in the file, such as "Tree_float_5_4_3_HalfFloat".
         stored: metadata as the file has it.
         transform: from voxels to the scene; the name of its kind if that is not affine.
-        compression: bits, see `tnst_mi.io.grids.vdb.values`.
+        compression: bits, see `tnst_mi.io.grids.vdb.file_format.values`.
         span: offsets in the file of the tree, of the values of its leaves, and of its end.
     """
 

@@ -27,7 +27,7 @@ def scalar_shape(shape: Shape) -> Shape | None:
     """The extents (D, H, W) or, of a plane, (H, W) of a scalar grid in an array of some shape; None if it is none.
 
     Example:
-        >>> from tnst_mi.io.layouts import scalar_shape
+        >>> from tnst_mi.io.interpretation.layouts import scalar_shape
         >>> scalar_shape((1, 4, 6, 5, 1)), scalar_shape((6, 5)), scalar_shape((2, 4, 6, 5))
         ((4, 6, 5), (6, 5), None)
     """
