@@ -238,7 +238,8 @@ def test_results_are_read_again_without_being_told_how(
     (converted,) = load_frames(tmp_path / "all.vdb")
     assert converted.velocity is not None
     assert "density from 'heat', velocity from 'wind'" in converted.reading
-    refused(run, tmp_path, ["info", tmp_path / "all.vdb", "--density", "fog"], "--density 'fog': no such grid")
+    wrong = ["render", tmp_path / "all.vdb", "--out", tmp_path / "pictures", "--density", "fog"]
+    refused(run, tmp_path, wrong, "--density 'fog': no such grid")
 
 
 def test_results_of_npy_files_are_npz(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:
