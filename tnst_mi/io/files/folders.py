@@ -84,5 +84,5 @@ def _meant(path: Path, with_frames: dict[str, Path]) -> str:
         return f"; it belongs to a run, whose frames are in {path.parent / 'density'}"
     names = list(with_frames)[:_SHOWN]
     rest = len(with_frames) - len(names)
-    more = f" and {rest} others" if rest else ""
+    more = f" and {rest} more" if rest else ""
     return f"; those below it that have some are {', '.join(names)}{more}: give one" if names else ""

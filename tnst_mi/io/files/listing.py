@@ -136,7 +136,7 @@ def _require_one_series(source: Path, named: Sequence[_Named]) -> None:
     if len(series) == 1:
         return
     spans = [f"{pattern} ({_span(numbers)})" for pattern, numbers in list(series.items())[:_SHOWN]]
-    more = f" and {len(series) - _SHOWN} others" if len(series) > _SHOWN else ""
+    more = f" and {len(series) - _SHOWN} more" if len(series) > _SHOWN else ""
     folder = source if source.is_dir() else source.parent
     patterns = [folder / pattern for pattern in series]
     raise SeveralSequencesError(
@@ -210,7 +210,7 @@ def _left_alone(files: Sequence[Path]) -> list[str]:
         for _, name in _named([file for file in files if file.suffix == suffix]):
             groups[name.series].append(name)
         series |= dict.fromkeys(pattern_of(names) + suffix for names in groups.values())
-    shown = ", ".join(list(series)[:_SHOWN]) + (f" and {len(series) - _SHOWN} others" if len(series) > _SHOWN else "")
+    shown = ", ".join(list(series)[:_SHOWN]) + (f" and {len(series) - _SHOWN} more" if len(series) > _SHOWN else "")
     return [f"left alone in {files[0].parent}: {shown}"]
 
 
