@@ -34,6 +34,7 @@ from tnst_mi.optimisation.parameterisation import GRADIENT_SIGMA
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.rendering.driving import driving_renderer, main_view
 from tnst_mi.run.progress import ProgressBar
+from tnst_mi.run.time_left import octave_sizes
 
 FRAME = Path(__file__).resolve().parents[1] / "scenes" / "suzanne" / "frame_0010.npz"
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]
@@ -108,7 +109,7 @@ def compare(frame: Frame, recipe: Recipe) -> tuple[dict, dict[str, list[np.ndarr
     renderers = {name: Judge(frame, of_driver, network) for name, of_driver in recipes.items()}
     densities, drivers = {"before": frame.density}, {}
     for name, renderer in renderers.items():
-        bar = ProgressBar(True)
+        bar = ProgressBar(True, octave_sizes(recipes[name], frame.density.shape))
         stylized = optimise(frame, recipes[name], network, renderer.exposure, bar.advance)
         bar.close()
         densities[name] = stylized.density

@@ -23,9 +23,9 @@ from tnst_mi import Recipe, activate, advect, render
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.sequence import open_frames
-from tnst_mi.run.folder import StoredArrays
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
+from tnst_mi.run.stored_arrays import StoredArrays
 
 COLUMNS = ("window", "flicker", "relative to 1", "loss before", "loss after", "reduction", "relative to 1", "change")
 

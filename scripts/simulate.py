@@ -36,8 +36,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import remove_unfinished, written_whole
 from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.grids.uni import read_uni
-from tnst_mi.io.orientation import from_z_up
-from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.interpretation.orientation import from_z_up
+from tnst_mi.io.interpretation.staggered import centred_velocity
 
 BAKE = Path(__file__).with_name("blender_bake.py")
 SCENES = ("smokejet", "suzanne", "obstacle", "mesh")

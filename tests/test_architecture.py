@@ -18,6 +18,7 @@ FLOORS = (
     "errors",
     "choices resources",
     "machine",
+    "geometry",
     "frame",
     "io fields network",
     "losses recipe",

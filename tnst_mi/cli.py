@@ -18,9 +18,12 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine.terminal import one_line
+from tnst_mi.resources import VERSION, expanded
 
 if TYPE_CHECKING:
     from tnst_mi.commands.base import Arguments
@@ -89,7 +92,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 def _failed(arguments: list[str], message: str, code: int) -> int:
     if "--debug" in arguments:
         traceback.print_exc()
-    print("tnst-mi:", " ".join(message.split()), file=sys.stderr)
+    print("tnst-mi:", one_line(message), file=sys.stderr)
     return code
 
 
@@ -98,6 +101,9 @@ def _run(arguments: list[str]) -> int:
     name = arguments[0] if arguments else "--help"
     if name in ("-h", "--help"):
         print(_overview())
+        return 0
+    if name in ("-V", "--version"):
+        print(f"tnst-mi {VERSION}")
         return 0
     if name not in COMMANDS:
         nearest = difflib.get_close_matches(name, COMMANDS, n=1)
@@ -138,21 +144,42 @@ def _parsed(name: str, arguments: list[str]) -> Arguments:
             raise InputError(_unframed(framed.getvalue())) from None
         raise
     if unknown:
-        flag = unknown[0].partition("=")[0]
-        nearest = difflib.get_close_matches(flag, list(_flags(parsed)), n=1, cutoff=0.5)
-        hint = f"did you mean {nearest[0]}?" if nearest else f"tnst-mi {name} --help lists what is known"
-        raise InputError(f"{name}: unexpected {flag!r}; {hint}")
+        word = unknown[0].partition("=")[0]
+        raise InputError(f"{name}: unexpected {word!r}; {_hint(name, word, parsed)}")
+    _expand_home(parsed)
     return parsed
 
 
-def _flags(arguments: Any) -> Iterator[str]:
-    """The flags of a command, including those of nested dataclasses."""
+def _hint(name: str, word: str, arguments: Arguments) -> str:
+    """What an argument that a command does not know probably means."""
+    from tnst_mi.recipe.synonyms import advice, meant
+
+    if not word.startswith("-") and os.path.exists(word):
+        return "files of a sequence are given as their folder, or as a pattern in quotes, such as 'smoke_*.vdb'"
+    flags = list(_fields(arguments))
+    if word.startswith("--") and (known := meant(word[2:], flags)):
+        return f"did you mean --{known.replace('_', '-')}?"
+    return (word.startswith("--") and advice(word[2:], flags)) or f"tnst-mi {name} --help lists what is known"
+
+
+def _fields(arguments: Any) -> Iterator[str]:
+    """The names of the arguments of a command, including those of nested dataclasses."""
     for field in dataclasses.fields(arguments):
         value = getattr(arguments, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _flags(value)
+            yield from _fields(value)
         else:
-            yield "--" + field.name.replace("_", "-")
+            yield field.name
+
+
+def _expand_home(arguments: Arguments) -> None:
+    """Replace ~ in paths, which shells leave alone in `--out=~/smoke` and in quotes."""
+    for field in dataclasses.fields(arguments):
+        value = getattr(arguments, field.name)
+        if isinstance(value, Path):
+            setattr(arguments, field.name, expanded(value))
+        elif isinstance(value, tuple) and value and all(isinstance(item, Path) for item in value):
+            setattr(arguments, field.name, tuple(expanded(item) for item in value))
 
 
 def _unframed(framed: str) -> str:

@@ -7,26 +7,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.geometry.placement import Placement
+
+__all__ = ["Frame", "Note", "Placement"]
+
+#: Share of the largest density up to which a cell counts as one without smoke, and a negative density as noise.
+_NOISE = 1e-6
 
 
 @dataclass(frozen=True)
-class Placement:
-    """Position, size and orientation of a grid in its scene.
+class Note:
+    """What was assumed or mended when a frame was read, to be said to the user.
 
     Attributes:
-        voxel_size: edge of a cell, in the scene's unit of length.
-        corner: (X, Y, Z) of the centre of the grid's lowest cell, in the axes of the scene.
-        up: the axis of the scene that points up, "y" or "z".
+        text: the same words for all frames that it is true of.
+        detail: what differs between them, such as numbers; may be empty.
     """
 
-    voxel_size: float = 1.0
-    corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    up: str = "z"
+    text: str
+    detail: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A density grid with its velocity, obstacles, name and placement.
+
+    Two faults that simulations leave in their files are mended, with a note: negative densities down to 1e-6 of the
+    largest density, which are rounding errors, become 0; so do velocities that are no numbers in cells without smoke
+    (at most 1e-6 of the largest density), where they do not matter.
 
     Grids are indexed (z, y, x) with y up and values at cell centres; a 2-D grid has D = 1.
 
@@ -35,8 +43,10 @@ class Frame:
         velocity: (D, H, W, 3) float32, components (x, y, z) in cells per frame, or None.
         obstacle: (D, H, W) bool, True inside solid objects, or None.
         name: names the output files.
-        number: the frame's number in its sequence, or None.
+        number: the frame's number in its sequence, a float for a sub-frame such as 1.5, or None.
         placement: where the grid lies in the scene it came from, or None if unknown.
+        reading: how it was read from its file, in words; empty for frames made from arrays.
+        notes: what was assumed or mended.
 
     Raises:
         InputError: an array has another shape, is empty, or holds values that no simulation produces.
@@ -49,15 +59,18 @@ class Frame:
         (dtype('float32'), 12.0)
         >>> tnst_mi.Frame(np.full((2, 3, 4), -0.5))
         Traceback (most recent call last):
-        tnst_mi.errors.InputError: frame: density has 24 negative values (smallest -0.5), expected values of 0 or more
+        tnst_mi.errors.InputError: frame: density has 24 negative values (smallest -0.5 at (z, y, x) = (0, 0, 0)), \
+expected values of 0 or more; set them to 0, or choose another grid (--density NAME)
     """
 
     density: np.ndarray
     velocity: np.ndarray | None = None
     obstacle: np.ndarray | None = None
     name: str = "frame"
-    number: int | None = None
+    number: int | float | None = None
     placement: Placement | None = None
+    reading: str = ""
+    notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the arrays and convert them to the types of the attributes."""
@@ -68,13 +81,8 @@ class Frame:
             )
         if density.size == 0:
             raise InputError(f"{self.name}: density has shape {density.shape}, expected at least one cell")
-        self._require_finite("density", density)
-        if density.min() < 0.0:
-            raise InputError(
-                f"{self.name}: density has {int((density < 0.0).sum())} negative values "
-                f"(smallest {density.min():g}), expected values of 0 or more"
-            )
-        object.__setattr__(self, "density", density)
+        self._require_finite("density", density, "set them to 0, or choose another grid (--density NAME)")
+        object.__setattr__(self, "density", self._without_noise(density))
         if self.velocity is not None:
             velocity = self._numbers("velocity", self.velocity)
             if velocity.shape != (*density.shape, 3):
@@ -82,7 +90,8 @@ class Frame:
                     f"{self.name}: velocity has shape {velocity.shape}, expected {(*density.shape, 3)} "
                     f"to fit the density"
                 )
-            self._require_finite("velocity", velocity)
+            if not np.isfinite(velocity).all():
+                velocity = self._numbers_in_smoke(velocity)
             object.__setattr__(self, "velocity", velocity)
         if self.obstacle is not None:
             object.__setattr__(self, "obstacle", self._checked_obstacle(density.shape))
@@ -100,10 +109,49 @@ class Frame:
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(array, dtype=np.float32)
 
-    def _require_finite(self, key: str, array: np.ndarray) -> None:
-        bad = array.size - int(np.isfinite(array).sum())
+    def _require_finite(self, key: str, array: np.ndarray, remedy: str) -> None:
+        finite = np.isfinite(array)
+        bad = array.size - int(finite.sum())
         if bad:
-            raise InputError(f"{self.name}: {key} has {bad} NaN or infinite values, expected finite numbers")
+            raise InputError(
+                f"{self.name}: {key} has {bad} NaN or infinite values (the first {_place(~finite)}), "
+                f"expected finite numbers; {remedy}"
+            )
+
+    def _without_noise(self, density: np.ndarray) -> np.ndarray:
+        """The density with rounding errors below 0 set to 0.
+
+        Raises:
+            InputError: some of it is really negative.
+        """
+        smallest = float(density.min())
+        if smallest >= 0.0:
+            return density
+        negative = density < 0.0
+        count = int(negative.sum())
+        if smallest < -_NOISE * float(density.max()):
+            raise InputError(
+                f"{self.name}: density has {count} negative values "
+                f"(smallest {smallest:g} {_place(density == density.min())}), expected values of 0 or more; "
+                "set them to 0, or choose another grid (--density NAME)"
+            )
+        self._note(Note("negative noise in the density is taken as 0", f"{_cells(count)} down to {smallest:g}"))
+        return np.where(negative, np.float32(0.0), density)
+
+    def _numbers_in_smoke(self, velocity: np.ndarray) -> np.ndarray:
+        """A velocity with 0 for what is no number in cells without smoke.
+
+        Raises:
+            InputError: some of it is no number in smoke.
+        """
+        bad = ~np.isfinite(velocity).all(axis=-1) & (self.density <= _NOISE * float(self.density.max()))
+        mended = np.where(bad[..., None], np.float32(0.0), velocity)
+        self._require_finite("velocity", mended, "set them to 0, or go without (--velocity none)")
+        self._note(Note("velocities without smoke that are no numbers are taken as 0", _cells(int(bad.sum()))))
+        return mended
+
+    def _note(self, note: Note) -> None:
+        object.__setattr__(self, "notes", (*self.notes, note))
 
     def _checked_obstacle(self, shape: tuple[int, ...]) -> np.ndarray:
         obstacle = np.asarray(self.obstacle)
@@ -112,3 +160,13 @@ class Frame:
         if obstacle.dtype.kind not in "fiub" or not np.isin(obstacle, (0, 1)).all():
             raise InputError(f"{self.name}: obstacle has values besides 0 and 1, expected a mask of 0 and 1")
         return np.ascontiguousarray(obstacle, dtype=bool)
+
+
+def _place(cells: np.ndarray) -> str:
+    """The first of some marked cells of a grid (D, H, W) or (D, H, W, 3), in words."""
+    z, y, x = np.argwhere(cells)[0][:3].tolist()
+    return f"at (z, y, x) = ({z}, {y}, {x})"
+
+
+def _cells(count: int) -> str:
+    return "1 cell" if count == 1 else f"{count} cells"

@@ -1,4 +1,4 @@
-"""Paths of the files that come with the package: its data, and the scenes and weights beside it in a checkout."""
+"""Paths: of the files that come with the package (its data, and the scenes and weights beside it), and of homes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,14 @@ _SCENES = (DATA.parent / "scenes", DATA.parents[1] / "scenes")
 
 #: Network weights that several checkouts share, in a folder beside them (it need not exist).
 SHARED_WEIGHTS = DATA.parents[2] / "shared" / "weights"
+
+
+def expanded(path: Path) -> Path:
+    """A path with ~ at its start replaced by the home folder; as it is if there is no such home."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path
 
 
 def scene_file(name: str) -> Path:

@@ -11,7 +11,8 @@ from figures.seen import JUDGED, images_of, losses_of, smoke_box
 from figures.setting import Run, Setting
 from tnst_mi.frame import Frame
 from tnst_mi.losses.terms import Semantic, Style
-from tnst_mi.recipe.recipe import STYLES, Recipe
+from tnst_mi.recipe.paths import STYLES
+from tnst_mi.recipe.recipe import Recipe
 
 _LAYER, _CHANNEL, _STYLE = "inception_4b/pool_proj", 63, "spirals"
 _SEMANTIC = Semantic(_LAYER, (_CHANNEL,))

@@ -14,10 +14,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.resampling import resample_potential
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import load_frames
-from tnst_mi.recipe.recipe import STYLES, Recipe
-from tnst_mi.run.folder import StoredArrays, holds_run
+from tnst_mi.recipe.paths import STYLES
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import holds_run
 from tnst_mi.run.job import Run as RunningJob
 from tnst_mi.run.prepare import prepare
+from tnst_mi.run.stored_arrays import StoredArrays
 
 _HERE = Path(__file__).resolve().parents[2]
 

@@ -22,6 +22,7 @@ from tnst_mi.commands import doctor
 from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
+from tnst_mi.recipe.paths import STYLES
 from tnst_mi.recipe.recipe import KINDS
 
 __all__ = ["optimiser", "run", "smoke"]
@@ -82,12 +83,14 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
     [
         ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
         ("frobnicate", "expected one of demo, stylize, render, compare, convert, atlas, info, weights, doctor"),
-        ("stylize", "Missing from tnst-mi stylize: INPUT .* --out FOLDER"),
+        ("stylize", "Missing from tnst-mi stylize: --out FOLDER"),
         ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),
         ("stylize a --out", "Missing value for argument .*--out"),
         ("stylize a --out b --lamm 1", "unexpected '--lamm'; did you mean --lam?"),
         ("stylize a --out b --lamm=1", "unexpected '--lamm'; did you mean --lam?"),
         ("stylize a --out b c", "unexpected 'c'"),
+        ("stylize --out b --tag x", "stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern"),
+        ("stylize --out b --resume", "b: holds no run that could be resumed; give its INPUT too to begin it"),
         ("info", "expected one or more files"),
         ("render a --out b --views 1,2,3", "--views 1,2,3: expected AZIMUTH,ELEVATION"),
         ("render a --out b --views nan,0", "--views nan,0: expected"),
@@ -190,15 +193,15 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[4:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
-    said = [line.split(": ")[0] for line in ran.errors[:4]]
-    assert said == ["device", "network", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
+    assert (ran.code, ran.errors[5:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    said = [line.split(": ")[0] for line in ran.errors[:5]]
+    assert said == ["device", "network", "read as", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[4].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[5].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 5
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 6
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
@@ -318,8 +321,10 @@ def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
     ran = run("info", tmp_path / "v.npz")
     assert (ran.code, ran.errors) == (0, [])
     assert ran.out.splitlines()[1:] == [
-        "  array 'velocity': float32, shape (2, 2, 2, 3)",
+        "  array 'velocity': float32, shape (2, 2, 2, 3), 0 to 4",
+        "  read as: y up, velocity at centres in cells-per-frame; no density, velocity from velocity, no obstacle",
         "  velocity: at most 5 cells per frame",
+        "  no frame: no array 'density' (or 'x'), the arrays found are: velocity",
     ]
 
 
@@ -345,3 +350,105 @@ def test_an_interruption_inside_a_callback_is_one(run: Run, monkeypatch: pytest.
     monkeypatch.setattr(doctor, "run", interrupted)
     ran = run("doctor")
     assert ran.code == 3 and ran.errors == ["tnst-mi: interrupted"]
+
+
+# --- Everyday usage ---------------------------------------------------------------------------------------
+
+
+def test_the_version(run: Run) -> None:
+    assert [(ran.code, ran.out) for ran in (run("--version"), run("-V"))] == [(0, "tnst-mi 0.1.0\n")] * 2
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("stylize a --out b --camera 10", "unexpected '--camera'; did you mean --azimuth?"),
+        ("stylize a --out b --strength=2", "unexpected '--strength'; did you mean --eta?"),
+        ("stylize a --out b --learning-rate 2", "did you mean --eta?"),
+        ("stylize a --out b --style-image x.png", "did you mean --style?"),
+        ("stylize a --out b --device cuda", "did you mean --variant?"),
+        (
+            "stylize a --out b --preview",
+            "unexpected '--preview'; a single octave gives a quick preview .*--octaves 1",
+        ),
+        ("stylize a --out b --output c", "did you mean --out?"),
+        ("convert a b --time-step 2", "unexpected '--time-step'; did you mean --dt?"),
+        ("convert a b --camera 2", "unexpected '--camera'; tnst-mi convert --help lists what is known"),
+        ("stylize a --out b --tag x --eta {0:1", "--eta {0:1: expected a value for each frame, such as '{49: 0.1, 72"),
+        ("stylize a --out b --tag x --octaves {0:1}", "--octaves: octaves = .*: cannot be keyframed"),
+        ("stylize a --out b --tag x --eta {0:-1}", "--eta: frame 0: eta = -1: expected a number above 0"),
+    ],
+)
+def test_what_was_meant(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run, tmp_path, line.split(), message)
+
+
+def test_a_pattern_without_quotes(run: Run, smoke: Path, tmp_path: Path) -> None:
+    files = [smoke / f"f_0{number}.npz" for number in (7, 8, 9)]
+    refused(run, tmp_path, ["stylize", *files, "--out", tmp_path / "out"], "as a pattern in quotes, such as 'smoke_")
+
+
+@pytest.mark.parametrize("flag", [("--frames", "-3:-2"), ("--frames=-3:-2",)])
+def test_negative_frames(run: Run, tmp_path: Path, optimiser: FakeOptimiser, flag: tuple[str, ...]) -> None:
+    for number in (1, 2, 3):
+        save_frames(tmp_path / "smoke" / f"s.-00{number}.npz", frames(0.1 * number)[0])
+    ran = run("stylize", tmp_path / "smoke", "--out", tmp_path / "out", "--tag", "x", *flag)
+    assert ran.code == 0, ran.errors
+    assert optimiser.names == ["s.-003", "s.-002"]
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert [frame["number"] for frame in record["frames"]] == [-3, -2]
+
+
+@pytest.mark.parametrize("table", ["{7: 0.001, 9: 0.002}", "{7 = 0.001, 9 = 0.002}", '{"7" = 0.001, 9: 0.002}'])
+def test_tables_of_keyframes_as_flags(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser, table: str
+) -> None:
+    ran = run(
+        *("stylize", smoke, "--out", tmp_path / "out", "--eta", table),
+        *("--azimuth", "{7: [-10, 10], 9: [0, 20]}", "--style", "{7: 'net', 9: ['spirals']}"),
+    )
+    assert ran.code == 0, ran.errors
+    recipe = optimiser.calls[0]["recipe"]
+    assert recipe.keyframes["eta"] == ((7, 0.001), (9, 0.002))
+    assert recipe.at(8).azimuth == (-5.0, 15.0)
+    assert [[Path(path).stem for path in paths] for _, paths in recipe.keyframes["style"]] == [["net"], ["spirals"]]
+
+
+def test_resuming_needs_the_folder_alone(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    optimiser.interrupt_at = "f_08"
+    flags = ("--tag", "x", "--octaves", "2", "--frames", "7:8", "--gamma", "{7: 0.1, 8: 0.2}")
+    assert run("stylize", "smoke", "--out", "out", *flags).code == 3
+    optimiser.interrupt_at = ""
+    monkeypatch.chdir(smoke)
+    ran = run("stylize", "--out", tmp_path / "out", "--resume")
+    assert ran.code == 0, ran.errors
+    assert optimiser.names == ["f_07", "f_08"]
+    assert optimiser.calls[0]["recipe"] == optimiser.calls[1]["recipe"]
+    ran = run("stylize", "--out", tmp_path / "out", "--resume", "--octaves", "3")
+    assert ran.code == 2 and "its run had octaves = 2 and the recipe now has 3" in ran.errors[-1]
+
+
+def test_homes_are_found(
+    run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "r.toml").write_text('style = ["~/net.png"]\n')
+    (tmp_path / "net.png").write_bytes((STYLES / "net.png").read_bytes())
+    ran = run("stylize", "~/smoke", "--out=~/out", "--recipe", "~/r.toml")
+    assert ran.code == 0, ran.errors
+    assert optimiser.calls[0]["recipe"].style == (str(tmp_path / "net.png"),)
+    assert (tmp_path / "out" / "run.json").is_file()
+
+
+def test_messages_are_plain(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: object) -> int:
+        raise RuntimeError("\x1b[31mred\x1b[0m and \x07loud\x00 in\nmany lines")
+
+    monkeypatch.setattr("tnst_mi.commands.doctor.run", fails)
+    assert run("doctor").errors == ["tnst-mi: RuntimeError: red and loud in many lines (--debug shows where)"]
+    ran = run("info", tmp_path / "a\x1b[31mb\udcff.vdb")
+    assert ran.code == 2 and ran.errors[0].endswith("ab?.vdb: no such file or folder")

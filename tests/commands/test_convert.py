@@ -15,7 +15,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Placement
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
-from tnst_mi.io.orientation import from_z_up
+from tnst_mi.io.interpretation.orientation import from_z_up
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
@@ -104,7 +104,7 @@ def test_bad_requests(run: Run, moving: Path, tmp_path: Path) -> None:
         ([file, tmp_path / "a.vdb", "--dt", "0"], "--dt 0: expected a number above 0"),
         ([file, tmp_path / "a.vdb", "--voxel-size", "-1"], "--voxel-size -1: expected a number above 0"),
         ([moving, tmp_path / "out", "--frames", "7:12"], "has the frames 7 to 9"),
-        ([moving, tmp_path / "out", "--frames", "7"], "--frames 7: expected a range of frame numbers"),
+        ([moving, tmp_path / "out", "--frames", "7:"], "--frames 7:: expected a range of frame numbers"),
     ):
         refused(run, tmp_path, ["convert", *arguments], message)
     for flags, message in (
@@ -153,6 +153,22 @@ def test_info_describes_every_file_of_a_mixed_folder(run: Run, moving: Path) -> 
     save_frames(moving / "f_10.uni", load_frames(moving)[0])
     out = run("info", moving).out
     assert out.count("read as: z up") == out.count("shape (z, y, x): (4, 6, 5)") == 1
+
+
+def test_info_describes_every_sequence_of_a_folder_and_asks_as_the_others_do(
+    run: Run, moving: Path, tmp_path: Path
+) -> None:
+    for frame in load_frames(moving):
+        save_frames(moving / f"{frame.name}.vol", frame)
+        save_frames(moving / f"g_{frame.number}.npz", frame)
+    ran = run("info", moving)
+    described = {Path(line).name for line in ran.out.splitlines() if line.startswith("/") and ": " not in line}
+    assert described == {f"f_{number:02}.{kind}" for number in (7, 8, 9) for kind in ("npz", "vol")} | {
+        f"g_{number}.npz" for number in (7, 8, 9)
+    }
+    other = run("convert", moving, tmp_path / "out")
+    assert ran.code == other.code == 2 and ran.errors == other.errors
+    assert "has 3 sequences: f_##.npz (7 to 9), f_##.vol (7 to 9), g_#.npz (7 to 9); give one" in ran.errors[0]
 
 
 def test_info_describes_every_format(run: Run, moving: Path, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.grids.uni import MAC, REAL, VECTOR, read_uni, read_uni_header, write_uni
-from tnst_mi.io.orientation import from_z_up, mirrored, to_z_up
-from tnst_mi.io.staggered import centred_velocity
+from tnst_mi.io.interpretation.orientation import from_z_up, mirrored, to_z_up
+from tnst_mi.io.interpretation.staggered import centred_velocity
 
 SHAPE = (3, 5, 4)
 

@@ -11,7 +11,7 @@ import pytest
 from tnst_mi.compare.path_tracing import PathTracer
 from tnst_mi.errors import InputError
 from tnst_mi.machine import optix
-from tnst_mi.recipe.recipe import LIGHTS
+from tnst_mi.recipe.paths import LIGHTS
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 from tnst_mi.rendering.studio import Smoke, Studio
 

@@ -14,13 +14,14 @@ import networks
 import numpy as np
 import pytest
 import safetensors.numpy
+import safetensors.torch
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.network.readers import read_weights
+from tnst_mi.network.readers import flavour_of, read_weights
 from tnst_mi.network.readers.network_weights import MalformedFile
 from tnst_mi.network.readers.protobuf import Message
 
@@ -135,6 +136,34 @@ def test_pth_of_both_formats(tmp_path: Path, tensors: networks.Tensors, zipped: 
         weights.tensors,
         {name: value.astype(np.float16).astype(np.float32) for name, value in tensors.items()},
     )
+
+
+@pytest.mark.parametrize("prefix", ["", "module.", "module.model.", "_orig_mod.module."])
+@pytest.mark.parametrize("entries", [(), ("state_dict",), ("model",), ("checkpoint", "model_state_dict")])
+def test_state_dicts_of_training_programs(
+    tmp_path: Path, tensors: networks.Tensors, prefix: str, entries: tuple[str, ...]
+) -> None:
+    """As torch's DataParallel and torch.compile name them, beside other entries of a checkpoint."""
+    contents: dict = {f"{prefix}{name}": torch.from_numpy(value) for name, value in tensors.items()}
+    safetensors.torch.save_file(contents, tmp_path / "state.safetensors")
+    for entry in reversed(entries):
+        contents = {"epoch": 3, entry: contents, "optimizer": {"lr": 0.1}}
+    torch.save(contents, tmp_path / "state.pth")
+    if "checkpoint" in entries:
+        with pytest.raises(InputError, match="expected a dictionary of tensors, or one in an entry state_dict"):
+            read_weights(tmp_path / "state.pth")
+        return
+    for name in ("state.pth", "state.safetensors"):
+        assert flavour_of(tmp_path / name) == "bvlc"
+        assert_same(read_weights(tmp_path / name).tensors, tensors)
+
+
+def test_a_state_dict_inside_itself(tmp_path: Path) -> None:
+    contents: dict = {"epoch": 3}
+    contents["model"] = contents
+    torch.save(contents, tmp_path / "state.pth")
+    with pytest.raises(InputError, match=r"state.pth: not a torch state dict"):
+        read_weights(tmp_path / "state.pth")
 
 
 def test_batch_normalisation_is_folded(tmp_path: Path) -> None:

@@ -19,7 +19,8 @@ from torch import Tensor
 import tnst_mi
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.single_frame import optimise
-from tnst_mi.recipe.recipe import STYLES, Recipe
+from tnst_mi.recipe.paths import STYLES
+from tnst_mi.recipe.recipe import Recipe
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 VIEWS = 3

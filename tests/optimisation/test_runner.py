@@ -429,7 +429,7 @@ def test_what_a_window_needs_is_checked_first(weights: Path, tmp_path: Path) -> 
     for given, message in (
         (lacking, "s_006: has no velocity, which window = 3 needs; add it to the frames, or set window to 1"),
         (frames[:1], "s_005: is a single frame, expected a sequence"),
-        ([frames[0], frames[2]], "7 comes after 5, expected consecutive frames"),
+        ([frames[0], frames[2], dataclasses.replace(frames[1], number=8)], "7 comes after 5, expected 6 there"),
     ):
         with pytest.raises(InputError, match=message):
             tnst_mi.stylize(given, recipe, tmp_path / "out", progress=False)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe.recipe import KINDS, STYLES, Recipe, documentation, shipped_styles
+from tnst_mi.recipe.paths import STYLES, shipped_styles
+from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 
 CHANGED: dict[str, Any] = {
     "style": ("spirals", "net"),
@@ -66,6 +67,20 @@ CHANGED: dict[str, Any] = {
     "variant": "llvm_ad_rgb",
     "format": "npz",
     "fps": 12.0,
+    "density": "smoke",
+    "velocity": "vel",
+    "obstacle": "none",
+    "up": "z",
+    "flip": "xz",
+    "units": "length-per-time",
+    "dt": 0.04,
+    "scale": 0.5,
+    "voxel_size": 0.1,
+    "origin": (1.0, -2.0, 0.5),
+    "fog": True,
+    "crop": False,
+    "ignore_stray": True,
+    "skip_bad": True,
 }
 
 
@@ -106,7 +121,7 @@ def test_a_recipe_survives_toml(tmp_path: Path) -> None:
 
 def test_flags_say_what_toml_says() -> None:
     texts = {name: KINDS[name].show(value) for name, value in CHANGED.items() if not isinstance(value, tuple)}
-    texts |= {"azimuth": "80,110", "elevation": "0,0"}
+    texts |= {"azimuth": "80,110", "elevation": "0,0", "origin": "1,-2,0.5"}
     texts |= {name: CHANGED[name] for name in ("style", "semantic", "tag")}
     by_flags = Recipe().updated_by_flags(texts)
     assert by_flags == Recipe().updated(CHANGED, "", Path.cwd())
@@ -159,8 +174,8 @@ def test_the_shipped_styles() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("lamda = 1", "unknown key 'lamda'; the nearest known key is 'lam'"),
-        ("style-weight = 1", "unknown key 'style-weight'; the nearest known key is 'style_weight'"),
+        ("lamda = 1", "unknown key 'lamda'; did you mean 'lam'"),
+        ("style-weight = 1", "unknown key 'style-weight'; did you mean 'style_weight'"),
         ("[how]\nlam = 1", "unknown key 'how'"),
         ('gamma = "0.1"', "gamma = '0.1': expected a number above 0"),
         ("gamma = 0", "gamma = 0: expected a number above 0"),
@@ -189,7 +204,7 @@ def test_the_shipped_styles() -> None:
         ('style_layers = ["conv2/3x3=-1"]', "expected layers with weights"),
         ('style_layers = ["conv2/3x3=one"]', "expected layers with weights"),
         ('frames = "9:7"', "expected the smaller number first"),
-        ('frames = "7"', "expected a range of frame numbers"),
+        ('frames = "7:"', "expected a range of frame numbers"),
         ('format = "abc"', "format = 'abc': expected npz, vol, uni or vdb"),
         ("gamma = ", "not valid TOML"),
         ("a = " + "[" * 5000, "TOML|cannot be read"),
@@ -208,7 +223,7 @@ def test_unreadable_recipe_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read as a recipe"):
         Recipe.from_toml(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read as a recipe"):
+    with pytest.raises(InputError, match="UTF-16 text or no text, expected UTF-8"):
         Recipe.from_toml(tmp_path / "binary.toml")
     (tmp_path / "huge.toml").write_bytes(b"#" * (1 << 21))
     with pytest.raises(InputError, match="at most 1 MiB"):

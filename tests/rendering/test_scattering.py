@@ -17,7 +17,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.single_frame import optimise
-from tnst_mi.recipe.recipe import LIGHTS, Recipe, shipped_lights
+from tnst_mi.recipe.paths import LIGHTS, shipped_lights
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import driving_renderer, main_view
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer, _seeds, load_light

@@ -13,7 +13,7 @@ import tyro
 
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
-from tnst_mi.recipe.sections import Goals, Method, Resources
+from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
 
 #: Defaults of `compare` without --quick.
 FULL_SPP, FULL_DIRECTIONS = 256, 64
@@ -24,6 +24,8 @@ ATLAS_FOLDER = "tnst_mi-atlas"
 _GoalFlags = recipe_flags(Goals.__annotations__)
 _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
+_InputFlags = recipe_flags(Reading.__annotations__)
+_ReadingFlags = recipe_flags((*Reading.__annotations__, "fps"))
 _RendererFlags = recipe_flags(("gamma", "quadrature", "variant"))
 
 _DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
@@ -45,14 +47,14 @@ class StylizeArguments(Arguments):
     Values come from the defaults or a preset, then from the recipe file, then from the flags.
     """
 
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file (one frame) or folder (a sequence)."""
+    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT]", help_behavior_hint="")] = None
+    """Density file, folder of numbered ones, or pattern ('smoke_####.vdb'); with --resume, the run's by default."""
     out: Folder
     """New or empty folder for the results."""
     recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recipe file (TOML); its keys are the flags below."""
     resume: bool = False
-    """Continue the run in --out where it stopped, whatever stopped it."""
+    """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
@@ -61,6 +63,8 @@ class StylizeArguments(Arguments):
     """How to get there."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
     """What to read, compute with and write."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
+    """How to read the input."""
 
 
 @dataclass(kw_only=True)
@@ -90,15 +94,13 @@ class RenderArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the pictures."""
     views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0",)
     """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
     turntable: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: no video)")] = None
     """Make a video of one turn around the smoke in N pictures, from the given view, while a sequence plays once."""
-    fps: float = 24.0
-    """Pictures per second of the video."""
     fit: bool = False
     """Make room for all of the grid in every view: without --look, pictures have the columns and rows of the grid, and
     views from the side may cut off some of the smoke."""
@@ -124,6 +126,8 @@ class RenderArguments(Arguments):
     """For --look and the path tracers."""
     renderer: Annotated[Any, tyro.conf.arg(constructor=_RendererFlags)] = field(default_factory=_RendererFlags)
     """How emission_absorption renders the smoke, and on which device."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
+    """How to read the input."""
 
 
 @dataclass(kw_only=True)
@@ -137,7 +141,7 @@ class CompareArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the report."""
     views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0", "35,12", "-80,-25")
@@ -158,35 +162,8 @@ class CompareArguments(Arguments):
     """Factor of the density; auto is 1 over the 99th percentile of the smoky cells, as stylize takes it."""
     overwrite: bool = False
     """Write into a folder that is not empty, replacing files of the same names."""
-
-
-@dataclass(kw_only=True)
-class ReadingFlags:
-    """How to read the input's files; the default is what they declare or their format implies."""
-
-    up: Annotated[
-        Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="(default: z for .uni and Blender's .vdb, else y)")
-    ] = None
-    """Up axis of the files."""
-    flip: Annotated[str, tyro.conf.arg(metavar="AXES", help_behavior_hint="(default: none)")] = ""
-    """Axes to mirror, such as x or xz, once y is up."""
-    velocity_units: Annotated[
-        Literal["cells-per-frame", "cells-per-time", "length-per-time"] | None,
-        tyro.conf.arg(
-            help_behavior_hint="(default: cells-per-time for .uni and Blender's .vdb, length-per-time for other .vdb, "
-            "else cells-per-frame)"
-        ),
-    ] = None
-    """Unit of the velocities: cells per frame, or cells or scene units of length per unit of time."""
-    dt: Annotated[
-        float | None,
-        tyro.conf.arg(metavar="TIME", help_behavior_hint="(default: 0.1 for cells-per-time, 1/24 for length-per-time)"),
-    ] = None
-    """Duration of a frame in that unit of time: 2.5 / fps for Blender's Mantaflow, 1 / fps for seconds."""
-    voxel_size: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: the file's)")] = (
-        None
-    )
-    """Edge of a cell in the scene's unit of length; .vdb files are written with it."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
+    """How to read the input."""
 
 
 @dataclass(kw_only=True)
@@ -198,7 +175,7 @@ class ConvertArguments(Arguments):
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file, or folder of numbered ones."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
     """File, whose extension selects the format, or new or empty folder."""
     format: Annotated[
@@ -206,8 +183,8 @@ class ConvertArguments(Arguments):
     ] = None
     """Format of the files in a folder."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: all)")] = None
-    """Numbers of the first and the last frame of a folder to convert."""
-    reading: ReadingFlags = field(default_factory=ReadingFlags)
+    """Numbers of the first and the last frame to convert, or of one; with decimal points, sub-frames are taken too."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
     """How to read the input."""
 
 
@@ -241,7 +218,9 @@ class InfoArguments(Arguments):
     """
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…")]
-    """Files or folders."""
+    """Files, folders, or patterns such as 'smoke_####.vdb'."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
+    """How to read the input."""
 
 
 @dataclass(kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,9 +14,13 @@ import tyro
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
-from tnst_mi.recipe.keys import Number, Texts
+from tnst_mi.machine.terminal import printable
+from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
+
+#: Earlier names of flags, which still work.
+_OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",)}
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -32,10 +36,13 @@ class Arguments:
 def recipe_flag(name: str) -> Any:
     """The type of the flag for a recipe key: its text or texts; None or () if the flag is not given."""
     kind = KINDS[name]
+    if isinstance(kind, Switch) and kind.bare:
+        return Annotated[bool, tyro.conf.arg(help=documentation()[name])]
     options = tyro.conf.arg(
         metavar=kind.placeholder,
         help=documentation()[name],
         help_behavior_hint=f"(default: {kind.show(getattr(Recipe(), name))})",
+        aliases=_OTHER_FLAGS.get(name),
     )
     if isinstance(kind, Texts):
         return Annotated[tuple[str, ...], tyro.conf.UseAppendAction, options]
@@ -44,13 +51,21 @@ def recipe_flag(name: str) -> Any:
 
 def recipe_flags(keys: Iterable[str]) -> type:
     """A dataclass of the flags for some keys of the recipe."""
-    fields = [(key, recipe_flag(key), field(default=() if isinstance(KINDS[key], Texts) else None)) for key in keys]
+    fields = [(key, recipe_flag(key), field(default=_not_given(KINDS[key]))) for key in keys]
     return make_dataclass("RecipeFlags", fields)
 
 
 def given(flags: Any) -> dict[str, Any]:
     """The texts of the recipe flags that were given, by key."""
-    return {key: text for key, text in dataclasses.asdict(flags).items() if text not in (None, ())}
+    texts = {key: "true" if text is True else text for key, text in dataclasses.asdict(flags).items()}
+    return {key: text for key, text in texts.items() if text not in (None, (), False)}
+
+
+def _not_given(kind: Kind) -> Any:
+    """The value of a flag that is not given."""
+    if isinstance(kind, Switch) and kind.bare:
+        return False
+    return () if isinstance(kind, Texts) else None
 
 
 @dataclass(frozen=True)
@@ -78,7 +93,7 @@ class Unit:
             )
 
 
-def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
+def unit_of(frames: Iterable[Frame], density_scale: str) -> Unit:
     """The unit of frames that are read for it, by the text of --density-scale.
 
     Raises:
@@ -91,6 +106,12 @@ def unit_of(frames: Sequence[Frame], density_scale: str) -> Unit:
         raise InputError(f"--density-scale {density_scale}: expected {kind.expected}") from None
     reference = reference_density(frames)
     return Unit(reference.value, reference.scale(given))
+
+
+def say(lines: Iterable[str]) -> None:
+    """Print lines on stderr."""
+    for line in lines:
+        print(printable(line), file=sys.stderr)
 
 
 def view_of(text: str) -> tuple[float, float]:

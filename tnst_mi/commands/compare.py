@@ -9,7 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import unit_of, view_of
+from tnst_mi.commands.base import given, say, unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
@@ -20,7 +20,9 @@ from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.recipe.keys import Integer, Kind
-from tnst_mi.recipe.recipe import KINDS
+from tnst_mi.recipe.recipe import KINDS, Recipe
+from tnst_mi.run.inputs import conventions_of
+from tnst_mi.run.readable import Readable
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
@@ -33,7 +35,9 @@ def run(arguments: CompareArguments) -> int:
     settings = _settings(arguments)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    frame = open_frames(arguments.input)[0]
+    recipe = Recipe().updated_by_flags(given(arguments.reading))
+    readable = Readable(open_frames(arguments.input, given=conventions_of(recipe))[:1])
+    frame = next(iter(readable))
     unit = unit_of([frame], arguments.density_scale)
     density = scaled(frame.density, unit.factor)
     if not density.any():
@@ -41,6 +45,7 @@ def run(arguments: CompareArguments) -> int:
     require_light(density, settings)
     variant = activate()
     require_optix("compare")
+    say(readable.lines())
     unit.note()
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     with tqdm(total=1.0, bar_format=layout, dynamic_ncols=True, file=sys.stderr) as bar:

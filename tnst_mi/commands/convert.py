@@ -7,22 +7,32 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from tnst_mi.commands.arguments import ConvertArguments, ReadingFlags
+from tnst_mi.commands.arguments import ConvertArguments
+from tnst_mi.commands.base import given, say
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
-from tnst_mi.io.conventions import Conventions
 from tnst_mi.io.formats import FORMATS, files_around, require_format
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.inputs import conventions_of
+from tnst_mi.run.readable import Readable
 
 
 def run(arguments: ConvertArguments) -> int:
     """Convert every frame."""
-    selection = Recipe() if arguments.frames is None else Recipe().updated_by_flags({"frames": arguments.frames})
-    frames = open_frames(arguments.input, selection.frame_range, _conventions(arguments.reading))
+    selection = {} if arguments.frames is None else {"frames": arguments.frames}
+    # Other programs expect the whole grid, at rest.
+    recipe = Recipe().updated_by_flags({"crop": "off"} | selection | given(arguments.reading))
+    every = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
+    _files(arguments, every)  # what is asked for is checked before anything is read
+    readable = Readable(every, recipe.skip_bad)
+    for _ in readable:  # damaged frames are to be found before the first is written
+        pass
+    frames = every.only(readable.kept)
     files = _files(arguments, frames)
+    say(readable.lines())
     suffix, lost = files[0].suffix.lower(), None
     try:
         for file, frame in tqdm(
@@ -67,15 +77,6 @@ def _identity(path: Path) -> object:
         return path.resolve()
     status = path.stat()
     return status.st_dev, status.st_ino
-
-
-def _conventions(flags: ReadingFlags) -> Conventions:
-    if not set(flags.flip) <= set("xyz,"):
-        raise InputError(f"--flip {flags.flip}: expected axes out of x, y and z, such as x or xz")
-    for flag, value in (("dt", flags.dt), ("voxel-size", flags.voxel_size)):
-        if value is not None and not 0.0 < value < 1e9:
-            raise InputError(f"--{flag} {value:g}: expected a number above 0")
-    return Conventions(flags.up, flags.flip.replace(",", ""), flags.velocity_units, flags.dt, flags.voxel_size)
 
 
 def _lost(frame: Frame, suffix: str) -> str | None:

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import RenderArguments
-from tnst_mi.commands.base import given, unit_of, view_of
+from tnst_mi.commands.base import given, say, unit_of, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
-from tnst_mi.io.pictures.video import open_video
+from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import pictures
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
-from tnst_mi.run.inputs import ScaledFrames
+from tnst_mi.run.inputs import ScaledFrames, conventions_of
+from tnst_mi.run.readable import Readable
 
 #: Longest edge of a picture in pixels, the maximum of the video standard.
 _LARGEST_SIDE = 8192
@@ -36,14 +37,15 @@ def run(arguments: RenderArguments) -> int:
     integrator = arguments.integrator or ("volpath" if look else "emission_absorption")
     path_traced = integrator != "emission_absorption"
     _check_flags(arguments, path_traced)
-    recipe = Recipe().updated_by_flags(given(arguments.renderer))
+    recipe = Recipe().updated_by_flags(given(arguments.renderer) | given(arguments.reading))
     views = [view_of(text) for text in arguments.views]
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    stored = open_frames(arguments.input)
-    unit = unit_of(stored, arguments.density_scale or ("auto" if path_traced else "1"))
-    frames = ScaledFrames(stored, unit.factor)
+    stored = open_frames(arguments.input, given=conventions_of(recipe))
+    readable = Readable(stored, recipe.skip_bad)
+    unit = unit_of(readable, arguments.density_scale or ("auto" if path_traced else "1"))
+    frames = ScaledFrames(readable.frames(), unit.factor)
     activate(recipe.variant)
     if arguments.turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
@@ -71,19 +73,23 @@ def run(arguments: RenderArguments) -> int:
             recipe.quadrature,
             arguments.fit,
         )
-    unit.note()
-    _write(arguments, frames, shots, painter)
+    turning = arguments.turntable is not None
+    film = arguments.out / f"{stored.title}_turntable.mp4"
+    with open_video(film, recipe.fps or FRAMES_PER_SECOND) if turning else nullcontext() as video:
+        say(readable.lines())
+        unit.note()
+        _write(arguments, frames, shots, painter, video)
+    if turning:
+        print(f"video     {film}")
     return 0
 
 
-def _write(arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter) -> None:
-    """Render and write every picture, and the video of a turntable."""
-    source, out = arguments.input.resolve(), arguments.out
-    film = out / f"{source.name if source.is_dir() else source.stem}_turntable.mp4"
-    turning = arguments.turntable is not None
-    with contextlib.ExitStack() as stack:
-        video = stack.enter_context(open_video(film, arguments.fps)) if turning else None
-        bar = stack.enter_context(tqdm(total=len(shots), unit="picture", dynamic_ncols=True))
+def _write(
+    arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter, video: Video | None
+) -> None:
+    """Render and write every picture, and add it to the video of a turntable."""
+    out = arguments.out
+    with tqdm(total=len(shots), unit="picture", dynamic_ncols=True) as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
             image = painter.paint(frame.density, shot.view, number)
             picture = painter.shown(image)
@@ -95,8 +101,6 @@ def _write(arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot
             # tqdm.write keeps the lines apart from the progress bar.
             tqdm.write(f"picture   {out / name}.png and {name}.exr", file=sys.stdout)
             bar.update()
-    if turning:
-        print(f"video     {film}")
 
 
 def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[Shot, Frame]]:
@@ -116,8 +120,6 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
     ):
         if value is not None and not low <= value <= high:
             raise InputError(f"--{flag} {value}: expected a whole number from {low} to {high}")
-    if not 0.1 <= arguments.fps <= 1000.0:
-        raise InputError(f"--fps {arguments.fps:g}: expected pictures per second from 0.1 to 1000")
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
     if path_traced and arguments.fit:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import StylizeArguments
 from tnst_mi.commands.base import given
-from tnst_mi.errors import StoppedError
+from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import holds_run, input_of_run
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
 
@@ -20,17 +22,36 @@ _MASS_REMARKED = 0.05
 
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
-    recipe = Recipe() if arguments.recipe is None else Recipe.from_toml(arguments.recipe)
-    for flags in (arguments.goals, arguments.method, arguments.resources):
+    source, recipe = _input_and_recipe(arguments)
+    for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     resume, overwrite = arguments.resume, arguments.overwrite
     try:
-        prepared = prepare(arguments.input, recipe, arguments.out, resume=resume, overwrite=overwrite, progress=True)
+        prepared = prepare(source, recipe, arguments.out, resume=resume, overwrite=overwrite, progress=True)
     except KeyboardInterrupt:
         raise StoppedError(
             "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
     return reported(Run(prepared))
+
+
+def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
+    """What to stylize, and how before the flags; a run to be resumed has both in its folder.
+
+    Raises:
+        InputError: the recipe cannot be used, or there is no INPUT.
+    """
+    resumed = arguments.resume and holds_run(arguments.out)
+    source = arguments.input
+    if source is None and resumed:
+        source = input_of_run(arguments.out)
+    if source is None and arguments.resume:
+        raise InputError(f"{arguments.out}: holds no run that could be resumed; give its INPUT too to begin it")
+    if source is None:
+        raise InputError("stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern")
+    if arguments.recipe is not None:
+        return source, Recipe.from_toml(arguments.recipe)
+    return source, Recipe.from_toml(arguments.out / "recipe.toml") if resumed else Recipe()
 
 
 def reported(frames: Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:

@@ -1,8 +1,8 @@
 """Reading and writing files.
 
-`grids` and `pictures` implement the file formats. `formats` reads and writes one frame in any of them, with what the
-format leaves open (`conventions`, `orientation`, `staggered`) and the files beside it (`companions`). `sequence`, the
-usual entry point, handles files and folders of frames. Writers share `atomic`, readers `untrusted`.
+`grids` and `pictures` implement the file formats. `files` finds the files of an input; `interpretation` decides what
+their grids are, and in which axes and units. `formats` reads and writes one frame in any format. `sequence`, the usual
+entry point, handles files and folders of frames. Writers share `atomic`, readers `untrusted`.
 """
 
 from __future__ import annotations

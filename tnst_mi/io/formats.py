@@ -1,52 +1,41 @@
 """Read and write one frame in each format: npz, Mitsuba's .vol, Mantaflow's .uni, OpenVDB's .vdb.
 
 Only npz and .vdb files hold whole frames; .vol and .uni have companion files beside the density
-(`tnst_mi.io.companions`). All are written with velocities at the cell centres in cells per frame.
+(`tnst_mi.io.files.companions`). All are written with velocities at the cell centres in cells per frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
-from tnst_mi.io import companions
-from tnst_mi.io.conventions import CELLS_PER_TIME, MANTAFLOW_TIME_STEP, StoredFrame
-from tnst_mi.io.grids.npz import read_arrays, read_headers, write_arrays
-from tnst_mi.io.grids.uni import (
-    FLAGS,
-    INTEGER,
-    OBSTACLE_FLAG,
-    REAL,
-    VECTOR,
-    UniHeader,
-    read_uni,
-    read_uni_header,
-    write_uni,
-)
-from tnst_mi.io.grids.vdb.frames import box_of_all, describe_vdb, read_vdb_frame, write_vdb_frame
-from tnst_mi.io.grids.vol import read_vol, read_vol_shape, write_vol
-from tnst_mi.io.orientation import to_z_up
+from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_frame, read_authors_frame
+from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
+from tnst_mi.io.context import SequenceContext
+from tnst_mi.io.files import companions
+from tnst_mi.io.grids.npz import write_arrays
+from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
+from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame
+from tnst_mi.io.grids.vdb.results import write_vdb_frame
+from tnst_mi.io.grids.vol import read_vol, write_vol
+from tnst_mi.io.interpretation.conventions import StoredFrame
+from tnst_mi.io.interpretation.orientation import to_z_up
+from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
 
 #: File extensions of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
 
-#: Formats with one grid per file.
+#: Those that can be read.
+READABLE = (*FORMATS, ".npy")
+
+#: Formats with one grid per file, companions beside it.
 GRID_FORMATS = (".vol", ".uni")
-
-#: Time units per frame in the authors' data.
-AUTHORS_TIME_STEP = 0.5
-
-# Our .uni files declare their conventions in the build information.
-_OURS, _Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
-
-_VECTORS = "holds vectors, expected a density"
 
 
 def require_format(path: Path) -> str:
@@ -61,40 +50,63 @@ def require_format(path: Path) -> str:
     return suffix
 
 
-def sequence_context(files: Sequence[Path]) -> Any:
-    """What reading one frame of a sequence needs from all its files: the voxel box of .vdb files, else None.
+def require_readable(path: Path) -> str:
+    """The extension of a path, in lower case.
 
     Raises:
-        InputError: the files cannot be used.
+        InputError: it is not one of READABLE.
     """
-    return box_of_all([file for file in files if file.suffix.lower() == ".vdb"])
+    suffix = path.suffix.lower()
+    if suffix not in READABLE:
+        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(READABLE)}")
+    return suffix
 
 
-def read_stored(file: Path, velocities: Path | None = None, context: Any = None) -> StoredFrame:
+def read_stored(
+    file: Path,
+    velocities: Path | None = None,
+    context: SequenceContext | None = None,
+    wanted: Wanted | None = None,
+    fog: bool = False,
+) -> StoredFrame:
     """Read a frame as it is stored.
 
     Args:
         file: the file of its density.
         velocities: in the layout of the paper's authors, the folder of the velocities, in npz files of the same names.
-        context: the result of `sequence_context`; None for a single file.
+        context: what the other files of its sequence say; None for a single file.
+        wanted: names that the user gives for grids.
+        fog: whether the inside of a level set is its density.
 
     Raises:
         InputError: a file cannot be used.
     """
-    match require_format(file):
-        case ".npz":
-            return _read_npz(file, velocities)
+    wanted = wanted or Wanted()
+    match require_readable(file):
         case ".vol":
-            return _read_vol(file)
+            return read_vol_frame(file, wanted)
         case ".uni":
-            return _read_uni(file)
+            return read_uni_frame(file, wanted)
+        case ".npz" if velocities is not None:
+            return read_authors_frame(file, velocities, wanted)
+        case ".npz" | ".npy":
+            return with_arrays_beside(file, read_array_frame(file, wanted, context and context.shape), wanted)
+        case _ if context is None:
+            return read_vdb_frame(file, wanted=wanted, fog=fog)
         case _:
-            return read_vdb_frame(file, context)
+            frame = read_vdb_frame(file, context.run, wanted, context.has_density, fog)
+            return with_grids_beside(file, frame, context, wanted)
+
+
+def companions_of(file: Path) -> list[Path]:
+    """The existing files beside that of a density from which its velocity and its obstacle may be read."""
+    found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
+    return [path for path in found if path is not None]
 
 
 def files_around(path: Path) -> list[Path]:
     """The files that reading or writing a frame at a path may touch, whether they exist or not."""
-    return [path, *(companions.possible_companions(path) if require_format(path) in GRID_FORMATS else ())]
+    return [path, *(companions.possible_companions(path) if path.suffix.lower() in GRID_FORMATS else ())]
 
 
 def write_frame(
@@ -137,73 +149,23 @@ def describe(file: Path) -> list[str]:
     Raises:
         InputError: a file cannot be used.
     """
-    suffix = require_format(file)
-    if suffix == ".npz":
-        headers = read_headers(file).items()
-        return [f"  array {name!r}: {header.dtype}, shape {header.shape}" for name, header in headers]
+    suffix = require_readable(file)
+    if suffix in ARRAY_FORMATS:
+        return describe_arrays(file)
     if suffix == ".vdb":
         return describe_vdb(file)
     found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
     lines = []
     for path in (file, *(path for path in found if path is not None)):
         if suffix == ".vol":
-            lines.append(f"  {path.name}: shape {read_vol_shape(path)}")
+            values = read_vol(path)
+            words = f"shape {values.shape}, float32"
         else:
-            header = read_uni_header(path)
-            shape = header.shape if header.components == 1 else (*header.shape, header.components)
+            header, values = read_uni(path)
             faces = ", on faces" if header.staggered else ""
-            lines.append(f"  {path.name}: {header.dtype}, shape {shape} in its own axes{faces}")
+            words = f"{header.dtype}, shape {values.shape} in its own axes{faces}"
+        lines.append(f"  {path.name}: {words}, {values.min():g} to {values.max():g}")
     return lines
-
-
-def _read_npz(file: Path, velocities: Path | None) -> StoredFrame:
-    arrays = read_arrays(file, ("density", "velocity", "obstacle", "x"))
-    density = arrays.get("density", arrays.get("x"))
-    found = ", ".join(read_headers(file)) or "none"
-    lacking = f"no array 'density' (or 'x'), the arrays found are: {found}"
-    frame = StoredFrame(density=density, scene_up="z", lacking=lacking)
-    if velocities is None or not (velocities / file.name).exists():
-        return replace(frame, velocity=arrays.get("velocity"), obstacle=arrays.get("obstacle"))
-    faces = read_arrays(velocities / file.name, ("x",)).get("x")
-    if faces is None or faces.ndim != 4 or faces.shape[-1] != 3:
-        raise InputError(f"{velocities / file.name}: expected an array 'x' of shape (D, H, W, 3)")
-    return replace(frame, velocity=faces, staggered=True, velocity_units=CELLS_PER_TIME, dt=AUTHORS_TIME_STEP)
-
-
-def _read_vol(file: Path) -> StoredFrame:
-    grid = read_vol(file)
-    if grid.ndim == 4:
-        return StoredFrame(density=None, velocity=grid, scene_up="z", lacking=_VECTORS)
-    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
-    return StoredFrame(
-        density=grid,
-        velocity=None if velocity is None else read_vol(velocity),
-        obstacle=None if obstacle is None else read_vol(obstacle),
-        scene_up="z",
-    )
-
-
-def _read_uni(file: Path) -> StoredFrame:
-    header, grid = read_uni(file)
-    up = "y" if header.build.startswith(_OURS + _Y_UP) else "z"
-    if header.components == 3:
-        return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
-    frame = StoredFrame(density=grid, up=up)
-    velocity, obstacle = (companions.found_companion(file, w) for w in (companions.VELOCITY, companions.OBSTACLE))
-    if velocity is not None:
-        frame = _with_velocity(frame, *read_uni(velocity))
-    if obstacle is not None:
-        _, flags = read_uni(obstacle)
-        frame = replace(frame, obstacle=(flags & OBSTACLE_FLAG) != 0 if flags.dtype.kind == "i" else flags > 0)
-    return frame
-
-
-def _with_velocity(frame: StoredFrame, header: UniHeader, velocity: np.ndarray) -> StoredFrame:
-    """The frame with the velocity of a .uni file."""
-    frame = replace(frame, velocity=velocity, staggered=header.staggered)
-    if header.build.startswith(_OURS):
-        return frame
-    return replace(frame, velocity_units=CELLS_PER_TIME, dt=MANTAFLOW_TIME_STEP)
 
 
 def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:
@@ -212,7 +174,7 @@ def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> No
     kind = VECTOR if stored.ndim == 4 else REAL
     if stored.dtype == bool:
         stored, kind = stored.astype(np.int32) * OBSTACLE_FLAG, INTEGER | FLAGS
-    write_uni(path, stored, kind, _OURS + (_Y_UP if y_up else ""))
+    write_uni(path, stored, kind, OURS + (Y_UP if y_up else ""))
 
 
 def _write_grids(write: Callable[[Path, np.ndarray], None], path: Path, grids: dict[str, np.ndarray]) -> None:

@@ -1,55 +1,58 @@
-"""Frames on disk: single files, numbered folders, and the layout of the paper's authors.
+"""Frames on disk: single files, sequences in folders, and the layout of the paper's authors.
 
 An npz file holds `density` (D, H, W) and may hold `velocity` (D, H, W, 3) in cells per frame and `obstacle`
 (D, H, W); docs/formats.md describes the other formats. The authors' files hold one array `x` each: densities in a
 folder `d`, velocities in a folder `v` beside it. Their velocities are on the cell faces (MAC), in cells per time unit,
 with 0.5 time units per frame: reading averages the two faces of each cell (the last cell has only one) and multiplies
-by 0.5.
+by 0.5. Which files are frames is decided by `tnst_mi.io.files.listing`.
 """
 
 from __future__ import annotations
 
 import functools
-import re
-from collections.abc import Callable, Iterable, Sequence
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import overload
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.companions import densities
-from tnst_mi.io.conventions import Conventions, StoredFrame
+from tnst_mi.io.files.frame_numbers import Number
+from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
     FORMATS,
-    GRID_FORMATS,
+    SequenceContext,
+    companions_of,
     files_around,
     read_stored,
     require_format,
-    sequence_context,
     write_frame,
 )
+from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
+from tnst_mi.resources import expanded
 
 
 class FrameFiles(Sequence[Frame]):
-    """The frames of a file or folder, in the order of their numbers; each access reads the file anew."""
+    """The frames of a file, a folder or a pattern, in the order of their numbers; each access reads the file anew."""
 
     def __init__(
         self,
-        files: list[Path],
-        velocities: Path | None = None,
+        source: Path,
+        listing: Listing,
         given: Conventions | None = None,
-        context: Callable[[], Any] = lambda: None,
+        context: SequenceContext | None = None,
     ) -> None:
         """Set the files of the frames, and how to read them.
 
         Args:
-            files: the density files.
-            velocities: in the authors' layout, the folder of the velocities.
-            given: the user's overrides, see `tnst_mi.io.conventions.Conventions`.
-            context: returns what reading one frame needs from all files, see `tnst_mi.io.formats.sequence_context`.
+            source: the file, the folder or the pattern.
+            listing: its files.
+            given: the user's overrides, see `tnst_mi.io.interpretation.conventions.Conventions`.
+            context: what reading a frame needs from the whole sequence, if that has been found out already.
         """
-        self.files = files
-        self._velocities, self._given, self._context = velocities, given or Conventions(), context
+        self.source, self._listing, self._given = source, listing, given or Conventions()
+        self._known_context = context
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -58,12 +61,50 @@ class FrameFiles(Sequence[Frame]):
     @overload
     def __getitem__(self, index: int) -> Frame: ...
     @overload
-    def __getitem__(self, index: slice) -> FrameFiles: ...
-    def __getitem__(self, index: int | slice) -> Frame | FrameFiles:
-        """Read one frame, or select several."""
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        """Read one frame, or select several, which are read on access."""
         if isinstance(index, slice):
-            return FrameFiles(self.files[index], self._velocities, self._given, self._context)
+            return self.only(range(len(self))[index])
         return self.frame_of(index, self.stored(index))
+
+    def only(self, indices: Iterable[int]) -> FrameFiles:
+        """Some of the frames, each read as in the whole sequence."""
+        chosen = list(indices)
+        files, numbers = ([items[index] for index in chosen] for items in (self.files, self.numbers))
+        return FrameFiles(self.source, replace(self._listing, files=files, numbers=numbers), self._given, self._context)
+
+    @property
+    def files(self) -> list[Path]:
+        """The density files."""
+        return self._listing.files
+
+    @property
+    def numbers(self) -> list[Number | None]:
+        """The numbers of the frames; None for a single file without one."""
+        return self._listing.numbers
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was decided in choosing the files, to be said."""
+        return self._listing.notes
+
+    @property
+    def title(self) -> str:
+        """A name for all frames together, which can be part of a file's name."""
+        source = self.source.resolve()
+        name = source.name if source.is_dir() else source.stem if source.exists() else self.files[0].stem
+        return displayable(name)
+
+    @property
+    def grid_notes(self) -> tuple[str, ...]:
+        """What was decided about the grid on which the files are read, to be said once they have been.
+
+        Raises:
+            InputError: there is no such grid.
+        """
+        run = None if self._context is None else self._context.run
+        return () if run is None else run.notes
 
     @property
     def suffix(self) -> str:
@@ -72,8 +113,8 @@ class FrameFiles(Sequence[Frame]):
 
     def sources(self, index: int) -> list[Path]:
         """The files that one frame is read from, or would be if they existed."""
-        file = self.files[index]
-        return [*files_around(file), *([] if self._velocities is None else [self._velocities / file.name])]
+        file, velocities = self.files[index], self._listing.velocities
+        return [*files_around(file), *companions_of(file), *([] if velocities is None else [velocities / file.name])]
 
     def stored(self, index: int) -> StoredFrame:
         """Read one frame as it is stored, which may have no density.
@@ -81,7 +122,19 @@ class FrameFiles(Sequence[Frame]):
         Raises:
             InputError: a file cannot be used.
         """
-        return read_stored(self.files[index], self._velocities, self._context())
+        return read_stored(
+            self.files[index], self._listing.velocities, self._context, self._given.names, self._given.fog
+        )
+
+    def result(self, file: Path) -> StoredFrame:
+        """Read the result of a frame, a file of the same name, on the grid of these files.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+        stored = read_stored(file, context=self._context)
+        # Its velocity is not that of the smoke: it does not go with a moving grid.
+        return replace(stored, drift=None)
 
     def frame_of(self, index: int, stored: StoredFrame) -> Frame:
         """The frame made from what `stored` has read.
@@ -90,52 +143,60 @@ class FrameFiles(Sequence[Frame]):
             InputError: it has no density, or its arrays cannot be used.
         """
         file = self.files[index]
+        name = displayable(file.stem)
         try:
-            return stored.frame(self._given, file.stem, _number(file))
+            return stored.frame(self._given, name, self.numbers[index])
         except InputError as error:
-            raise InputError(f"{file}: {str(error).removeprefix(f'{file.stem}: ')}") from None
+            raise InputError(f"{file}: {str(error).removeprefix(f'{name}: ')}") from None
+
+    @functools.cached_property
+    def _context(self) -> SequenceContext | None:
+        """What reading one frame needs from all files: it is read the same whichever frames are selected."""
+        if self._known_context is not None:
+            return self._known_context
+        sequence = self._listing.sequence
+        beside = [path for file in sequence for path in companions_of(file)]
+        if not (self.source.is_dir() or len(sequence) > 1 or beside or self.suffix == ".vdb"):
+            return None
+        numbers = {
+            file: float(number) for file, number in zip(self.files, self.numbers, strict=True) if number is not None
+        }
+        return SequenceContext([*sequence, *beside], self._given, numbers)
 
 
 def open_frames(
-    path: str | Path, numbers: tuple[int, int] | None = None, given: Conventions | None = None
+    path: str | Path, numbers: tuple[Number, Number] | None = None, given: Conventions | None = None
 ) -> FrameFiles:
-    """List the frames of a file, a folder or the authors' layout (a folder with `d`) without reading them.
-
-    The frames of a folder are the files whose names end in a number, in the order of the numbers; other files
-    are ignored. A folder with one file needs no number.
+    """List the frames of a file, a folder, a folder that a program made, or a pattern, without reading them.
 
     Args:
-        path: the file or folder.
-        numbers: the first and the last frame to take, both included; None takes all.
+        path: the file, the folder, or the pattern (`tnst_mi.io.files.patterns`).
+        numbers: the first and the last frame to take, both included; floats take sub-frames too. None takes all whole
+            frames, or all sub-frames if there are no others.
         given: the user's overrides for what the files declare or their format implies.
 
     Raises:
-        InputError: nothing is there, the format is unknown, or numbers are missing or duplicated.
+        InputError: nothing is there, the format is unknown, there are several sequences, or numbers are missing or
+            duplicated.
     """
     path = Path(path)
-    if path.is_dir():
-        authors = (path / "d").is_dir()
-        folder = path / "d" if authors else path
-        files = _frame_files(folder)
-        chosen = _selected(files, numbers)
-        _require_complete(folder, chosen)
-        # From all files, so that a frame is read the same whichever frames are selected.
-        context = functools.cache(lambda: sequence_context(files))
-        return FrameFiles(chosen, path / "v" if authors else None, given, context)
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
-    require_format(path)
-    return FrameFiles(_selected([path], numbers), given=given)
+    return FrameFiles(path, list_frames(path, numbers), given)
+
+
+def displayable(name: str) -> str:
+    """A file name with a replacement for each byte that is not UTF-8, so that results and records can have it."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def load_frames(path: str | Path) -> list[Frame]:
-    """Read all frames of a file, a folder or the layout of the paper's authors.
+    """Read all frames of a file, a folder or a pattern such as `smoke_####.vdb`.
 
-    Formats are npz, .vdb, .uni and .vol. The frames of a folder are the files whose names end in a number, in the order
-    of the numbers; a folder with one file needs none.
+    Formats are npz, .npy, .vdb, .uni and .vol. The frames of a folder are the files of one name with different numbers,
+    in the order of the numbers; a folder with one file needs none. Folders that programs make lead to their frames:
+    the cache of Blender, a scene of PhiFlow, a run of ours, the layout of the paper's authors.
 
     Args:
-        path: the file or folder.
+        path: the file, the folder or the pattern.
 
     Returns:
         One `Frame` for each: densities (D, H, W), velocities (D, H, W, 3) in cells per frame, at the cell centres.
@@ -195,7 +256,7 @@ def save_frames(path: str | Path, frames: Frame | Sequence[Frame], format: str =
         ...     sorted(os.listdir(folder))
         ['smoke_0008.vdb', 'smoke_0009.vdb']
     """
-    path = Path(path)
+    path = expanded(Path(path))
     several = not isinstance(frames, Frame)
     frames = frames if several else [frames]
     if not isinstance(frames, Sequence) or not all(isinstance(frame, Frame) for frame in frames):
@@ -217,62 +278,3 @@ def save_frame(path: Path, frame: Frame) -> None:
         InputError: the format is unknown.
     """
     write_frame(path, frame.density, frame.velocity, frame.obstacle, frame.placement)
-
-
-def _number(file: Path) -> int | None:
-    match = re.search(r"(\d+)$", file.stem)
-    return int(match[1]) if match else None
-
-
-def _numbers(files: list[Path]) -> list[int]:
-    """The numbers of the files that have one."""
-    return [number for file in files if (number := _number(file)) is not None]
-
-
-def _selected(files: list[Path], numbers: tuple[int, int] | None) -> list[Path]:
-    """The files, sorted by number, whose numbers lie between the given first and last."""
-    if numbers is None:
-        return files
-    wanted = "frames = '{}:{}'".format(*numbers)
-    have = _numbers(files)
-    if len(have) < len(files):
-        raise InputError(f"{wanted}: the name of {files[0]} does not end in a frame number; leave out the frames")
-    chosen = [file for file, number in zip(files, have, strict=True) if numbers[0] <= number <= numbers[1]]
-    if not chosen or (_number(chosen[0]), _number(chosen[-1])) != numbers:
-        span = f"frame {have[0]}" if len(have) == 1 else f"frames {have[0]} to {have[-1]}"
-        raise InputError(f"{wanted}: the input has the {span}, and both ends must be there")
-    return chosen
-
-
-def _frame_files(folder: Path) -> list[Path]:
-    """The files of a folder that are frames, in the order of their numbers."""
-    # Hidden files are not ours, or were left unfinished by a killed run.
-    visible = (file for file in folder.iterdir() if not file.name.startswith("."))
-    files = sorted(file for file in visible if file.suffix.lower() in FORMATS and file.is_file())
-    for suffix in GRID_FORMATS:
-        grids = [file for file in files if file.suffix.lower() == suffix]
-        others = set(grids) - set(densities(grids))
-        files = [file for file in files if file not in others]
-    if not files:
-        raise InputError(f"{folder}: no frames in this folder, expected files {', '.join(FORMATS)}")
-    if len(files) == 1:
-        return files
-    numbered = sorted((number, file) for file in files if (number := _number(file)) is not None)
-    if not numbered:
-        raise InputError(f"{folder}: no file name ends in a frame number (such as frame_0012.npz)")
-    return [file for _, file in numbered]
-
-
-def _require_complete(folder: Path, files: list[Path]) -> None:
-    """Check that no frame number is repeated and none is missing in between."""
-    if len(files) == 1:
-        return
-    numbers = _numbers(files)
-    if len(set(numbers)) < len(numbers):
-        double = next(number for number in numbers if numbers.count(number) > 1)
-        names = ", ".join(file.name for file in files if _number(file) == double)
-        raise InputError(f"{folder}: frame {double} is there more than once: {names}")
-    if numbers[-1] - numbers[0] >= len(numbers):
-        missing = sorted(set(range(numbers[0], numbers[-1] + 1)[:100_000]) - set(numbers))
-        shown = ", ".join(map(str, missing[:10])) + (", …" if len(missing) > 10 else "")
-        raise InputError(f"{folder}: frames are missing between {numbers[0]} and {numbers[-1]}: {shown}")

@@ -33,11 +33,13 @@ def opening(path: Path, kind: str, damage: tuple[type[Exception], ...] = ()) -> 
         damage: exceptions by which readers report a file of another kind, truncated or damaged.
 
     Raises:
-        InputError: the path is a folder, or the file is missing, damaged, or lacks read permission.
+        InputError: the path is a folder, or the file is missing, empty, damaged, or lacks read permission.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected {kind}")
     try:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: is empty (0 bytes), expected {kind}")
         yield
     except InputError:
         raise

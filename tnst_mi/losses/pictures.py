@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import warnings
 from dataclasses import dataclass
@@ -11,10 +12,23 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.pictures.exr import read_linear
+from tnst_mi.io.pictures.radiance import MAGIC as RADIANCE
+from tnst_mi.io.pictures.radiance import read_radiance
+from tnst_mi.losses.tone_mapping import tone_mapped
 
 # Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
-PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
+PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM", "AVIF", "HEIF")
 SIXTEEN_BIT_MODES = ("I", "I;16", "I;16L", "I;16B", "I;16N")
+
+
+_OPENEXR = b"\x76\x2f\x31\x01"
+
+#: Brands of files in the container that AVIF and HEIC share.
+_AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+
+#: Standard deviation of grey below which a picture is nearly flat.
+_FLAT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +39,7 @@ class GreyImage:
         name: The name in logs and errors, e.g. the file name.
         grey: (H, W) float32 in [0, 1], row 0 at the top.
         alpha: (H, W) float32 in [0, 1], 1 where the picture counts; None means everywhere.
+        remarks: What is worth saying about it.
 
     Raises:
         InputError: A value is not finite.
@@ -33,6 +48,7 @@ class GreyImage:
     name: str
     grey: np.ndarray
     alpha: np.ndarray | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -59,7 +75,8 @@ def read_image(path: str | Path) -> GreyImage:
     """Read a picture as grey: the mean of its three 8-bit channels / 255; an alpha channel is kept separately.
 
     Palette, one-bit, grey, colour and CMYK pictures are converted to 8-bit RGB, 16-bit grey ones are divided by 65535.
-    EXIF orientation is applied; only the first frame of an animation is read.
+    EXIF orientation is applied; only the first frame of an animation is read. OpenEXR and Radiance pictures are tone
+    mapped (`tnst_mi.losses.tone_mapping`).
 
     Raises:
         InputError: The file is missing, unreadable, has more pixels than Pillow's limit
@@ -68,18 +85,19 @@ def read_image(path: str | Path) -> GreyImage:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such picture file; give the path of a PNG or JPEG picture")
-    pixels, full_scale = _decode(path)
+    pixels, full_scale, remarks = _decode(path)
     height, width = pixels.shape[:2]
     if min(height, width) < 2:
         raise InputError(f"{path}: the picture has {width} x {height} pixels; use one of at least 2 x 2")
     if pixels.ndim == 2:
-        return GreyImage(path.name, pixels.astype(np.float32) / full_scale)
+        return GreyImage(path.name, grey := pixels.astype(np.float32) / full_scale, None, remarks + _flatness(grey))
     grey = pixels[..., :3].mean(-1, dtype=np.float32) / full_scale
     if pixels.shape[-1] == 3:
-        return GreyImage(path.name, grey)
+        return GreyImage(path.name, grey, None, remarks + _flatness(grey))
     if not pixels[..., 3].any():
         raise InputError(f"{path}: alpha is 0 in every pixel; use a picture that is not wholly transparent")
-    return GreyImage(path.name, grey, pixels[..., 3].astype(np.float32) / full_scale)
+    flatness = _flatness(grey[pixels[..., 3] > 0])
+    return GreyImage(path.name, grey, pixels[..., 3].astype(np.float32) / full_scale, remarks + flatness)
 
 
 def centred_box(shape: tuple[int, int], height: int, width: int) -> tuple[float, float, float, float]:
@@ -103,12 +121,32 @@ def resized(
     return np.clip(np.asarray(image.resize((width, height), Image.Resampling.BICUBIC, box)), 0.0, 1.0)
 
 
-def _decode(path: Path) -> tuple[np.ndarray, np.float32]:
-    """Return the pixels as stored, (H, W), (H, W, 3) or (H, W, 4), and their full-scale value, which maps to 1."""
+def _flatness(grey: np.ndarray) -> tuple[str, ...]:
+    if grey.size == 0 or grey.std() >= _FLAT:
+        return ()
+    return (f"is nearly flat (grey from {grey.min():.2f} to {grey.max():.2f}), which leaves little to take on",)
+
+
+def _decode(path: Path) -> tuple[np.ndarray, np.float32, tuple[str, ...]]:
+    """The pixels as stored, (H, W), (H, W, 3) or (H, W, 4), their full-scale value, which maps to 1, and remarks."""
+    with path.open("rb") as file:
+        start = file.read(64)
+    if start.startswith((_OPENEXR, *RADIANCE)):
+        linear = read_linear(path, Image.MAX_IMAGE_PIXELS) if start.startswith(_OPENEXR) else read_radiance(path)
+        if not np.isfinite(linear).all():
+            raise InputError(f"{path}: {int((~np.isfinite(linear)).sum())} values are not finite; mend the picture")
+        alpha = np.clip(linear[..., 3:], 0.0, 1.0)
+        shown = np.concatenate([tone_mapped(linear[..., :3]), alpha], axis=-1)
+        return shown, np.float32(1), ("has a high dynamic range: tone mapped (Reinhard, log mean 0.18, then sRGB)",)
+    return *_decoded_by_pillow(path, start), ()
+
+
+def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32]:
+    formats = _known_formats(path, start)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=PICTURE_FORMATS) as file:
+            with Image.open(path, formats=formats) as file:
                 return _pixels(ImageOps.exif_transpose(file))
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         limit = Image.MAX_IMAGE_PIXELS
@@ -118,6 +156,21 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32]:
     except Exception as error:  # Pillow's decoders raise many types on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or JPEG") from None
+
+
+def _known_formats(path: Path, start: bytes) -> list[str]:
+    """The formats that Pillow can read here, given how a file starts, which may need more than Pillow."""
+    brands = start[8:] if start[4:8] == b"ftyp" else b""
+    Image.init()
+    if any(brand in brands for brand in _AVIF):
+        if "AVIF" not in Image.OPEN:
+            raise InputError(f"{path}: AVIF needs Pillow 11.3 or later (pip install -U pillow); or save it as PNG")
+    elif any(brand in brands for brand in _HEIC):
+        try:
+            importlib.import_module("pillow_heif").register_heif_opener()
+        except ImportError:
+            raise InputError(f"{path}: HEIC needs pillow-heif (pip install pillow-heif); or save it as PNG") from None
+    return [name for name in PICTURE_FORMATS if name in Image.OPEN]
 
 
 def _pixels(image: Image.Image) -> tuple[np.ndarray, np.float32]:

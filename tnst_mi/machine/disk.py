@@ -18,8 +18,13 @@ def require_writable(out: Path, source: Path | None = None, remedy: str | None =
         remedy: what to do if the folder is not empty; None if it may contain files.
 
     Raises:
-        InputError: `out` is a file, cannot be written to, is not empty, or contains the input.
+        InputError: `out` is a file, cannot be written to, is not empty, contains the input, or has a name that is not
+            UTF-8, which the writer of OpenEXR pictures cannot have.
     """
+    try:
+        str(out.absolute()).encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{out}: the path is not UTF-8, expected one that is; give another folder") from None
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file, expected a folder for the results")
     if source is not None and source.resolve().is_relative_to(out.resolve()):

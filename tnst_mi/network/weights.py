@@ -24,7 +24,7 @@ from tnst_mi.network.download import Unreachable, download, file_hash
 from tnst_mi.network.readers import flavour_of
 from tnst_mi.network.readers.network_weights import FLAVOUR_NAMES
 from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS, shipped_weights
-from tnst_mi.resources import SHARED_WEIGHTS
+from tnst_mi.resources import SHARED_WEIGHTS, expanded
 
 ENVIRONMENT_VARIABLE = "TNST_MI_WEIGHTS"
 
@@ -150,7 +150,7 @@ def list_weights() -> list[FoundWeights]:
     found, folders = [], [cache_folder(), shared_folder()]
     named = os.environ.get(ENVIRONMENT_VARIABLE)
     if named and named != PATTERNS:
-        path = Path(named).expanduser()
+        path = expanded(Path(named))
         if path.is_dir():
             folders.insert(0, path)
         else:
@@ -202,7 +202,7 @@ def _at(source: str | Path, flavour: str | None, origin: str) -> ChosenWeights:
         if flavour not in (None, PATTERNS):
             raise InputError(f"{origin} {PATTERNS}: the shipped network, expected {flavour}; {_instructions(flavour)}")
         return ChosenWeights(shipped_weights(), PATTERNS)
-    path = Path(source).expanduser()
+    path = expanded(Path(source))
     _require_exists(path, origin)
     if path.is_dir():
         for wanted in FLAVOUR_NAMES if flavour is None else (flavour,):

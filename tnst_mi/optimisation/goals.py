@@ -49,13 +49,13 @@ def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
         reason, remedy = "no other was found", f"get the paper's network with `{DOWNLOAD_COMMAND}`"
     else:
         reason, remedy = f"${ENVIRONMENT_VARIABLE} names it", "name the network that they are of with --weights"
-    tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:5])
+    tags = ", ".join(repr(name.partition(",")[0].strip()) for name in network.class_names[:2])
     if recipe.semantic:
         named = f"semantic {recipe.semantic[0]!r}: channel numbers are those"
     else:
         named = f"match {recipe.match[0]!r}: the channels of a map are those"
     raise InputError(
-        f"{named} of one network, and this run would be on the "
-        f'shipped network {PATTERNS} ({reason}); {remedy}, or say weights = "{PATTERNS}" if its own channels are '
-        f"meant, or choose a tag, such as {tags}"
+        f"{named} of one network; this run would take the "
+        f'shipped {PATTERNS} ({reason}); {remedy}, or weights = "{PATTERNS}" if its own are '
+        f"meant, or a tag, such as {tags}"
     )

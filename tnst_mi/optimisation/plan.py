@@ -25,7 +25,7 @@ class FramePlan:
     Attributes:
         index: its position in the sequence, from 0.
         name: its name in files and in the log.
-        number: the number that seeds its views.
+        number: the number that seeds its views, 0 or more.
         recipe: the recipe at this frame.
         step_scale: the factor of η, the σ of paper Eq. 2: S_t / max_t S_t, or 1 where σ is part of the loss; 0 for a
             frame that is left unchanged.
@@ -119,7 +119,7 @@ class Plan:
 def plan_of(
     recipe: Recipe,
     names: Sequence[str],
-    numbers: Sequence[int | None],
+    numbers: Sequence[int | float | None],
     step_scales: Sequence[float],
     exposures: Sequence[float],
     shape: Shape,
@@ -152,7 +152,7 @@ def plan_of(
         FramePlan(
             index,
             name,
-            index if number is None else number,
+            _seed_number(index, number),
             at_frame,
             float(scale > 0) if recipe.sigma == "loss" else scale,
             exposure,
@@ -174,6 +174,18 @@ def plan_of(
         )
     )
     return Plan(recipe, frames, shape, density_scale, objective or objective_of(recipe))
+
+
+def _seed_number(index: int, number: int | float | None) -> int:
+    """What seeds the views of a frame: its number, or its position if it has none.
+
+    Numbers that are no seeds, negative ones and those of sub-frames, are moved beyond all that are.
+    """
+    if number is None:
+        return index
+    if number >= 0 and number == int(number):
+        return int(number)
+    return (1 << 60) + round(number * 1_000_000)
 
 
 def require_averageable(recipe: Recipe) -> None:

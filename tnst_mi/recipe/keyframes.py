@@ -45,7 +45,7 @@ def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, s
     return {frame: convert(name, entry, f"{source}frame {frame}: ") for frame, entry in sorted(entries.items())}
 
 
-def value_at(keys: Keyframes, frame: int) -> Any:
+def value_at(keys: Keyframes, frame: int | float) -> Any:
     """The value at a frame, for keys that hold numbers, or tuples of numbers of equal length."""
     after = bisect.bisect_right(keys, frame, key=lambda key: key[0])
     if after == 0:
@@ -53,7 +53,7 @@ def value_at(keys: Keyframes, frame: int) -> Any:
     if after == len(keys):
         return keys[-1][1]
     (first, start), (last, end) = keys[after - 1 : after + 1]
-    share = Fraction(int(frame - first), last - first)
+    share = (Fraction(float(frame)) - first) / (last - first)
     if isinstance(start, tuple):
         return tuple(_between(low, high, share) for low, high in zip(start, end, strict=True))
     return _between(start, end, share)
@@ -64,7 +64,7 @@ def pictures_of(keys: Keyframes) -> tuple[str, ...]:
     return tuple(dict.fromkeys(picture for _, pictures in keys for picture in pictures))
 
 
-def shares_at(keys: Keyframes, frame: int) -> tuple[float, ...]:
+def shares_at(keys: Keyframes, frame: int | float) -> tuple[float, ...]:
     """The share of each of `pictures_of(keys)` at a frame.
 
     At a key, the share is how often its list names the picture, usually 1 or 0; between keys, shares are linear, so
@@ -91,7 +91,8 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
     for key, entry in table.items():
         frame = _frame_number(key)
         if frame is None:
-            raise InputError(f"{source}{name}: {reprlib.repr(key)} is no frame number, expected 0 to 999999999")
+            shown = reprlib.repr(key)
+            raise InputError(f"{source}{name}: {shown} is no frame number, expected a whole number of up to 9 digits")
         if frame in entries:
             raise InputError(f"{source}{name}: frame {frame} is there twice, expected each frame once")
         # In a table, a single picture needs no list.
@@ -100,8 +101,8 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
 
 
 def _frame_number(key: Any) -> int | None:
-    if isinstance(key, str) and re.fullmatch("[0-9]{1,9}", key):
+    if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key):
         return int(key)
-    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < 10**9:
+    if isinstance(key, int) and not isinstance(key, bool) and abs(key) < 10**9:
         return key
     return None

@@ -110,10 +110,11 @@ class Integer:
 
 @dataclass(frozen=True)
 class Switch:
-    """True or false."""
+    """True or false; the flag of a `bare` one has no value, and means true."""
 
     placeholder: str = "true|false"
     expected: str = "true or false"
+    bare: bool = False
 
     def check(self, value: Any) -> bool:
         """Accept truth values."""
@@ -122,10 +123,10 @@ class Switch:
         return value
 
     def read(self, text: str) -> bool:
-        """Read "true" or "false"."""
-        if text not in ("true", "false"):
+        """Read "true" or "on", "false" or "off"."""
+        if text not in ("true", "false", "on", "off"):
             raise ValueError
-        return text == "true"
+        return text in ("true", "on")
 
     def show(self, value: bool) -> str:
         """Write "true" or "false"."""

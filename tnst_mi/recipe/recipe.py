@@ -9,12 +9,9 @@ In a file, some may change over the frames (`tnst_mi.recipe.keyframes`); `Recipe
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
-import re
 import reprlib
 import textwrap
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,23 +21,18 @@ import numpy as np
 import tomlkit
 
 from tnst_mi.errors import InputError
-from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.flag_values import value_of_flag
 from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
+from tnst_mi.recipe.paths import located, shipped_name
 from tnst_mi.recipe.presets import PRESETS
-from tnst_mi.recipe.sections import KINDS, Goals, Method, Resources, documentation
-from tnst_mi.resources import DATA
-
-#: Style pictures that ship with the package; a recipe names them without folder and extension.
-STYLES = DATA / "styles"
-
-#: Mitsuba scenes whose emitters light the smoke, named likewise.
-LIGHTS = DATA / "lights"
-
-_LARGEST_FILE = 1 << 20
+from tnst_mi.recipe.recipe_file import read_recipe_file
+from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, documentation
+from tnst_mi.recipe.synonyms import advice, meant
+from tnst_mi.resources import expanded
 
 
 @dataclass(frozen=True)
-class Recipe(Resources, Method, Goals):
+class Recipe(Reading, Resources, Method, Goals):
     """Everything that determines a stylization, apart from the frames themselves.
 
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their
@@ -115,18 +107,8 @@ class Recipe(Resources, Method, Goals):
             InputError: the file is missing or not TOML, a key is unknown, a value has the wrong type or is out
                 of range, or a picture or another file that it names does not exist.
         """
-        path = Path(path)
-        try:
-            if path.stat().st_size > _LARGEST_FILE:
-                raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 1 MiB")
-            values = tomllib.loads(path.read_text("utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such recipe file") from None
-        except (OSError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read as a recipe ({error})") from None
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"{path}: not valid TOML ({error})") from None
-        return cls.from_dict(values, source=f"{path}: ", folder=path.parent)
+        path = expanded(Path(path))
+        return cls.from_dict(read_recipe_file(path), source=f"{path}: ", folder=path.parent)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None) -> Recipe:
@@ -138,10 +120,9 @@ class Recipe(Resources, Method, Goals):
         replaced: dict[str, Any] = {}
         for name, value in values.items():
             if name not in KINDS:
-                nearest = difflib.get_close_matches(str(name), KINDS, n=1, cutoff=0.0)[0]
-                raise InputError(f"{source}unknown key {name!r}; the nearest known key is {nearest!r}")
+                raise InputError(f"{source}unknown key {name!r}{_meant(str(name), value)}")
             checked = converted(name, value, source, _checked)
-            replaced[name] = converted(name, checked, source, functools.partial(_located, folder=folder))
+            replaced[name] = converted(name, checked, source, functools.partial(located, folder=folder))
         kept = {name: self._value_or_table(name) for name in self.given}
         shares = () if "style" in values else self.style_shares
         return Recipe(**kept | replaced, style_shares=shares)
@@ -152,11 +133,11 @@ class Recipe(Resources, Method, Goals):
         Raises:
             InputError: a picture, a map or a light does not exist.
         """
-        locate = functools.partial(_located, folder=folder)
+        locate = functools.partial(located, folder=folder)
         values = {name: converted(name, self._value_or_table(name), "recipe: ", locate) for name in KINDS}
         return dataclasses.replace(self, **values, keyframes={})
 
-    def at(self, number: int | None) -> Recipe:
+    def at(self, number: int | float | None) -> Recipe:
         """Return the recipe of one frame, without keyframes, or the recipe itself if it has none.
 
         Values are linear between keys, and constant before the first and after the last. `style` keeps the pictures
@@ -182,12 +163,7 @@ class Recipe(Resources, Method, Goals):
         recipe = self
         for name, text in texts.items():
             flag = "--" + name.replace("_", "-")
-            try:
-                value = KINDS[name].check(KINDS[name].read(text))
-            except (ValueError, OverflowError):
-                shown = text if isinstance(text, str) else " ".join(text)
-                raise InputError(f"{flag} {shown}: expected {KINDS[name].expected}") from None
-            recipe = recipe.updated({name: value}, f"{flag}: ", Path.cwd())
+            recipe = recipe.updated({name: value_of_flag(name, text)}, f"{flag}: ", Path.cwd())
         return recipe
 
     def to_toml(self) -> str:
@@ -232,12 +208,13 @@ class Recipe(Resources, Method, Goals):
         return (max(lams) > 0) + 3 * (min(lams) < 1)
 
     @property
-    def frame_range(self) -> tuple[int, int] | None:
-        """First and last frame number, both included, or None for all frames."""
+    def frame_range(self) -> tuple[int | float, int | float] | None:
+        """First and last frame number, both included, or None for all frames; floats if sub-frames count too."""
         if self.frames is None:
             return None
-        first, last = self.frames.split(":")
-        return int(first), int(last)
+        first, _, last = self.frames.partition(":")
+        convert = float if "." in self.frames else int
+        return convert(first), convert(last or first)
 
     @property
     def maps(self) -> list[tuple[str, Path]]:
@@ -254,16 +231,6 @@ class Recipe(Resources, Method, Goals):
         return targets
 
 
-def shipped_styles() -> list[str]:
-    """Names of the style pictures that ship with the package."""
-    return sorted(path.stem for path in STYLES.glob("*.png"))
-
-
-def shipped_lights() -> list[str]:
-    """Names of the lights that ship with the package."""
-    return sorted(path.stem for path in LIGHTS.glob("*.xml"))
-
-
 def _checked(name: str, value: Any, source: str) -> Any:
     try:
         return KINDS[name].check(value)
@@ -272,36 +239,13 @@ def _checked(name: str, value: Any, source: str) -> Any:
         raise InputError(f"{source}{name} = {shown}: expected {KINDS[name].expected}") from None
 
 
-def _located(name: str, value: Any, source: str, folder: Path) -> Any:
-    """Make the paths in a checked value absolute."""
-    if name in ("style", "content"):
-        return tuple(_picture(name, entry, source, folder) for entry in value)
-    if name == "match":
-        return tuple(_map(entry, source, folder) for entry in value)
-    if name == "light" and value not in shipped_lights():
-        if not (folder / value).is_file():
-            raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
-        return str((folder / value).resolve())
-    if name == "weights" and value not in (None, PATTERNS) and (folder / value).exists():
-        return str((folder / value).resolve())
-    return value
-
-
-def _picture(name: str, entry: str, source: str, folder: Path) -> str:
-    path = folder / entry
-    if path.exists():
-        return str(path.resolve())
-    if re.fullmatch(r"[\w-]+", entry) and (STYLES / f"{entry}.png").exists():
-        return str(STYLES / f"{entry}.png")
-    shipped = ", ".join(shipped_styles())
-    raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
-
-
-def _map(entry: str, source: str, folder: Path) -> str:
-    layer, _, file = entry.partition(":")
-    if not (folder / file).is_file():
-        raise InputError(f"{source}match = {entry!r}: no such file ({folder / file})")
-    return f"{layer}:{(folder / file).resolve()}"
+def _meant(name: str, value: Any) -> str:
+    """What an unknown key probably means, as the end of a message."""
+    if isinstance(value, dict) and any(key in KINDS for key in value):
+        return "; a recipe has no sections: write its keys without [section]"
+    if known := meant(name, KINDS):
+        return f"; did you mean {known!r}?"
+    return f"; {advice(name, KINDS) or 'tnst-mi stylize --help lists the keys'}"
 
 
 def _toml_value(name: str, value: Any) -> Any:
@@ -310,9 +254,5 @@ def _toml_value(name: str, value: Any) -> Any:
         table.update({str(key): _toml_value(name, entry) for key, entry in value.items()})
         return table
     if name in ("style", "content"):
-        return [_shipped_name(path) for path in value]
+        return [shipped_name(path) for path in value]
     return list(value) if isinstance(value, tuple) else value
-
-
-def _shipped_name(path: str) -> str:
-    return Path(path).stem if Path(path).parent == STYLES else path

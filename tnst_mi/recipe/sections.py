@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, get_type_hints
 
 from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
+from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
+from tnst_mi.recipe.optional_keys import Point, Unset
 
 
 @dataclass(frozen=True)
@@ -163,9 +165,15 @@ class Resources:
     """What to read, compute with and write."""
 
     frames: Annotated[
-        str | None, Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', r"\d{1,9}:\d{1,9}")
+        str | None,
+        Text(
+            "FIRST:LAST",
+            'a range of frame numbers, such as "70:89"',
+            r"-?\d{1,9}(\.\d{1,6})?(:-?\d{1,9}(\.\d{1,6})?)?",
+        ),
     ] = None
-    """Numbers of the first and the last frame of a sequence to stylize; all frames if not set. In a recipe file, style,
+    """Numbers of the first and the last frame of a sequence to stylize, or of one; with decimal points, such as
+    1.0:2.5, sub-frames are taken too. All whole frames if not set. In a recipe file, and as flags in quotes, style,
     style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
     between keys: gamma = {49 = 0.1, 72 = 1.0}."""
     weights: Annotated[
@@ -179,11 +187,53 @@ class Resources:
     """Mitsuba variant: GPU or CPU. If not set, the GPU if one is available."""
     format: Annotated[str | None, Text("npz|vol|uni|vdb", "npz, vol, uni or vdb", "npz|vol|uni|vdb")] = None
     """File format of the results; the input's format if not set."""
-    fps: Annotated[float, Number(above=0.0, high=240.0)] = 24.0
-    """Frames per second of a sequence's preview video, above 0."""
+    fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None
+    """Frames per second of a sequence, above 0: of its preview video (24 if not set), and of velocities per time, of
+    which a frame lasts 1 / fps seconds, or 2.5 / fps of Mantaflow's units of time."""
 
 
-_SECTIONS = (Goals, Method, Resources)
+@dataclass(frozen=True)
+class Reading:
+    """How to read the input's files; the default is what they declare or their format implies."""
+
+    density: Annotated[str | None, Text("NAME", "the name of a grid", r"(?s:.*)")] = None
+    """Name of the grid or array that is the density; NAME[1] is the second of that name."""
+    velocity: Annotated[str | None, Text("NAME", "the name of a grid", r"(?s:.*)")] = None
+    """Name of the grid of velocities, or what the names of its three components have in common, or these names
+    separated by commas; none reads no velocity."""
+    obstacle: Annotated[str | None, Text("NAME", "the name of a grid", r"(?s:.*)")] = None
+    """Name of the grid of solid cells; none reads no obstacle."""
+    up: Annotated[str | None, Unset(Choice(("y", "z")))] = None
+    """Up axis of the files. If not set, z for .uni and the .vdb of programs that say so in their metadata (Blender,
+    EmberGen), else y."""
+    flip: Annotated[str | None, Text("AXES", "axes out of x, y and z, such as xz", "[xyz,]+")] = None
+    """Axes to mirror, such as x or xz, once y is up."""
+    units: Annotated[str | None, Unset(Choice(VELOCITY_UNITS))] = None
+    """Unit of the velocities: cells per frame, or cells or scene units of length per unit of time. If not set,
+    cells-per-time for .uni and Blender's .vdb, length-per-time for other .vdb, else cells-per-frame."""
+    dt: Annotated[float | None, Unset(Number(above=0.0, high=1e9))] = None
+    """Duration of a frame in that unit of time. If not set, it follows from fps, or is 0.1 for cells-per-time and 1/24
+    for length-per-time."""
+    scale: Annotated[float | None, Unset(Number(above=0.0, high=1e30))] = None
+    """Factor of the densities as they are stored. If not set, 1, but 1/255 for arrays of bytes and 1/65535 for those of
+    two bytes, as in pictures."""
+    voxel_size: Annotated[float | None, Unset(Number(above=0.0, high=1e9))] = None
+    """Edge of a cell in the scene's unit of length, with which .vdb files are written too. If not set, the file's."""
+    origin: Annotated[tuple[float, float, float] | None, Unset(Point())] = None
+    """Place in the scene of the origin of the files' coordinates, which is added to where their grids lie: Blender's
+    caches lie at the scene's origin, wherever their domain is."""
+    fog: Annotated[bool, Switch(bare=True)] = False
+    """Take the inside of a level set as its density: from 0 at the surface to 1 where the narrow band ends."""
+    crop: Annotated[bool, Switch()] = True
+    """Crop the grid of .vdb files to the smoke of all frames and what the stylization reaches around it, or move it
+    with the smoke, where that at least halves the number of cells; off takes the whole grid."""
+    ignore_stray: Annotated[bool, Switch(bare=True)] = False
+    """Leave out voxels of .vdb files that are far from the smoke and together have less than a thousandth of it."""
+    skip_bad: Annotated[bool, Switch(bare=True)] = False
+    """Leave out the frames of a sequence that cannot be read, rather than stop before the work begins."""
+
+
+_SECTIONS = (Goals, Method, Resources, Reading)
 
 #: The kind of value that each key of a recipe holds, in the order of the file.
 KINDS: dict[str, Kind] = {

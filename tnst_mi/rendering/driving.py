@@ -10,7 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.grid import Shape
-from tnst_mi.recipe.recipe import LIGHTS, Recipe, shipped_lights
+from tnst_mi.recipe.paths import LIGHTS, shipped_lights
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, fitted_size
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer

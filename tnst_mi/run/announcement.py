@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tnst_mi.fields.density_unit import is_unusual
+from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
+from tnst_mi.recipe.unused import unused_keys
 from tnst_mi.run.prepare import Prepared
 
 #: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
@@ -24,9 +26,15 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     recipe, model = prepared.recipe, prepared.network.model
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
+    yield from prepared.reading
     yield prepared.memory
-    if recipe.coherence > 0 and prepared.plan.window == 1:
-        yield f"warning: coherence = {recipe.coherence:g} has no effect without a window"
+    if prepared.step != 1:
+        yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
+    for path in (*recipe.style, *recipe.content):
+        picture = read_image(path)
+        yield from (f"note: {picture.name} {remark}" for remark in picture.remarks)
+    for key, reason in unused_keys(recipe, len(prepared.frames)).items():
+        yield f"note: {key} has no effect: {reason}"
     preset = PRESETS.get(recipe.preset or "", {})
     if own := [key for key, value in preset.items() if getattr(recipe, key) != value]:
         yield f'note: preset = "{recipe.preset}" leaves {", ".join(own)} as the recipe gives them'

@@ -12,11 +12,11 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import StoredArrays
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
+from tnst_mi.run.stored_arrays import StoredArrays
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ def stylize(
             velocities.append(frame.stylized.velocity)
     names = [frame_record["name"] for frame_record in record["frames"]]
     if prepared.out is not None:
-        densities = StoredArrays(prepared.out, "density", names, prepared.suffix)
-        velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix)
+        densities = StoredArrays(prepared.out, "density", names, prepared.suffix, prepared.frames)
+        velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix, prepared.frames)
     elif len(densities) == len(prepared.frames) > 1:
-        record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, record["frames"])
+        record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
     return Result(densities, velocities, prepared.frames_named(names), history, record, prepared.out)

@@ -15,9 +15,9 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -26,9 +26,8 @@ from matplotlib.figure import Figure
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import remove_unfinished, written_whole
-from tnst_mi.io.companions import OBSTACLE, companion
-from tnst_mi.io.conventions import Conventions
-from tnst_mi.io.formats import FORMATS, GRID_FORMATS, read_stored, write_frame
+from tnst_mi.io.files.companions import OBSTACLE, companion
+from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
@@ -89,6 +88,21 @@ def frame_names(out: Path) -> list[str]:
         if not isinstance(name, str) or not is_file_name(name):
             raise InputError(f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}")
     return names
+
+
+def input_of_run(out: Path) -> Path:
+    """The input of the run in a folder.
+
+    Raises:
+        InputError: its run.json is damaged, or does not name one, as for frames that were given as arrays.
+    """
+    try:
+        source = json.loads((out / "run.json").read_text("utf-8")).get("input")
+    except _DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell the input of its run; give it") from None
+    if not isinstance(source, str):
+        raise InputError(f"{out / 'run.json'}: does not tell the input of its run; give it")
+    return Path(source)
 
 
 def is_file_name(name: str) -> bool:
@@ -210,40 +224,6 @@ class RunFolder:
         """Write run.json."""
         with written_whole(self.out / "run.json") as temporary:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
-
-
-class StoredArrays(Sequence[np.ndarray]):
-    """The arrays that a run wrote, in the order of their names; each access reads a file."""
-
-    def __init__(self, out: Path, kind: str, names: Sequence[str], suffix: str = FORMATS[0]) -> None:
-        """Take the "density" or "velocity" of the named frames, in files whose names end in `suffix`."""
-        self._out, self._kind, self._names, self._suffix = out, kind, names, suffix
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self._names)
-
-    @overload
-    def __getitem__(self, index: int) -> np.ndarray: ...
-    @overload
-    def __getitem__(self, index: slice) -> StoredArrays: ...
-    def __getitem__(self, index: int | slice) -> np.ndarray | StoredArrays:
-        """Read one array, or select several.
-
-        Raises:
-            InputError: its file has been damaged since the run.
-        """
-        if isinstance(index, slice):
-            return StoredArrays(self._out, self._kind, self._names[index], self._suffix)
-        name, as_told = self._names[index], Conventions()
-        file = self._out / self._kind / f"{name}{self._suffix}"
-        stored = read_stored(file)
-        if self._kind == "density":
-            return stored.frame(as_told, name, None).density
-        velocity = stored.centred_velocity(as_told)
-        if velocity is None:
-            raise InputError(f"{file}: holds no velocity, expected that of a run's result")
-        return velocity
 
 
 def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:

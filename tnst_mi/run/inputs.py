@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import overload
@@ -12,8 +12,11 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
 from tnst_mi.frame import Frame
+from tnst_mi.io.interpretation.conventions import Boxing, Conventions
+from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.sections import Reading
 
 #: A file or folder, one frame, several, or a density grid (D, H, W).
 Frames = str | Path | Frame | Sequence[Frame] | np.ndarray
@@ -26,9 +29,12 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
         InputError: there are none, or they cannot be used.
     """
     if isinstance(frames, str | Path):
-        return open_frames(frames, recipe.frame_range)
+        return open_frames(frames, recipe.frame_range, conventions_of(recipe))
     if recipe.frames is not None:
         raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
+    for key in Reading.__annotations__:
+        if (value := getattr(recipe, key)) != getattr(Recipe(), key):
+            raise InputError(f"{key} = {value!r}: says how files are read, but the frames were given as arrays")
     if isinstance(frames, np.ndarray):
         return [Frame(frames)]
     if isinstance(frames, Frame):
@@ -38,19 +44,34 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
     return frames
 
 
+def conventions_of(recipe: Recipe) -> Conventions:
+    """What a recipe says about the reading of files."""
+    return Conventions(
+        up=recipe.up,
+        flip=(recipe.flip or "").replace(",", ""),
+        velocity_units=recipe.units,
+        dt=recipe.dt,
+        fps=recipe.fps,
+        voxel_size=recipe.voxel_size,
+        scale=recipe.scale,
+        origin=recipe.origin,
+        names=Wanted(recipe.density, recipe.velocity, recipe.obstacle),
+        box=Boxing(recipe.crop, recipe.ignore_stray),
+        fog=recipe.fog,
+    )
+
+
 class ScaledFrames(Sequence[Frame]):
-    """Frames with their densities scaled, on access.
+    """Frames with their densities, or their velocities, scaled, on access.
 
     Args:
         frames: the frames as they are stored.
-        factor: the factor.
-
-    Attributes:
-        factor: as given.
+        factor: of the densities.
+        velocity_factor: of the velocities.
     """
 
-    def __init__(self, frames: Sequence[Frame], factor: float) -> None:
-        self._frames, self.factor = frames, factor
+    def __init__(self, frames: Sequence[Frame], factor: float = 1.0, velocity_factor: float = 1.0) -> None:
+        self._frames, self._factor, self._velocity_factor = frames, factor, velocity_factor
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -63,12 +84,14 @@ class ScaledFrames(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
         """A frame, or several."""
         if isinstance(index, slice):
-            return ScaledFrames(self._frames[index], self.factor)
-        frame = self._frames[index]
-        return replace(frame, density=scaled(frame.density, self.factor))
+            return ScaledFrames(self._frames[index], self._factor, self._velocity_factor)
+        frame, velocity = self._frames[index], None
+        if frame.velocity is not None:
+            velocity = scaled(frame.velocity, self._velocity_factor)
+        return replace(frame, density=scaled(frame.density, self._factor), velocity=velocity)
 
 
-def reference_density(frames: Sequence[Frame]) -> ReferenceDensity:
+def reference_density(frames: Iterable[Frame]) -> ReferenceDensity:
     """The reference density of some frames, each of which is read once."""
     reference = ReferenceDensity()
     for frame in frames:

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from tnst_mi.errors import StoppedError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
+from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
 from tnst_mi.machine import environment
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
@@ -23,10 +24,12 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
-from tnst_mi.run.folder import RunFolder, StoredArrays
+from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, sequence_record
+from tnst_mi.run.stored_arrays import StoredArrays
+from tnst_mi.run.time_left import octave_sizes
 
 #: A full disk, or an exhausted quota.
 _NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -74,7 +77,7 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        self._bar = ProgressBar(progress)
+        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, prepared.plan.shape))
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:
@@ -120,7 +123,7 @@ class Run(Iterator[StylizedFrame]):
             self._bar.say(line)
         if prepared.network.fallback:
             announce_fallback()
-        optimisation = self._optimiser(prepared.plan, prepared.frames, prepared.network.model, store)
+        optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
@@ -165,10 +168,10 @@ class Run(Iterator[StylizedFrame]):
         names = [measure.name for measure in prepared.measures]
         self.record["frames"].sort(key=lambda record: names.index(record["name"]))
         if len(names) > 1:
-            densities = StoredArrays(folder.out, "density", names, prepared.suffix)
+            densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]
-            self.record["sequence"] = sequence_record(prepared.recipe, prepared.frames, densities, records)
-            folder.write_sequence(self.record, prepared.recipe.fps)
+            self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
+            folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
         folder.write_run(self.record)
         folder.remove_work()
 

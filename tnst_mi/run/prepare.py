@@ -29,17 +29,20 @@ from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, requir
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.resources import expanded
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
-from tnst_mi.run.inputs import Frames, sequence_of
+from tnst_mi.run.inputs import Frames, ScaledFrames, sequence_of
 from tnst_mi.run.measure import (
     Measure,
     digests,
     file_digests,
+    frame_step,
     measured,
     require_coherent,
     require_same_input,
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
+from tnst_mi.run.readable import Readable
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -69,30 +72,39 @@ class Prepared:
     Attributes:
         recipe: with all paths absolute.
         frames: the input.
+        step: how far the frames are apart, 2 for every second one; see `moving`.
         measures: measurements of each frame.
         brightness: likewise, rendered.
         network: judges the images.
         plan: of the optimisation.
+        reading: lines that say how the frames were read.
         memory: a line that says how much of it the run takes.
         cache_bytes: memory that a run may take besides, see `run.memory.cache_bytes`.
         out: the folder of the results, or None.
-        suffix: file suffix of the results, of the recipe's format or else of the input's.
+        suffix: file suffix of the results, of the recipe's format or else of the input's, if that can be written.
         overwrite: whether a run in `out` is replaced.
         record: the contents of run.json before the first frame is done, with those of an earlier run that is resumed.
     """
 
     recipe: Recipe
     frames: Sequence[Frame]
+    step: int | float
     measures: Sequence[Measure]
     brightness: Sequence[Brightness]
     network: Network
     plan: Plan
+    reading: Sequence[str]
     memory: str
     cache_bytes: int
     out: Path | None
     suffix: str
     overwrite: bool
     record: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def moving(self) -> Sequence[Frame]:
+        """The frames with velocities that lead from each to the next, which may not be the next of the simulation."""
+        return self.frames if self.step == 1 else ScaledFrames(self.frames, velocity_factor=self.step)
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -146,16 +158,17 @@ def prepare(
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
-    out = None if out is None else Path(out)
+    source = Path(frames) if isinstance(frames, str | Path) else None
+    out = None if out is None else expanded(Path(out))
     if out is not None:
-        source = Path(frames) if isinstance(frames, str | Path) else None
         require_writable(out, source, None if resume or overwrite else _remedy(out))
         if overwrite:
             frame_names(out)  # refuses anything but a run
     sequence = sequence_of(frames, recipe)
     # Reading the first frame finds most bad inputs before the network is loaded.
-    shape = sequence[0].density.shape
-    require_indexable(3 * math.prod(shape), f"{sequence[0].name}: its velocity is an array")
+    first = next(iter(Readable(sequence, recipe.skip_bad)))
+    shape = first.density.shape
+    require_indexable(3 * math.prod(shape), f"{first.name}: its velocity is an array")
     rows, columns = image_size(recipe, shape)
     if recipe.views * rows * columns >= LARGEST_COUNT:
         raise InputError(
@@ -172,7 +185,9 @@ def prepare(
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
-    measures, reference = measured(_watched(sequence, "reading", progress))
+    readable = Readable(sequence, recipe.skip_bad)
+    measures, reference = measured(_watched(readable, "reading", progress))
+    sequence = readable.frames()
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
@@ -202,6 +217,7 @@ def prepare(
         },
         "main_view": list(recipe.main_view),
         "format": suffix[1:],
+        "input": None if source is None else str(expanded(source).absolute()),
         "inputs": digests(measures),
         "files": file_digests(recipe),
         "reference_density": reference.value,
@@ -225,10 +241,13 @@ def prepare(
         shape,
         density_scale,
     )
-    return Prepared(recipe, sequence, measures, bright, network, plan, memory, cache, out, suffix, overwrite, record)
+    step, said = frame_step([measure.number for measure in measures]), readable.lines()
+    return Prepared(
+        recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
+    )
 
 
-def _watched(frames: Sequence[Frame], doing: str, shown: bool) -> Iterable[Frame]:
+def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
     """The frames, with a progress bar on stderr while they are read; a single one needs none."""
     shown = shown and len(frames) > 1
     return tqdm(frames, doing, unit="frame", disable=not shown, dynamic_ncols=True, leave=False, delay=1.0)
@@ -243,4 +262,4 @@ def _remedy(out: Path) -> str:
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:
     if recipe.format is not None:
         return f".{recipe.format}"
-    return frames.suffix if isinstance(frames, FrameFiles) else FORMATS[0]
+    return frames.suffix if isinstance(frames, FrameFiles) and frames.suffix in FORMATS else FORMATS[0]

@@ -1,20 +1,23 @@
-"""The progress bar of a run."""
+"""The progress bar of a run, with the time left by `tnst_mi.run.time_left`."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 from tqdm import tqdm
 
+from tnst_mi.machine.terminal import printable
 from tnst_mi.optimisation.result import Progress
+from tnst_mi.run.time_left import OctaveSize, TimeLeft
 
 
 class ProgressBar:
     """Frame, octave, iteration and loss on stderr, with the time left; appears at the first iteration."""
 
-    def __init__(self, shown: bool) -> None:
-        """Prepare the bar of one run."""
-        self._shown = shown
+    def __init__(self, shown: bool, octaves: Sequence[OctaveSize]) -> None:
+        """Prepare the bar of one run, with octaves of some sizes."""
+        self._shown, self._time_left = shown, TimeLeft(octaves)
         self._bar: tqdm | None = None
 
     def advance(self, progress: Progress) -> None:
@@ -25,6 +28,8 @@ class ProgressBar:
             self._bar = tqdm(
                 total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
             )
+        left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))
+        self._bar.bar_format = f"{{l_bar}}{{bar}}| {{n_fmt}}/{{total_fmt}} [{{elapsed}}<{left}{{postfix}}]"
         self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
@@ -35,7 +40,7 @@ class ProgressBar:
     def say(self, line: str) -> None:
         """Write a line above the bar."""
         if self._shown:
-            tqdm.write(line, file=sys.stderr)
+            tqdm.write(printable(line), file=sys.stderr)
 
     def close(self) -> None:
         """End the line."""

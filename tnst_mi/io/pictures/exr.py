@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
+from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import write_failure, written_whole
 
 
@@ -25,6 +26,48 @@ def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str |
             file.write(str(temporary))
         except RuntimeError as error:
             raise write_failure(temporary, str(error)) from error
+
+
+def read_linear(path: Path, most: int | None) -> np.ndarray:
+    """Read the colours of a picture of any program: (H, W, 3) float32, or (H, W, 4) with alpha, not premultiplied.
+
+    Args:
+        path: the file.
+        most: the largest number of pixels to read, or None.
+
+    Raises:
+        InputError: it is damaged or too large, or has neither red, green and blue nor luminance.
+    """
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            low, high = file.header()["dataWindow"]
+        columns, rows = (int(end) - int(start) + 1 for start, end in zip(low, high, strict=True))
+        if most is not None and columns * rows > most:
+            raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except InputError:
+        raise
+    except Exception as error:  # the library raises RuntimeError and others on damaged files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or OpenEXR") from None
+    # Multi-layer files have channels such as `ViewLayer.Combined.R`; the first layer counts.
+    layers = dict.fromkeys(name.rpartition(".")[0] for name in channels)
+    for layer in layers:
+        colours = {letter: channels.get(f"{layer}.{letter}" if layer else letter) for letter in "RGBYA"}
+        found = [colours[letter] for letter in "RGB"]
+        if all(colour is None for colour in found):
+            found = [colours["Y"]] * 3
+        if any(colour is None for colour in found):
+            continue
+        values = np.stack([np.asarray(colour, np.float32) for colour in found], axis=-1)
+        return values if colours["A"] is None else _not_premultiplied(values, np.asarray(colours["A"], np.float32))
+    raise InputError(f"{path}: has the channels {', '.join(channels)}, expected R, G and B, or Y")
+
+
+def _not_premultiplied(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    colours = np.divide(values, alpha[..., None], out=np.zeros_like(values), where=alpha[..., None] > 0)
+    return np.concatenate([colours, alpha[..., None]], axis=-1)
 
 
 def read_exr(path: Path) -> np.ndarray:

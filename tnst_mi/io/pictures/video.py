@@ -18,6 +18,9 @@ from tnst_mi.io.pictures.png import eight_bits
 #: Optional, since the package is large; without it there are no videos.
 _ffmpeg: Any = importlib.import_module("imageio_ffmpeg") if importlib.util.find_spec("imageio_ffmpeg") else None
 
+#: Frames per second of videos, and of the smoke that they show, unless the user says otherwise.
+FRAMES_PER_SECOND = 24.0
+
 #: Tags written into the file; without them, players guess the colour matrix from the size of the picture.
 _COLOURS = ["-vf", "scale=out_color_matrix=bt709"]
 _COLOURS += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"]

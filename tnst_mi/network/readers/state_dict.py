@@ -12,6 +12,7 @@ import re
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -26,6 +27,8 @@ from tnst_mi.network.readers.network_weights import (
     tensorflow_name,
 )
 
+T = TypeVar("T")
+
 _TENSORFLOW_KEY = re.compile(r"(?P<layer>.+?)(_pre_relu|_pre_activation)?(_conv|_matmul)?\.(?P<kind>weight|bias)")
 _AUXILIARY = ("loss1/", "loss2/", "aux1.", "aux2.")
 """The auxiliary classifiers, used only in training."""
@@ -38,6 +41,11 @@ _TORCHVISION_BRANCHES = {
     "5x5": "branch3.1",
     "pool_proj": "branch4.1",
 }
+#: Where training programs put the state dict among other things, and what they put before its names.
+_NESTED = ("state_dict", "model_state_dict", "model", "net", "network", "params", "weights")
+_DEEPEST = 3
+_PREFIXES = re.compile(r"(?:module|model|net|network|backbone|_orig_mod)\.")
+
 _BATCH_NORM_PARTS = ("weight", "bias", "running_mean", "running_var")
 _BATCH_NORM_EPSILON = 1e-3  # torchvision's googlenet.py
 _FIRST_TENSORS = {
@@ -63,7 +71,7 @@ def safetensors_header(path: Path) -> tuple[list[str], dict[str, str]]:
     """The names of the tensors in a .safetensors file, and its metadata; raises `MalformedFile`."""
     try:
         with safe_open(path, framework="pt") as file:
-            return list(file.keys()), file.metadata() or {}
+            return list(without_prefix(dict.fromkeys(file.keys()))), file.metadata() or {}
     except SafetensorError as error:
         raise MalformedFile(f"truncated or not a safetensors file ({_first_line(error)})") from None
 
@@ -72,7 +80,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
     """All tensors of a .safetensors file; raises `MalformedFile`. The format cannot hold code."""
     try:
         with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}
+            return without_prefix({name: file.get_tensor(name) for name in file.keys()})
     except SafetensorError as error:
         raise MalformedFile(f"truncated or not a safetensors file ({_first_line(error)})") from None
 
@@ -90,9 +98,31 @@ def read_pth(path: Path) -> dict[str, Tensor]:
         raise MalformedFile(
             f"truncated, not a torch state dict, or one that holds more than tensors ({_first_line(error)})"
         ) from None
+    for _ in range(_DEEPEST):
+        if isinstance(contents, dict) and (name := next((n for n in _NESTED if _is_dict(contents, n)), None)):
+            contents = contents[name]
     if not isinstance(contents, dict) or not all(isinstance(value, Tensor) for value in contents.values()):
-        raise MalformedFile("not a torch state dict: expected a dictionary of tensors")
-    return {str(name): value for name, value in contents.items()}
+        raise MalformedFile(
+            f"not a torch state dict: expected a dictionary of tensors, or one in an entry {', '.join(_NESTED)}"
+        )
+    return without_prefix({str(name): value for name, value in contents.items()})
+
+
+def without_prefix(tensors: dict[str, T]) -> dict[str, T]:
+    """A state dict without what wrappers of the network put before all of its names, such as `module.`."""
+    while tensors and len(prefixes := {_prefix(name) for name in tensors}) == 1 and "" not in prefixes:
+        (prefix,) = prefixes
+        tensors = {name.removeprefix(prefix): value for name, value in tensors.items()}
+    return tensors
+
+
+def _prefix(name: str) -> str:
+    match = _PREFIXES.match(name)
+    return match[0] if match else ""
+
+
+def _is_dict(contents: dict, name: str) -> bool:
+    return isinstance(contents.get(name), dict)
 
 
 def from_state_dict(tensors: dict[str, Tensor]) -> NetworkWeights:

@@ -7,29 +7,18 @@ are (X, Y, Z) in voxels, and the 8³ voxels of a leaf are stored with Z fastest.
 from __future__ import annotations
 
 import itertools
-import math
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grids.vdb.cursor import Cursor
-from tnst_mi.io.grids.vdb.values import ACTIVE_MASK, ValueType, read_run
-from tnst_mi.machine.environment import free_memory
+from tnst_mi.geometry.boxes import Box
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.values import ACTIVE_MASK, ValueType, read_run
 
 #: Voxels along an edge of a leaf, and in the whole leaf.
 LEAF_EDGE, LEAF_VOXELS = 8, 512
-
-#: Largest dense grid that is made from a tree, in cells.
-LARGEST_BOX = 1 << 28
-
-#: Measured bytes per cell and component that it takes to expand a tree and make a frame's grid from it.
-_CELL_BYTES = 14
-
-#: Lowest and highest voxel (X, Y, Z) of a box, both inclusive.
-Box = tuple[np.ndarray, np.ndarray]
 
 # Children along an edge of a node, and voxels along an edge of a child, from the root down.
 _LEVELS = ((32, 128), (16, 8))
@@ -117,28 +106,6 @@ class Tree:
         return np.ascontiguousarray(dense[tuple(itertools.starmap(slice, window))])
 
 
-def require_small(path: Path, box: Box, components: int = 1) -> None:
-    """Check that a box of a file's grids can be made dense: the size of a file does not bound the box.
-
-    Args:
-        path: the file.
-        box: the box, in voxels.
-        components: number of components of all grids together.
-
-    Raises:
-        InputError: it has too many cells, for our limit or for the free memory.
-    """
-    extents = [int(extent) for extent in box[1] - box[0] + 1]
-    spans = f"{path}: its voxels span {' x '.join(map(str, extents))} cells"
-    if math.prod(extents) > LARGEST_BOX:
-        raise InputError(f"{spans}, expected at most {LARGEST_BOX} in all; crop the grid")
-    # Whole leaves are expanded.
-    blocks = math.prod(int(count) for count in box[1] // LEAF_EDGE - box[0] // LEAF_EDGE + 1)
-    need, free = blocks * LEAF_VOXELS * components * _CELL_BYTES, free_memory()
-    if free is not None and need > free:
-        raise InputError(f"{spans}, which take {need / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; crop the grid")
-
-
 class TreeReader:
     """Reads one tree; a file holds its whole topology first, then the values of the leaves."""
 
@@ -156,9 +123,8 @@ class TreeReader:
         Raises:
             InputError: the data are truncated or damaged.
         """
-        self._read_root()
+        active = self.read_topology()
         origins = np.concatenate([np.empty((0, 3), np.int64), *self._leaf_origins])
-        active = np.concatenate([np.empty((0, LEAF_VOXELS), bool), *self._leaf_masks])
         leaves = self._read_leaves(active) if values else np.empty((0, LEAF_VOXELS, *self._kind.shape))
         none = (
             np.empty((0, 3), np.int64),
@@ -168,6 +134,26 @@ class TreeReader:
         )
         tiles = [np.concatenate(columns) for columns in zip(none, *self._tiles, strict=True)]
         return Tree(self._background, origins, active, leaves, *tiles)
+
+    def read_topology(self) -> np.ndarray:
+        """Read everything but the values of the leaves; returns which of their voxels are active, (N, 512).
+
+        Raises:
+            InputError: the data are truncated or damaged.
+        """
+        self._read_root()
+        return np.concatenate([np.empty((0, LEAF_VOXELS), bool), *self._leaf_masks])
+
+    def skip_leaves(self) -> None:
+        """Go past the values of the leaves, after `read_topology`.
+
+        Raises:
+            InputError: the data are truncated or damaged.
+        """
+        for masks in self._leaf_masks:
+            for count in masks.sum(axis=1).tolist():
+                self._cursor.take(LEAF_VOXELS // 8)
+                self._read_run(count, LEAF_VOXELS)
 
     def _read_root(self) -> None:
         cursor, kind = self._cursor, self._kind

@@ -14,14 +14,14 @@ import numpy as np
 from blosc.blosc_extension import error as BloscError
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grids.vdb.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
 
 # Bits of a grid's compression flags.
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4
 
 _SIZE = struct.Struct("<q")
 _BLOSC_HEADER = struct.Struct("<4BIII")  # versions, flags, size of a value; bytes, bytes of a block, compressed bytes
-_BLOSC_LEVEL = 5
+_BLOSC_LEVEL = 9  # as OpenVDB does
 
 # A run of values is at most a few hundred kilobytes: threads cost more than they gain.
 blosc.set_nthreads(1)

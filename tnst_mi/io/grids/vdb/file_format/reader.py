@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.grids.vdb.cursor import Cursor
-from tnst_mi.io.grids.vdb.metadata import Value, read_metadata, read_transform
-from tnst_mi.io.grids.vdb.tree import Tree, TreeReader
-from tnst_mi.io.grids.vdb.values import BLOSC, VALUE_TYPES, ZIP, ValueType
+from tnst_mi.geometry.affine import Affine
+from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
+from tnst_mi.io.grids.vdb.file_format.metadata import Stored, Value, read_metadata, read_transform, values_of
+from tnst_mi.io.grids.vdb.file_format.tree import Tree, TreeReader
+from tnst_mi.io.grids.vdb.file_format.values import BLOSC, VALUE_TYPES, ZIP, ValueType
 from tnst_mi.io.untrusted import opening
 
 #: The first eight bytes of every file.
@@ -52,21 +53,49 @@ class Grid:
         path: the file.
         name: name of the grid; several may share one.
         tree_type: type of the tree as written in the file, such as "Tree_float_5_4_3_HalfFloat".
-        metadata: values by name.
-        voxel_size: edge of a voxel, in units of the scene.
-        translation: position of voxel (0, 0, 0) in the scene.
-        compression: bits, see `tnst_mi.io.grids.vdb.values`.
+        stored: metadata as the file has it.
+        transform: from voxels to the scene; the name of its kind if that is not affine.
+        compression: bits, see `tnst_mi.io.grids.vdb.file_format.values`.
         span: offsets in the file of the tree, of the values of its leaves, and of its end.
     """
 
     path: Path
     name: str
     tree_type: str
-    metadata: dict[str, Value]
-    voxel_size: float
-    translation: tuple[float, float, float]
+    stored: Stored
+    transform: Affine | str
     compression: int
     span: tuple[int, int, int]
+
+    @cached_property
+    def metadata(self) -> dict[str, Value]:
+        """The metadata that have a known type, by name."""
+        return values_of(self.stored)
+
+    @property
+    def affine(self) -> Affine:
+        """The map from voxels to the scene.
+
+        Raises:
+            InputError: it is not affine.
+        """
+        if isinstance(self.transform, str):
+            raise InputError(
+                f"{self.path}: grid {self.name!r} is placed by a {self.transform}, expected an affine map (scale, "
+                "rotation, translation); resample it"
+            )
+        return self.transform
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge of a voxel (of a cube of its volume), in units of the scene."""
+        return self.affine.edge
+
+    @property
+    def translation(self) -> tuple[float, float, float]:
+        """Position of voxel (0, 0, 0) in the scene."""
+        x, y, z = self.affine.offset.tolist()
+        return x, y, z
 
     @property
     def half(self) -> bool:
@@ -121,18 +150,23 @@ class Grid:
 
 @dataclass(frozen=True)
 class VdbFile:
-    """The contents of an OpenVDB file: metadata, and grids in file order."""
+    """The contents of an OpenVDB file: its path, metadata as stored, and grids in file order."""
 
-    metadata: dict[str, Value]
+    path: Path
+    stored: Stored
     grids: list[Grid]
+
+    @cached_property
+    def metadata(self) -> dict[str, Value]:
+        """The metadata that have a known type, by name."""
+        return values_of(self.stored)
 
 
 def read_vdb(path: Path) -> VdbFile:
     """Read the contents of an OpenVDB file except for the values of the grids.
 
     Raises:
-        InputError: it is missing, damaged, not an OpenVDB file, or of an unsupported version; or a grid's voxels are
-            not cubes aligned with the scene's axes.
+        InputError: it is missing, damaged, not an OpenVDB file, or of an unsupported version.
     """
     with opening(path, "a .vdb file"), path.open("rb") as file:
         return _read(path, file)
@@ -144,26 +178,27 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
         raise InputError(f"{path}: no OpenVDB file (it does not start like one)")
     version, _, _, has_offsets = cursor.unpack(_VERSION)
     if version not in VERSIONS:
-        raise InputError(f"{path}: OpenVDB file version {version}, expected {VERSIONS[0]} to {VERSIONS[-1]}")
-    if not has_offsets:
-        raise InputError(f"{path}: written as a stream, without the places of its grids; save it as a file")
+        raise InputError(
+            f"{path}: OpenVDB file version {version}, expected {VERSIONS[0]} to {VERSIONS[-1]}; save it with OpenVDB 3 "
+            "to 12"
+        )
     cursor.take(UUID_BYTES)
-    metadata = read_metadata(cursor)
+    stored = read_metadata(cursor)
     (count,) = cursor.unpack(_COUNT)
     if not 0 <= count <= _LARGEST_COUNT:
         raise InputError(f"{path}: damaged: {count} grids")
+    read = _read_grid if has_offsets else _read_following_grid
     grids: dict[str, Grid] = {}
     parents: dict[str, str] = {}
+    place = cursor.position
     for _ in range(count):
-        unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
-        places = start, leaves, end = cursor.unpack(_OFFSETS)
-        # A grid that shares the tree of another has no leaves of its own.
-        if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
-            raise InputError(f"{path}: truncated or damaged: grid {unique_name!r} lies outside of the file")
-        grids[unique_name] = _read_grid(path, file, unique_name.split(_SEPARATOR)[0], tree_type, places)
+        grid, unique_name, parent = read(path, file, place)
+        while unique_name in grids:  # though it should be unique
+            unique_name += _SEPARATOR
+        grids[unique_name] = grid
         if parent:
             parents[unique_name] = parent
-        cursor = _cursor(path, file, end)
+        place = grid.span[-1]
     for name, parent in parents.items():
         if parent not in grids:
             raise InputError(f"{path}: damaged: grid {name!r} shares the tree of {parent!r}, which is not there")
@@ -171,21 +206,55 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
         grids[name] = dataclasses.replace(
             grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span
         )
-    return VdbFile(metadata, list(grids.values()))
+    return VdbFile(path, stored, list(grids.values()))
 
 
-def _read_grid(path: Path, file: BinaryIO, name: str, tree_type: str, places: tuple[int, int, int]) -> Grid:
-    start, leaves, end = places
+def _read_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, str, str]:
+    """Read all of a grid but its tree: the grid, its unique name, and that of the grid whose tree it shares, if any."""
+    cursor = _cursor(path, file, place)
+    unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
+    start, leaves, end = cursor.unpack(_OFFSETS)
+    # A grid that shares the tree of another has no leaves of its own.
+    if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
+        raise InputError(f"{path}: truncated or damaged: grid {unique_name!r} lies outside of the file")
+    if end <= place:
+        raise InputError(f"{path}: damaged: grid {unique_name!r} ends before it begins")
     cursor = _cursor(path, file, start, min(end, start + _LARGEST_DESCRIPTION))
+    grid = _described_grid(cursor, unique_name, tree_type)
+    if not parent and start + cursor.position > leaves:
+        raise InputError(f"{path}: damaged: a grid's values start before its description ends")
+    return dataclasses.replace(grid, span=(start + cursor.position, leaves, end)), unique_name, parent
+
+
+def _read_following_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, str, str]:
+    """The same, of a file without the places of its grids: a grid begins where the one before it ends."""
+    cursor = _cursor(path, file, place, path.stat().st_size)
+    unique_name, tree_type, parent = cursor.string(), cursor.string(), cursor.string()
+    cursor.unpack(_OFFSETS)  # without meaning here
+    grid = _described_grid(cursor, unique_name, tree_type)
+    start = leaves = place + cursor.position
+    if not parent:
+        if grid.kind is None or isinstance(grid.transform, str):
+            raise InputError(
+                f"{path}: its header does not say where grids begin, so those after {grid.name!r} (a {tree_type}) "
+                "cannot be found; save it again with OpenVDB's File::write"
+            )
+        reader = TreeReader(cursor, grid.kind, grid.compression)
+        reader.read_topology()
+        leaves = place + cursor.position
+        reader.skip_leaves()
+    return dataclasses.replace(grid, span=(start, leaves, place + cursor.position)), unique_name, parent
+
+
+def _described_grid(cursor: Cursor, unique_name: str, tree_type: str) -> Grid:
     (compression,) = cursor.unpack(_COMPRESSION)
-    metadata = read_metadata(cursor)
-    placement = read_transform(cursor)
-    return Grid(path, name, tree_type, metadata, *placement, compression, (start + cursor.position, leaves, end))
+    stored = read_metadata(cursor)
+    transform = read_transform(cursor)
+    name = unique_name.split(_SEPARATOR)[0]
+    return Grid(cursor.path, name, tree_type, stored, transform, compression, (0, 0, 0))
 
 
 def _cursor(path: Path, file: BinaryIO, start: int, end: int | None = None) -> Cursor:
     """The bytes of a file from `start` to `end`, or else a part longer than any description of a grid."""
-    if end is not None and end < start:
-        raise InputError(f"{path}: damaged: a grid's values start before its description ends")
     file.seek(start)
     return Cursor(path, file.read(_LARGEST_DESCRIPTION if end is None else end - start))

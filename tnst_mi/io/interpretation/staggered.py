@@ -27,3 +27,16 @@ def centred_velocity(faces: np.ndarray, known: np.ndarray | None = None) -> np.n
         weights[:-1] += weights[1:]
         values /= np.maximum(weights, 1.0)
     return centres
+
+
+def velocity_of_all_faces(faces: np.ndarray) -> np.ndarray:
+    """Average a staggered velocity with all faces, (D + 1, H + 1, W + 1, 3), to the cell centres, (D, H, W, 3).
+
+    Of component c only the entries that are faces of a cell are used: its last ones along the other axes are not.
+    """
+    centres = np.empty((*(extent - 1 for extent in faces.shape[:3]), 3), np.float32)
+    for component, axis in enumerate((2, 1, 0)):
+        lower = np.moveaxis(faces[..., component], axis, 0)
+        mean = 0.5 * (lower[:-1, :-1, :-1] + lower[1:, :-1, :-1])
+        centres[..., component] = np.moveaxis(mean, 0, axis)
+    return centres

@@ -1,0 +1,78 @@
+"""Where a grid lies in its scene, and what is kept of the file that it came from, for results to be like it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.geometry.affine import Affine
+from tnst_mi.geometry.boxes import Box
+
+
+@dataclass(frozen=True, eq=False)
+class OwnVoxels:
+    """The voxels of the file that a frame was read from, to which results return.
+
+    Attributes:
+        scene: from these voxels to the scene, as the file has it.
+        voxels_of: from the frame's cells to them, in the axes of the file.
+        values: where cells and voxels do not coincide, the density (Z, Y, X) in `box`; else None.
+        box: where these values lie.
+        outside: the density of all other voxels.
+    """
+
+    scene: Affine
+    voxels_of: Affine
+    values: np.ndarray | None = None
+    box: Box | None = None
+    outside: float = 0.0
+
+
+@dataclass(frozen=True)
+class GridSource:
+    """What a result keeps of a grid: its name, its metadata (type and value by name), and its precision."""
+
+    name: str
+    metadata: Mapping[str, tuple[str, Any]]
+    half: bool = False
+
+
+@dataclass(frozen=True)
+class FileSource:
+    """What a result keeps of a file: its metadata, and its grids by what they are ("density", …)."""
+
+    metadata: Mapping[str, tuple[str, Any]]
+    grids: Mapping[str, GridSource]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Position, size and orientation of a grid in its scene.
+
+    Attributes:
+        voxel_size: edge of a cell, in the scene's unit of length.
+        corner: (X, Y, Z) of the centre of the grid's lowest cell, in the axes of the scene.
+        up: the axis of the scene that points up, "y" or "z".
+        own: the voxels of the file that the grid came from; None if they are the grid's cells as above.
+        source: what else results keep of this file, or None.
+    """
+
+    voxel_size: float = 1.0
+    corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: str = "z"
+    own: OwnVoxels | None = field(default=None, compare=False, repr=False)
+    source: FileSource | None = field(default=None, compare=False, repr=False)
+
+    def moved(self, vector: tuple[float, float, float]) -> Placement:
+        """The placement after a translation (X, Y, Z) in the scene, such as that of a simulation's domain.
+
+        Example:
+            >>> Placement(0.5, (1.0, 2.0, 3.0)).moved((10.0, 0.0, -3.0)).corner
+            (11.0, 2.0, 0.0)
+        """
+        x, y, z = (coordinate + by for coordinate, by in zip(self.corner, vector, strict=True))
+        own = None if self.own is None else replace(self.own, scene=self.own.scene.moved(vector))
+        return replace(self, corner=(x, y, z), own=own)

@@ -1,0 +1,106 @@
+"""Files with one grid each: beside the file of a frame's density lie those of its velocity and its obstacle.
+
+The density of a frame is in `NAME_0012.uni`, its velocity in `NAME_velocity_0012.uni` (or `NAME_vel_0012.uni`, …), its
+obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`, …). If the density's name contains the word `density`,
+as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. For files of other
+programs, other words for density are replaced too (`smoke_0012.npz` beside `velocity_0012.npz`, as PhiFlow writes), and
+the word may be at the end (`NAME_0012_vel.npz`). Words may also be capitalised or in upper case, extensions in upper
+case.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+#: Words for the grids, the one that we write first.
+VELOCITY, OBSTACLE = ("velocity", "vel", "v"), ("obstacle", "flags", "solid")
+
+
+def _words(*words: str) -> re.Pattern[str]:
+    """Any of some words that stand alone in a name, perhaps with a number that follows; single letters without."""
+    spellings = "|".join(word if len(word) > 1 else rf"{word}(?!\d)" for word in words)
+    return re.compile(rf"(?<![A-Za-z])({spellings})(?![A-Za-z])", re.IGNORECASE)
+
+
+_DENSITY = _words("density")
+_OTHER_DENSITY = _words("dens", "smoke", "rho", "d")
+_COMPANION = _words(*VELOCITY, *OBSTACLE, "(?:velocity|vel)[xyz]", "[uw]")
+#: Grids of a simulation that neither are density nor belong to a frame.
+_OTHER_GRID = _words("temperature", "temp", "heat", "fuel", "flame", "react", "pressure", "shadow", "burn", "phi", "cd")
+
+
+def companion(file: Path, word: str) -> Path:
+    """The companion of a density file that we write, which holds the grid called `word`."""
+    before, after = _around_the_word(file.stem)
+    return file.with_stem(f"{before}{word}{after}")
+
+
+def possible_companions(file: Path, words: tuple[str, ...] = VELOCITY + OBSTACLE) -> list[Path]:
+    """All paths at which we write companions of a density file, in any spelling, in order of preference."""
+    before, after = _around_the_word(file.stem)
+    return _spelled(file, [f"{before}{{}}{after}"], words)
+
+
+def found_companion(file: Path, words: tuple[str, ...]) -> Path | None:
+    """The first existing companion for any of the words, of whatever program, or None."""
+    return next((path for path in _all_possible(file, words) if path.is_file()), None)
+
+
+def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
+    """The files of a folder that hold densities.
+
+    Args:
+        files: all files of one format.
+        one_grid_each: whether each file of this format holds one grid. Then only files with `density` in their names
+            count, if there are any; files that may hold whole frames are left out only if their names are those of
+            another grid.
+    """
+    beside = {path for file in files for path in _all_possible(file, VELOCITY + OBSTACLE)}
+    alone = [file for file in files if file not in beside]
+    named = [file for file in alone if one_grid_each and _DENSITY.search(file.stem)]
+    others = (_COMPANION,) if one_grid_each else (_COMPANION, _OTHER_GRID)
+    smoke = [
+        file for file in alone if _DENSITY.search(file.stem) or not any(other.search(file.stem) for other in others)
+    ]
+    return named or smoke or alone
+
+
+def numberless(file: Path) -> str:
+    """The name of a file with # for its digits, which is the same for all frames of a sequence."""
+    return re.sub(r"\d", "#", file.name)
+
+
+def _all_possible(file: Path, words: tuple[str, ...]) -> list[Path]:
+    """All paths at which companions of a density file are looked for, in order of preference."""
+    before, after = _around_the_word(file.stem)
+    forms = [f"{before}{{}}{after}"]
+    for match in _OTHER_DENSITY.finditer(file.stem):
+        forms.append(f"{file.stem[: match.start()]}{{}}{file.stem[match.end() :]}")
+    return _spelled(file, [*forms, f"{file.stem}_{{}}"], words)
+
+
+def _spelled(file: Path, forms: Sequence[str], words: tuple[str, ...]) -> list[Path]:
+    """The paths beside a file in whose names the {} of a form is one of some words, in any spelling."""
+    spellings = [spelling for word in words for spelling in (word, word.capitalize(), word.upper())]
+    endings = dict.fromkeys((file.suffix, file.suffix.lower(), file.suffix.upper()))
+    parts = [form.partition("{}") for form in forms]
+    return [
+        file.with_name(f"{before}{spelling}{after}{ending}")
+        for before, _, after in parts
+        for spelling in dict.fromkeys(spellings)
+        for ending in endings
+    ]
+
+
+def _around_the_word(stem: str) -> tuple[str, str]:
+    """The parts of a companion's name before and after the word."""
+    match = _DENSITY.search(stem)
+    if match:
+        return stem[: match.start()], stem[match.end() :]
+    name = re.sub(r"\d+$", "", stem)
+    number = stem.removeprefix(name)
+    if number:
+        return name if name.endswith(("_", ".", "-")) or not name else f"{name}_", f"_{number}"
+    return f"{name}_", ""

@@ -1,0 +1,66 @@
+"""Level sets: recognising them, and their interior as density."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.grids.vdb.file_format.reader import Grid
+from tnst_mi.io.grids.vdb.file_format.tree import Tree
+
+_CLASS = "level set"
+_WORDS = ("sdf", "levelset", "level_set")
+
+
+def is_level_set(grid: Grid) -> bool:
+    """Whether a grid holds signed distances from a surface: its class says so, or its name."""
+    return grid.metadata.get("class") == _CLASS or any(word in grid.name.lower() for word in _WORDS)
+
+
+class FogVolume(Grid):
+    """A level set that is read as a density: from 0 at its surface to 1 inside, where the narrow band ends.
+
+    The rule is that of OpenVDB's `sdfToFogVolume`: −φ over the background, clipped to [0, 1].
+    """
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The density.
+
+        Raises:
+            InputError: the level set cannot be read, or its background, which is half of the width of the narrow band,
+                is not a distance above 0.
+        """
+        tree = super().tree
+        half_width = float(tree.background)
+        if not 0.0 < half_width < np.inf:
+            raise InputError(
+                f"{self.path}: level set {self.name!r} has a background of {half_width:g}, expected half the width of "
+                "its narrow band, above 0; rebuild the level set"
+            )
+
+        def fog(distances: np.ndarray) -> np.ndarray:
+            return np.clip(-distances / distances.dtype.type(half_width), 0, 1)
+
+        leaves, tiles = fog(tree.leaf_values), fog(tree.tile_values)
+        return dataclasses.replace(
+            tree,
+            background=np.zeros_like(tree.background),
+            leaf_values=leaves,
+            leaf_active=leaves > 0,
+            tile_values=tiles,
+            tile_active=tiles > 0,
+        )
+
+    @cached_property
+    def topology(self) -> Tree:
+        """The same: the inside is known only from the values."""
+        return self.tree
+
+
+def fog_volume(grid: Grid) -> FogVolume:
+    """A level set as a density."""
+    return FogVolume(**{field.name: getattr(grid, field.name) for field in dataclasses.fields(grid)})

@@ -1,0 +1,99 @@
+"""Frames in formats with one grid per file (.vol, .uni): velocity and obstacle are in companion files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.files import companions
+from tnst_mi.io.grids.uni import UniHeader, read_uni
+from tnst_mi.io.grids.vol import read_vol
+from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, StoredFrame, Taken
+from tnst_mi.io.interpretation.layouts import solid_cells
+from tnst_mi.io.interpretation.roles import NONE, Wanted
+
+#: Our .uni files declare their conventions in the build information.
+OURS, Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
+
+_VECTORS = "holds vectors, expected a density"
+
+
+def read_vol_frame(file: Path, wanted: Wanted) -> StoredFrame:
+    """Read a frame of Mitsuba's .vol files.
+
+    Raises:
+        InputError: a file cannot be used, or one that the user names is not there.
+    """
+    grid = read_vol(file)
+    if grid.ndim == 4:
+        return StoredFrame(density=None, velocity=grid, scene_up="z", lacking=_VECTORS)
+    velocity, obstacle, taken = _companions(file, wanted)
+    solid, layouts = (None, ()) if obstacle is None else _solid(obstacle, read_vol(obstacle), flags=False)
+    return StoredFrame(
+        density=grid,
+        velocity=None if velocity is None else read_vol(velocity),
+        obstacle=solid,
+        scene_up="z",
+        taken=taken,
+        layouts=layouts,
+    )
+
+
+def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
+    """Read a frame of Mantaflow's .uni files; a grid of one layer along Z is a plane in X and Y, seen face-on.
+
+    Raises:
+        InputError: a file cannot be used, or one that the user names is not there.
+    """
+    header, grid = read_uni(file)
+    ours = header.build.startswith(OURS)
+    plane = header.shape[0] == 1 and not ours
+    up = "y" if plane or header.build.startswith(OURS + Y_UP) else "z"
+    because = "a plane, seen face-on" if plane else ""
+    if header.components == 3:
+        return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
+    velocity, obstacle, taken = _companions(file, wanted)
+    frame = StoredFrame(density=grid, up=up, up_because=because, taken=taken)
+    if velocity is not None:
+        frame = _with_velocity(frame, *read_uni(velocity))
+    if obstacle is not None:
+        solid, _ = _solid(obstacle, read_uni(obstacle)[1], flags=True)
+        frame = replace(frame, obstacle=solid)
+    return frame
+
+
+def _companions(file: Path, wanted: Wanted) -> tuple[Path | None, Path | None, Taken]:
+    """The files of velocity and obstacle beside that of a density, and the words by which they are found."""
+    if wanted.density is not None:
+        raise InputError(
+            f"{file}: --density {wanted.density!r}: a {file.suffix} file holds one grid; give the density's as INPUT"
+        )
+    found = []
+    for role, name, usual in (
+        ("velocity", wanted.velocity, companions.VELOCITY),
+        ("obstacle", wanted.obstacle, companions.OBSTACLE),
+    ):
+        path = None if name == NONE else companions.found_companion(file, usual if name is None else (name,))
+        if path is None and name not in (None, NONE):
+            raise InputError(f"{file}: --{role} {name!r}: no file {companions.companion(file, name).name} beside it")
+        found.append(path)
+    velocity, obstacle = found
+    named = [None if path is None else companions.numberless(path) for path in found]
+    return velocity, obstacle, Taken(companions.numberless(file), named[0], named[1])
+
+
+def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:
+    try:
+        solid, words = solid_cells(values, flags)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    return solid, (words,) if words else ()
+
+
+def _with_velocity(frame: StoredFrame, header: UniHeader, velocity: np.ndarray) -> StoredFrame:
+    """The frame with the velocity of a .uni file."""
+    frame = replace(frame, velocity=velocity, staggered=header.staggered)
+    return frame if header.build.startswith(OURS) else replace(frame, velocity_units=CELLS_PER_TIME)

@@ -1,0 +1,37 @@
+"""Tone mapping: pictures of high dynamic range as the display values that the network knows.
+
+Reinhard et al. 2002, with the brightest value as white: luminances are scaled such that their logarithmic mean is 0.18,
+L ↦ L (1 + L / L_white²) / (1 + L) brings them into [0, 1], and the sRGB curve follows. The unit of the values does not
+matter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Relative luminance of linear red, green and blue.
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_MIDDLE_GREY = 0.18
+
+
+def tone_mapped(linear: np.ndarray) -> np.ndarray:
+    """Display values of a picture.
+
+    Args:
+        linear: (H, W, 3), linear, finite; negative values count as 0.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1].
+    """
+    linear = np.maximum(linear, 0.0).astype(np.float64)
+    luminance = linear @ _LUMINANCE
+    if not luminance.any():
+        return np.zeros(linear.shape, np.float32)
+    scale = _MIDDLE_GREY / np.exp(np.log(luminance[luminance > 0]).mean())
+    scaled = luminance * scale
+    factor = scale * (1 + scaled / scaled.max() ** 2) / (1 + scaled)
+    return _srgb(np.clip(linear * factor[..., None], 0.0, 1.0)).astype(np.float32)
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,0 +1,39 @@
+"""Lines for a terminal: what files and libraries put into messages neither controls nor floods it."""
+
+from __future__ import annotations
+
+import re
+
+#: Longest error message in characters, whatever paths it names.
+LONGEST = 300
+
+_ESCAPE_CODE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
+_FOLDERS = re.compile(r"(?<!\S)([\"'(]?)/(?:[^\s/]+/){2,}")
+
+
+def printable(text: str) -> str:
+    """A text without escape codes of libraries, and with a space for each control character of a name.
+
+    Example:
+        >>> printable("smoke\\x1b[31m red\\x07.npz")
+        'smoke red .npz'
+    """
+    # Bytes of file names that are not UTF-8 are surrogates here, which no stream can write.
+    text = _ESCAPE_CODE.sub("", text.encode("utf-8", "replace").decode("utf-8"))
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
+def one_line(message: str) -> str:
+    """A message in one line of at most `LONGEST` characters: paths lose their folders first, then the text its middle.
+
+    Example:
+        >>> one_line("/" + "folder/" * 50 + "smoke.npz: is empty")
+        '…/smoke.npz: is empty'
+    """
+    line = " ".join(printable(message).split())
+    if len(line) > LONGEST:
+        line = _FOLDERS.sub(r"\1…/", line)
+    if len(line) > LONGEST:
+        kept = (LONGEST - 1) // 2
+        line = f"{line[:kept]}…{line[-kept:]}"
+    return line

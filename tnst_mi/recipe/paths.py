@@ -1,0 +1,95 @@
+"""Paths in a recipe: where the files are that it names, and the names of what ships with the package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError
+from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.resources import DATA, expanded
+
+#: Style pictures that ship with the package; a recipe names them without folder and extension.
+STYLES = DATA / "styles"
+
+#: Mitsuba scenes whose emitters light the smoke, named likewise.
+LIGHTS = DATA / "lights"
+
+
+def shipped_styles() -> list[str]:
+    """Names of the style pictures that ship with the package."""
+    return sorted(path.stem for path in STYLES.glob("*.png"))
+
+
+def shipped_lights() -> list[str]:
+    """Names of the lights that ship with the package."""
+    return sorted(path.stem for path in LIGHTS.glob("*.xml"))
+
+
+def shipped_name(path: str) -> str:
+    """The name of a style picture that ships with the package; other paths as they are."""
+    return Path(path).stem if Path(path).parent == STYLES else path
+
+
+def located(name: str, value: Any, source: str, folder: Path) -> Any:
+    """Make the paths in the checked value of a key absolute.
+
+    Args:
+        name: the key.
+        value: its value.
+        source: begins messages.
+        folder: where relative paths start.
+
+    Raises:
+        InputError: a file does not exist, or its path cannot be written to a recipe file.
+    """
+    if name in ("style", "content"):
+        return tuple(_picture(name, entry, source, folder) for entry in value)
+    if name == "match":
+        return tuple(_map(entry, source, folder) for entry in value)
+    if name == "light" and value not in shipped_lights():
+        path = _path(name, value, source, folder)
+        if not path.is_file():
+            raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
+        return str(path.resolve())
+    if name == "weights" and value not in (None, PATTERNS) and (path := _path(name, value, source, folder)).exists():
+        return str(path.resolve())
+    return value
+
+
+def _path(name: str, text: str, source: str, folder: Path) -> Path:
+    """The path that a text means, which need not exist; \\ separates folders where that finds a file."""
+    control = next((character for character in text if ord(character) < 32), None)
+    if control is not None:
+        raise InputError(
+            f"{source}{name} = {text!r}: has the control character {control!r} in it, which \\ followed by a letter "
+            r"makes in double quotes; write paths in single quotes, 'C:\smoke\fire.png', or with /"
+        )
+    path, forwards = folder / expanded(Path(text)), folder / expanded(Path(text.replace("\\", "/")))
+    path = forwards if forwards.exists() and not path.exists() else path
+    try:
+        str(path.resolve()).encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(
+            f"{source}{name} = {text!r}: the path is not UTF-8, as a recipe file has to be; rename the file"
+        ) from None
+    return path
+
+
+def _picture(name: str, entry: str, source: str, folder: Path) -> str:
+    path = _path(name, entry, source, folder)
+    if path.exists():
+        return str(path.resolve())
+    if re.fullmatch(r"[\w-]+", entry) and (STYLES / f"{entry}.png").exists():
+        return str(STYLES / f"{entry}.png")
+    shipped = ", ".join(shipped_styles())
+    raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+
+
+def _map(entry: str, source: str, folder: Path) -> str:
+    layer, _, file = entry.partition(":")
+    path = _path("match", file, source, folder)
+    if not path.is_file():
+        raise InputError(f"{source}match = {entry!r}: no such file ({path})")
+    return f"{layer}:{path.resolve()}"

@@ -1,0 +1,60 @@
+"""Keys of a recipe that decide nothing, because what they belong to is not used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.sections import KINDS
+
+#: Keys of Mitsuba's path tracer, and of a window.
+_OF_THE_PATH_TRACER = ("albedo", "anisotropy", "light", "spp")
+_OF_A_WINDOW = ("window_weights", "window_average", "step_order", "coherence")
+_OF_TRANSPORT = ("lam", "steps", "transport", "stages", "conservative")
+
+
+def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
+    """The keys that have another value than by default, or by the preset, without effect, each with the reason.
+
+    Args:
+        recipe: the recipe.
+        frames: how many frames it is used for.
+
+    Example:
+        >>> unused_keys(Recipe(tag=("spiral",), style_weight=2.0), frames=1)
+        {'style_weight': 'there is no style'}
+    """
+    default = Recipe(preset=recipe.preset)
+    changed = {key for key in KINDS if key in recipe.keyframes or getattr(recipe, key) != getattr(default, key)}
+    return {key: reason for keys, reason in _without_effect(recipe, frames) for key in keys if key in changed}
+
+
+def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ...], str]]:
+    other_goals = bool(recipe.semantic or recipe.tag or recipe.content or recipe.match)
+    if not recipe.style:
+        yield ("style_weight", "style_layers", "style_loss"), "there is no style"
+    elif not other_goals and _only_scales(recipe, "style_weight"):
+        yield ("style_weight",), "there is no other goal to weigh the style against"
+    if not other_goals:
+        yield ("semantic_weight",), "there is no semantic, tag, content or match"
+    elif not recipe.style and _only_scales(recipe, "semantic_weight"):
+        yield ("semantic_weight",), "there is no style to weigh it against"
+    if not recipe.content:
+        yield ("content_layers",), "there is no content"
+    if not recipe.semantic:
+        yield ("damping",), "there is no semantic"
+    if recipe.parameterisation == "density":
+        yield _OF_TRANSPORT, 'it belongs to parameterisation = "transport"'
+    if recipe.integrator == "emission_absorption":
+        yield _OF_THE_PATH_TRACER, 'it belongs to integrator = "prbvolpath"'
+    else:
+        yield ("quadrature",), 'it belongs to integrator = "emission_absorption"'
+    if recipe.window == 1 or frames == 1:
+        yield _OF_A_WINDOW, "there is no window"
+    if frames == 1:
+        yield ("fps",), "there is one frame"
+
+
+def _only_scales(recipe: Recipe, weight: str) -> bool:
+    """Whether the weight of all goals together decides nothing: the gradient is normalised, so a factor drops out."""
+    return weight not in recipe.keyframes and getattr(recipe, weight) > 0.0

@@ -1,0 +1,126 @@
+"""The time left of a run, whose octaves cost differently.
+
+An iteration costs something that is the same in all octaves, something per pixel of its images (the network), and
+something per cell of its grid. How much of each is not known beforehand, and depends on the machine. Once two octaves
+have been timed, what an iteration of a later one costs is bounded: from below by the mixture of the three with the most
+of what grows slowly, from above by that with the most of what grows fast. Their harmonic mean has the smallest error in
+the worst case, less than a quarter for the octaves of a default run.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from tnst_mi.fields.grid import Shape, octaves
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
+
+
+@dataclass(frozen=True)
+class OctaveSize:
+    """Number of cells of an octave's grid, and of pixels of its images."""
+
+    cells: int
+    pixels: int
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        """What the costs of an iteration grow with."""
+        return 1.0, float(self.pixels), float(self.cells)
+
+
+def octave_sizes(recipe: Recipe, shape: Shape) -> list[OctaveSize]:
+    """The sizes of a recipe's octaves for frames of a shape (D, H, W), from coarse to fine."""
+    grids = [octave.shape for octave in octaves(shape, recipe.octaves, recipe.scale_factor)]
+    return [OctaveSize(math.prod(grid), math.prod(image_size(recipe, grid))) for grid in grids]
+
+
+@dataclass
+class _Timed:
+    """What is known of an octave: the time and the count of its first report, and of its last."""
+
+    first: tuple[float, int]
+    last: tuple[float, int]
+    begin: float
+
+    @property
+    def seconds(self) -> float | None:
+        """Of an iteration; None before the second report, since the first also has kernels to compile."""
+        (start, at_start), (end, at_end) = self.first, self.last
+        return (end - start) / (at_end - at_start) if at_end > at_start else None
+
+
+class TimeLeft:
+    """Estimates the time left from the reports of a run's iterations.
+
+    Args:
+        sizes: of the octaves, from coarse to fine; all have equally many iterations.
+        clock: seconds that pass; the time of construction counts as the beginning of the run.
+    """
+
+    def __init__(self, sizes: Sequence[OctaveSize], clock: Callable[[], float] = time.perf_counter) -> None:
+        self._octaves, self._clock = sizes, clock
+        self._timed: dict[int, _Timed] = {}
+        self._now = clock()
+
+    def after(self, octave: int, done: int, total: int) -> float:
+        """The seconds left after an iteration.
+
+        Args:
+            octave: that of the iteration, from 0.
+            done: iterations done, of all frames and octaves.
+            total: iterations to do, likewise.
+        """
+        before, self._now = self._now, self._clock()
+        if octave in self._timed:
+            self._timed[octave].last = self._now, done
+        else:
+            self._timed[octave] = _Timed((self._now, done), (self._now, done), before)
+        each, later = total // len(self._octaves), range(octave + 1, len(self._octaves))
+        here = (each * (octave + 1) - done) * self._seconds(octave)
+        return here + sum(each * self._seconds(at) + self._entering() for at in later)
+
+    def _seconds(self, octave: int) -> float:
+        """What an iteration of an octave takes, as measured, or as expected from other octaves."""
+        measured = {at: timed.seconds for at, timed in self._timed.items() if timed.seconds is not None}
+        known = [(at, seconds) for at, seconds in sorted(measured.items()) if seconds is not None][-2:]
+        if octave in measured:
+            return dict(known)[octave]
+        if not known:
+            timed = next(iter(self._timed.values()))
+            return timed.first[0] - timed.begin
+        sizes = self._octaves
+        if len(known) == 1:
+            # On the whole, costs grow with the pixels.
+            ((at, seconds),) = known
+            return seconds * sizes[octave].pixels / sizes[at].pixels
+        return _expected(sizes[octave], *((sizes[at], seconds) for at, seconds in known))
+
+    def _entering(self) -> float:
+        """What the first iteration of an octave takes besides, as far as is known."""
+        latest = self._timed[max(self._timed)]
+        seconds = latest.seconds
+        return 0.0 if seconds is None else max(0.0, latest.first[0] - latest.begin - seconds)
+
+
+def _expected(size: OctaveSize, *known: tuple[OctaveSize, float]) -> float:
+    """The seconds of an iteration at a size, from those at two other sizes."""
+    (one, in_one), (two, in_two) = known
+    bounds = []
+    for a, b in itertools.combinations(range(3), 2):
+        # in_one = x one.costs[a] + y one.costs[b], and likewise for two.
+        determinant = one.costs[a] * two.costs[b] - one.costs[b] * two.costs[a]
+        if determinant == 0:
+            continue
+        x = (in_one * two.costs[b] - in_two * one.costs[b]) / determinant
+        y = (one.costs[a] * in_two - two.costs[a] * in_one) / determinant
+        if x >= 0 and y >= 0:
+            bounds.append(x * size.costs[a] + y * size.costs[b])
+    # Costs that fall, or grow faster than the cells, are those of a machine with other work.
+    if not bounds or min(bounds) <= 0:
+        return in_two * max(1.0, in_two / in_one) if in_one > 0 else in_two
+    return 2 / (1 / min(bounds) + 1 / max(bounds))
