@@ -17,7 +17,7 @@ from tnst_mi.recipe.recipe import Recipe
 __all__ = ["run", "smoke", "tiny_weights"]
 
 NOTICE = (
-    "no ImageNet weights found: using the shipped patterns; "
+    "no ImageNet weights found: using the shipped network patterns; "
     "`tnst-mi weights --download inception5h` gets the paper's network"
 )
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -88,9 +88,8 @@ def test_the_demo_needs_no_other_weights(
 # ---- what is refused -------------------------------------------------------------------------------------
 
 REFUSAL = (
-    r"semantic 'mixed4b_pool_reduce_pre_relu:1': channel numbers are those of one network; this run would take "
-    r"the shipped network patterns \({}\); {}, or weights = \"patterns\" if its own are meant, "
-    r"or a tag, such as 'net', 'spiral'$"
+    r"semantic 'mixed4b_pool_reduce_pre_relu:1': channel numbers are those of one network; this run would take the "
+    r"shipped patterns \({}\); {}, or weights = \"patterns\" if its own are meant, or a tag, such as 'net', 'spiral'$"
 )
 
 
