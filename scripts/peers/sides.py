@@ -12,7 +12,7 @@ from tnst_mi.fields.grid import Octave
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import problem_of
-from tnst_mi.optimisation.parameterisation import Fields, Transport, normalised_step
+from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
@@ -66,8 +66,8 @@ class Ours:
 
     def step(self) -> object:
         """The potential after a normalised step along the density."""
-        size = 1e-9 * self.transport.unit_step(self.density.shape[1], 1.0)
-        return (self.fields - normalised_step(Fields(phi=self.density), self.density, size, 3))["phi"]
+        rows = self.density.shape[1]
+        return (self.fields - self.transport.step(Fields(phi=self.density), self.density, 1e-9, rows, 1.0, 3))["phi"]
 
 
 class Iteration:
@@ -93,9 +93,8 @@ class Iteration:
     def __call__(self) -> object:
         """The potential after the iteration."""
         found = self.problem.gradient(self.frame, self.fields, self.density, (0,))
-        size = 1e-9 * self.frame.parameterisation.unit_step(self.rows, 1.0)
-        largest = self.frame.parameterisation.largest_derivative
-        self.fields = self.fields - normalised_step(found.gradient, self.density, size, 3, largest=largest)
+        step = self.frame.parameterisation.step(found.gradient, self.density, 1e-9, self.rows, 1.0, 3)
+        self.fields = self.fields - step
         return self.fields["phi"]
 
 

@@ -17,7 +17,7 @@ from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.own_step import OwnStep
 from tnst_mi.optimisation.items.state import Current, Items
 from tnst_mi.optimisation.octave import calibrated, entered, levels_left
-from tnst_mi.optimisation.parameterisation import Fields, normalised_step
+from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.temporal.coherence import coherence_step
 
@@ -79,9 +79,8 @@ def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: in
 
 def step_along(gradient: Fields, plan: Plan, now: Current, h: float) -> Fields:
     """η · mask · N(g): the step to subtract from a frame's fields; the gradient is consumed."""
-    parameterisation, levels = now.frame.parameterisation, now.frame.recipe.pyramid_levels
-    size, largest = now.frame.eta * parameterisation.unit_step(plan.rows, h), parameterisation.largest_derivative
-    return normalised_step(gradient, now.inputs.mask, size, levels, largest=largest)
+    frame = now.frame
+    return frame.parameterisation.step(gradient, now.inputs.mask, frame.eta, plan.rows, h, frame.recipe.pyramid_levels)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:

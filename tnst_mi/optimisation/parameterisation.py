@@ -82,6 +82,19 @@ class Parameterisation(ABC):
     def unit_step(self, rows: int, h: float) -> float:
         """Change of a field where η · mask · N(g) is 1; `rows` is H of the full grid."""
 
+    def step(
+        self,
+        gradient: Fields,
+        mask: mi.TensorXf,
+        eta: float,
+        rows: int,
+        h: float,
+        levels: int,
+        sigma: float = GRADIENT_SIGMA,
+    ) -> Fields:
+        """η · mask · N(g) in the unit of the fields, on cells of size h; see `normalised_step`."""
+        return normalised_step(gradient, mask, eta * self.unit_step(rows, h), levels, sigma, self.largest_derivative)
+
     def density_with_pullback(self, fields: Fields, density: mi.TensorXf, h: float) -> tuple[mi.TensorXf, Pullback]:
         """The stylized density, detached, and the pull-back of derivatives with respect to it onto the fields."""
         leaves = fields.attached()

@@ -18,7 +18,7 @@ import mitsuba as mi
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.pyramid import root_mean_square
 from tnst_mi.optimisation.items.state import Current, Items
-from tnst_mi.optimisation.parameterisation import Fields, normalised_step
+from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.temporal.window import window_of, window_weights
 
@@ -61,7 +61,6 @@ def step_towards(target: mi.TensorXf, now: Current, eta: float, rows: int, h: fl
     gradient = pull_back(difference)
     size = dr.maximum(root_mean_square(change), root_mean_square(target))
     ratio = root_mean_square(difference) / dr.maximum(size, opaque(_FLOOR))
-    unit = eta * parameterisation.unit_step(rows, h)
-    levels, largest = now.frame.recipe.pyramid_levels, parameterisation.largest_derivative
-    steps = normalised_step(gradient, now.inputs.mask, unit, levels, SIGMA, largest)
+    levels = now.frame.recipe.pyramid_levels
+    steps = parameterisation.step(gradient, now.inputs.mask, eta, rows, h, levels, SIGMA)
     return Fields({name: mi.TensorXf(step.array * ratio, step.shape) for name, step in steps.items()})
