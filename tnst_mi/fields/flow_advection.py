@@ -69,12 +69,11 @@ class FlowAdvection(AdvectionStep):
         if sparse:
             active = self._within_reach(cells, flow)
             if compressed:
-                cells = Cells.of(self.shape, _indices(active))
-                active = mi.Bool(True)
+                cells, active = _chosen(cells, active), mi.Bool(True)
             u = flow.velocity(cells)
             active &= (u.x != 0) | (u.y != 0) | (u.z != 0) | self._matters(cells, mi.Vector3f(0))
             if compressed:
-                cells, active = Cells.of(self.shape, dr.gather(mi.UInt32, cells.number, _indices(active))), None
+                cells, active = _chosen(cells, active), None
         paths, departure = flow.trace(cells, -1, stages, active)
         departure = [stored(x) for x in departure]
         dr.eval(paths.stages, departure)
@@ -205,6 +204,11 @@ class FlowAdvection(AdvectionStep):
     def name(self) -> str:
         """The name in Dr.Jit's messages."""
         return "advection along a flow"
+
+
+def _chosen(cells: Cells, active: mi.Bool) -> Cells:
+    """The active ones of some cells."""
+    return Cells.of(cells.shape, dr.gather(mi.UInt32, cells.number, _indices(active)))
 
 
 def _indices(chosen: mi.Bool) -> mi.UInt32:
