@@ -241,14 +241,14 @@ def whole_frame(
     from tnst_mi.optimisation.single_frame import optimise
 
     frame, network = tnst_mi.Frame(bundled_density(shape)), GoogLeNet.load(options.weights)
+    recipe = tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations} | (keys or {}))
     found: Result = {"shape": shape, "iterations": iterations}
     if warm:
         since = time.perf_counter()
-        optimise(frame, tnst_mi.Recipe.from_dict(PAPER | {"iterations": 1} | (keys or {})), network)
+        optimise(frame, recipe.updated({"iterations": 1}, "", Path.cwd()), network)
         found["first_seconds"] = time.perf_counter() - since
     with device_memory() as fullest:
         since = time.perf_counter()
-        recipe = tnst_mi.Recipe.from_dict(PAPER | {"iterations": iterations} | (keys or {}))
         result = optimise(frame, recipe, network)
         found["seconds"] = time.perf_counter() - since
     losses = [entry["loss"] for entry in result.history]

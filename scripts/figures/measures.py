@@ -60,6 +60,11 @@ def mass_change(before: np.ndarray, after: np.ndarray) -> float:
     return float(after.sum(dtype=np.float64) / before.sum(dtype=np.float64) - 1)
 
 
+def sharpness(density: np.ndarray) -> float:
+    """Mean |∂d| over all cells and axes."""
+    return float(np.mean([np.abs(np.diff(density, axis=axis)).mean() for axis in range(3)]))
+
+
 def made_or_removed(before: np.ndarray, after: np.ndarray) -> float:
     """What has to be made or removed to turn d into d*, relative to Σ d, if smoke may be put into any other cell.
 

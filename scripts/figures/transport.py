@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from figures.figure import Claim, Figure, Made, Panel
-from figures.measures import mass_change
+from figures.measures import mass_change, sharpness
 from figures.seen import images_of, smoke_box
 from figures.setting import Run, Setting
 from tnst_mi import advect
@@ -120,16 +120,12 @@ def _relative_times(density: np.ndarray, v: np.ndarray, repeat: int = 5) -> dict
     return {way: found / medians["one step"] for way, found in medians.items()}
 
 
-def sharpness(density: np.ndarray) -> float:
-    """Mean |∂d| over all cells and axes."""
-    return float(np.mean([np.abs(np.diff(density, axis=axis)).mean() for axis in range(3)]))
-
-
 def _drawn(frame: Frame, runs: dict, found: dict, times: dict[str, float]) -> list[list[Panel]]:
     """The frame and its stylizations towards the picture, a row for each λ."""
     first = runs["style", 1.0, "one step"]
     before = images_of(first, frame.density)[0]
-    images = {key: images_of(runs["style", *key], runs["style", *key].density)[0] for key in _all_drawn()}
+    drawn = {(lam, way): runs["style", lam, way] for lam, ways in _DRAWN.items() for way in ways}
+    images = {key: images_of(run, run.density)[0] for key, run in drawn.items()}
     box = smoke_box([before, *images.values()])
     rows = []
     for lam, ways in _DRAWN.items():
@@ -140,10 +136,6 @@ def _drawn(frame: Frame, runs: dict, found: dict, times: dict[str, float]) -> li
             row.append(Panel(images[lam, way][box], f"λ = {lam:g}, {way}: {m.after:.2f}\n{size}"))
         rows.append(row)
     return rows
-
-
-def _all_drawn() -> list[tuple[float, str]]:
-    return [(lam, way) for lam, ways in _DRAWN.items() for way in ways]
 
 
 def _claims(name: str, found: dict) -> list[Claim]:
