@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class InputError(ValueError):
     """A file, value or option given by the user cannot be used: exit code 2.
@@ -9,6 +13,19 @@ class InputError(ValueError):
     The message is one line. It names the file or key, the value found, what was expected and,
     if there is one, the remedy.
     """
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Errors in what is inside, which does not know its file, begin with the file's name.
+
+    Raises:
+        InputError: what is inside does.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 class StoppedError(RuntimeError):

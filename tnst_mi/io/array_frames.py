@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Note
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
@@ -51,14 +51,12 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
     names = list(headers)
     roles = _roles(path, headers, wanted)
     arrays = _arrays(path, [names[index] for index in (*roles.density, *roles.velocity, *roles.obstacle)])
-    try:
+    with naming(path):
         if roles.density:
             return _frame(arrays[names[roles.density[0]]], arrays, names, roles)
         if cells is not None:
             frame = _frame(np.zeros(cells, np.float32), arrays, names, roles)
             return replace(frame, notes=(*frame.notes, Note(WITHOUT_SMOKE)))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     # By itself, a velocity such as runs write is described but makes no frame.
     name = names[roles.velocity[0]] if len(roles.velocity) == 1 else None
     return StoredFrame(
@@ -90,23 +88,21 @@ def read_authors_frame(path: Path, velocities: Path, wanted: Wanted) -> StoredFr
 
 
 def velocity_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
-    """Read the velocity of a frame whose density, of shape (D, H, W), is in another file of arrays.
+    """Read the velocity, if there is one, of a frame whose density, of shape (D, H, W), is in another file of arrays.
 
     Raises:
-        InputError: the file cannot be used, or holds no velocity that fits the density.
+        InputError: the file cannot be used, or its velocity does not fit the density.
     """
     headers = _headers(path)
     names = list(headers)
     roles = _roles(path, headers, Wanted())
     chosen = roles.velocity or (tuple(range(len(names))) if len(names) == 1 else ())
     if not chosen:
-        raise InputError(f"{path}: holds no velocity, as which its name has it read; --velocity none goes without it")
+        return StoredFrame(density=None)
     parts = [names[index] for index in chosen]
     arrays = _arrays(path, parts)
-    try:
+    with naming(path):
         velocity, words = _velocity(arrays, parts, cells)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return StoredFrame(
         density=None,
         velocity=velocity,
@@ -116,22 +112,21 @@ def velocity_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
 
 
 def obstacle_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
-    """Read the obstacle of a frame whose density, of shape (D, H, W), is in another file of arrays.
+    """Read the obstacle, if there is one, of a frame whose density, of shape (D, H, W), is in another file of arrays.
 
     Raises:
-        InputError: the file cannot be used, or holds no obstacle that fits the density.
+        InputError: the file cannot be used, or its obstacle does not fit the density.
     """
     headers = _headers(path)
     names = list(headers)
     roles = _roles(path, headers, Wanted())
     chosen = roles.obstacle or roles.density
     if not chosen:
-        raise InputError(f"{path}: holds no obstacle, as which its name has it read; --obstacle none goes without it")
+        return StoredFrame(density=None)
     name = names[chosen[0]]
-    try:
-        solid, words = _obstacle(_arrays(path, [name])[name], name, cells)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    arrays = _arrays(path, [name])
+    with naming(path):
+        solid, words = _obstacle(arrays[name], name, cells)
     return StoredFrame(density=None, obstacle=solid, layouts=tuple(text for text in words if text))
 
 
@@ -188,13 +183,11 @@ def _range(path: Path, name: str, header: ArrayHeader) -> str:
 
 
 def _roles(path: Path, headers: Mapping[str, ArrayHeader], wanted: Wanted) -> Roles:
-    try:
+    with naming(path):
         roles = chosen_roles(_entries(headers, plane=False), wanted, "array")
         # Vectors in a plane have the shapes of scalars in a volume: only beside a plane are they taken for vectors.
         if roles.density and _is_plane(list(headers.values())[roles.density[0]].shape):
             roles = chosen_roles(_entries(headers, plane=True), wanted, "array")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return roles
 
 

@@ -6,7 +6,7 @@ Only npz and .vdb files hold whole frames; .vol and .uni have companion files be
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -38,27 +38,15 @@ READABLE = (*FORMATS, ".npy")
 GRID_FORMATS = (".vol", ".uni")
 
 
-def require_format(path: Path) -> str:
+def require_format(path: Path, known: Sequence[str] = FORMATS) -> str:
     """The extension of a path, in lower case.
 
     Raises:
-        InputError: it is not one of FORMATS.
+        InputError: it is not one of those known.
     """
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(FORMATS)}")
-    return suffix
-
-
-def require_readable(path: Path) -> str:
-    """The extension of a path, in lower case.
-
-    Raises:
-        InputError: it is not one of READABLE.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in READABLE:
-        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(READABLE)}")
+    if suffix not in known:
+        raise InputError(f"{path}: unknown format {path.suffix!r}, expected one of {', '.join(known)}")
     return suffix
 
 
@@ -82,7 +70,7 @@ def read_stored(
         InputError: a file cannot be used.
     """
     wanted = wanted or Wanted()
-    match require_readable(file):
+    match require_format(file, READABLE):
         case ".vol":
             return read_vol_frame(file, wanted)
         case ".uni":
@@ -96,12 +84,6 @@ def read_stored(
         case _:
             frame = read_vdb_frame(file, context.run, wanted, context.has_density, fog)
             return with_grids_beside(file, frame, context, wanted)
-
-
-def companions_of(file: Path) -> list[Path]:
-    """The existing files beside that of a density from which its velocity and its obstacle may be read."""
-    found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
-    return [path for path in found if path is not None]
 
 
 def files_around(path: Path) -> list[Path]:
@@ -149,14 +131,13 @@ def describe(file: Path) -> list[str]:
     Raises:
         InputError: a file cannot be used.
     """
-    suffix = require_readable(file)
+    suffix = require_format(file, READABLE)
     if suffix in ARRAY_FORMATS:
         return describe_arrays(file)
     if suffix == ".vdb":
         return describe_vdb(file)
-    found = (companions.found_companion(file, words) for words in (companions.VELOCITY, companions.OBSTACLE))
     lines = []
-    for path in (file, *(path for path in found if path is not None)):
+    for path in (file, *companions.companions_of(file)):
         if suffix == ".vol":
             values = read_vol(path)
             words = f"shape {values.shape}, float32"

@@ -18,12 +18,12 @@ from typing import overload
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.io.context import SequenceContext
+from tnst_mi.io.files.companions import companions_of
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
     FORMATS,
-    SequenceContext,
-    companions_of,
     files_around,
     read_stored,
     require_format,

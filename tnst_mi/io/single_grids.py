@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, naming
 from tnst_mi.io.files import companions
 from tnst_mi.io.grids.uni import UniHeader, read_uni
 from tnst_mi.io.grids.vol import read_vol
@@ -86,10 +86,8 @@ def _companions(file: Path, wanted: Wanted) -> tuple[Path | None, Path | None, T
 
 
 def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    try:
+    with naming(file):
         solid, words = solid_cells(values, flags)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
     return solid, (words,) if words else ()
 
 

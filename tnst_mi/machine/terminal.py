@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 #: Longest error message in characters, whatever paths it names.
 LONGEST = 300
@@ -21,6 +22,17 @@ def printable(text: str) -> str:
     # Bytes of file names that are not UTF-8 are surrogates here, which no stream can write.
     text = _ESCAPE_CODE.sub("", text.encode("utf-8", "replace").decode("utf-8"))
     return "".join(character if character.isprintable() else " " for character in text)
+
+
+def some_of(texts: Sequence[str], most: int = 3) -> str:
+    """The first of some texts, and how many more there are.
+
+    Example:
+        >>> some_of(["a", "b", "c", "d", "e"])
+        'a, b, c and 2 more'
+    """
+    rest = len(texts) - most
+    return ", ".join(texts[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def one_line(message: str) -> str:

@@ -38,7 +38,7 @@ _OTHER_NAMES: dict[str, str] = {
     "up": "up_axis axis z_up y_up",
     "flip": "mirror",
     "voxel_size": "cell_size dx spacing",
-    "velocity_units": "units velocity_unit",
+    "units": "velocity_units velocity_unit",
     "format": "type extension ext file_format output_format",
     "spp": "samples samples_per_pixel",
     "resolution": "size width height image_size",

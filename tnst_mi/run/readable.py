@@ -8,6 +8,7 @@ from pathlib import Path
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import FrameFiles
+from tnst_mi.machine.terminal import some_of
 
 # Bounds of a message: frames that it names, and characters of a cause.
 _NAMED, _LONGEST = 3, 68
@@ -64,13 +65,12 @@ class Readable(Iterable[Frame]):
         """What is to be said once all have been read: what was taken for what, assumed, mended and left out."""
         files = self._frames if isinstance(self._frames, FrameFiles) else None
         lines = [
-            f"read as: {reading}" + (f" ({_named(names)})" if len(self._readings) > 1 else "")
+            f"read as: {reading}" + (f" ({some_of(names)})" if len(self._readings) > 1 else "")
             for reading, names in self._readings.items()
         ]
         lines += [f"note: {note}" for note in (files.notes if files else ())]
-        lines += [f"note: {text}: {_named(names)}" for text, names in self._notes.items()]
-        if self.kept and isinstance(self._frames, FrameFiles):
-            lines += [f"note: {note}" for note in self._frames.grid_notes]
+        lines += [f"note: {text}: {some_of(names)}" for text, names in self._notes.items()]
+        lines += [f"note: {note}" for note in (files.grid_notes if files and self.kept else ())]
         if self._bad:
             lines.append(f"note: left out, since they cannot be read: {_shortened(self._bad)}")
         return lines
@@ -108,8 +108,3 @@ def _shortened(messages: Sequence[str]) -> str:
     messages = [f"{Path(path).name}: {rest}" if separator else path for path, separator, rest in parts]
     shown = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in messages[:_NAMED]]
     return "; ".join(shown) + (f"; and {len(messages) - len(shown)} more" if len(messages) > len(shown) else "")
-
-
-def _named(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:_NAMED])
-    return shown + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

@@ -48,6 +48,12 @@ def found_companion(file: Path, words: tuple[str, ...]) -> Path | None:
     return next((path for path in _all_possible(file, words) if path.is_file()), None)
 
 
+def companions_of(file: Path) -> list[Path]:
+    """The existing files beside that of a density from which its velocity and its obstacle may be read."""
+    found = (found_companion(file, words) for words in (VELOCITY, OBSTACLE))
+    return [path for path in found if path is not None]
+
+
 def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
     """The files of a folder that hold densities.
 

@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-
-#: Of longer lists, so many entries are shown.
-_SHOWN = 3
+from tnst_mi.machine.terminal import some_of
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,4 @@ def _meant(path: Path, with_frames: dict[str, Path]) -> str:
     """The folders nearby that may be meant, as the end of a message."""
     if _is_run(path.resolve().parent):
         return f"; it belongs to a run, whose frames are in {path.parent / 'density'}"
-    names = list(with_frames)[:_SHOWN]
-    rest = len(with_frames) - len(names)
-    more = f" and {rest} more" if rest else ""
-    return f"; those below it that have some are {', '.join(names)}{more}: give one" if names else ""
+    return f"; those below it that have some are {some_of(list(with_frames))}: give one" if with_frames else ""

@@ -94,7 +94,7 @@ def step_of(numbers: Sequence[Number]) -> Number:
         >>> step_of([10, 12, 16]), step_of([1, 1.5, 2]), step_of([3])
         (2, 0.5, 1)
     """
-    exact = [Fraction(str(number)) for number in numbers]
+    exact = [_exact(number) for number in numbers]
     differences = [after - before for before, after in itertools.pairwise(exact) if after > before]
     if not differences:
         return 1
@@ -104,18 +104,23 @@ def step_of(numbers: Sequence[Number]) -> Number:
 
 def is_next(number: Number, following: Number, step: Number) -> bool:
     """Whether a number comes one step after another, counted exactly."""
-    return Fraction(str(number)) + Fraction(str(step)) == Fraction(str(following))
+    return _exact(number) + _exact(step) == _exact(following)
 
 
 def missing(numbers: Sequence[Number], most: int = 11) -> list[Number]:
     """The numbers, at most so many, that are missing between ascending ones that are counted by `step_of` them."""
-    step, there, gaps = Fraction(str(step_of(numbers))), {Fraction(str(number)) for number in numbers}, []
+    step, there, gaps = _exact(step_of(numbers)), {_exact(number) for number in numbers}, []
     for before, after in itertools.pairwise(numbers):
-        number = Fraction(str(before)) + step
-        while number < Fraction(str(after)) and number not in there and len(gaps) < most:
+        number = _exact(before) + step
+        while number < _exact(after) and number not in there and len(gaps) < most:
             gaps.append(plain_number(number))
             number += step
     return gaps
+
+
+def _exact(number: Number) -> Fraction:
+    """A number as it is written in a name: floats of sub-frames are not exact."""
+    return Fraction(str(number))
 
 
 def plain_number(number: Fraction) -> Number:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.files.companions import OBSTACLE, VELOCITY, densities, found_companion
+from tnst_mi.io.files.companions import companions_of, densities
 from tnst_mi.io.files.folders import frame_files, frame_folder
 from tnst_mi.io.files.frame_numbers import Number, NumberedName, missing, numbered, pattern_of
 from tnst_mi.io.files.patterns import is_pattern, matches
-from tnst_mi.io.formats import GRID_FORMATS, READABLE, require_readable
+from tnst_mi.io.formats import GRID_FORMATS, READABLE, require_format
+from tnst_mi.machine.terminal import some_of
 from tnst_mi.resources import expanded
 
 #: A file with its name taken apart.
@@ -72,7 +73,7 @@ def list_frames(path: Path, span: tuple[Number, Number] | None = None) -> Listin
         named, left = _density_files(frame_files(folder.path, READABLE))
         return _listing(folder.path, named, left, span, folder.notes, folder.velocities)
     if path.exists():
-        require_readable(path)
+        require_format(path, READABLE)
         return _listing(path, [_among_its_siblings(path)], [], span)
     if is_pattern(path):
         found = matches(path, READABLE)
@@ -88,10 +89,7 @@ def _density_files(files: Sequence[Path]) -> tuple[list[_Named], list[Path]]:
     for suffix in READABLE:
         of_format = [file for file in files if file.suffix.lower() == suffix]
         kept += _named(densities(of_format, suffix in GRID_FORMATS))
-    beside = {
-        companion for file, _ in kept for words in (VELOCITY, OBSTACLE) if (companion := found_companion(file, words))
-    }
-    taken = {file for file, _ in kept} | beside
+    taken = {path for file, _ in kept for path in (file, *companions_of(file))}
     return kept, [file for file in files if file not in taken]
 
 
@@ -135,13 +133,11 @@ def _require_one_series(source: Path, named: Sequence[_Named]) -> None:
     series = _by_series(named)
     if len(series) == 1:
         return
-    spans = [f"{pattern} ({_span(numbers)})" for pattern, numbers in list(series.items())[:_SHOWN]]
-    more = f" and {len(series) - _SHOWN} more" if len(series) > _SHOWN else ""
+    spans = [f"{pattern} ({_span(numbers)})" for pattern, numbers in series.items()]
     folder = source if source.is_dir() else source.parent
     patterns = [folder / pattern for pattern in series]
     raise SeveralSequencesError(
-        f"{source}: has {len(series)} sequences: {', '.join(spans)}{more}; give one as a pattern, such as "
-        f"'{patterns[0]}'",
+        f"{source}: has {len(series)} sequences: {some_of(spans)}; give one as a pattern, such as '{patterns[0]}'",
         patterns,
     )
 
@@ -210,8 +206,7 @@ def _left_alone(files: Sequence[Path]) -> list[str]:
         for _, name in _named([file for file in files if file.suffix == suffix]):
             groups[name.series].append(name)
         series |= dict.fromkeys(pattern_of(names) + suffix for names in groups.values())
-    shown = ", ".join(list(series)[:_SHOWN]) + (f" and {len(series) - _SHOWN} more" if len(series) > _SHOWN else "")
-    return [f"left alone in {files[0].parent}: {shown}"]
+    return [f"left alone in {files[0].parent}: {some_of(list(series))}"]
 
 
 def _of_sub_frames(numbers: Sequence[Number]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from tnst_mi.machine.terminal import some_of
+
 #: Names that say enough by themselves, in order of preference.
 DENSITY = ("density", "dens")
 VELOCITY = ("velocity", "vel", "v", "velocities", "velo", "u")
@@ -88,12 +90,11 @@ def listed(names: Sequence[str | tuple[str, str]], quoted: bool = True) -> str:
         quoted: whether to quote them, since they may be empty or have spaces.
     """
     shown = []
-    for entry in names[:_SHOWN]:
+    for entry in names:
         name, remark = entry if isinstance(entry, tuple) else (entry, "")
         name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
         shown.append(f"{name!r}{remark}" if quoted else f"{name}{remark}")
-    rest = len(names) - len(shown)
-    return (", ".join(shown) + (f" and {rest} more" if rest else "")) or "none"
+    return some_of(shown, _SHOWN) or "none"
 
 
 def _says(name: str, words: tuple[str, ...]) -> bool:

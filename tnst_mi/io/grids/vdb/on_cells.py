@@ -17,8 +17,8 @@ from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.quantities import Quantity, on_faces, solid_voxels
 from tnst_mi.io.interpretation.staggered import centred_velocity
 
-# A cell is solid if at least this share of it is.
-_SOLID = 0.5
+#: A cell, or a voxel, is solid if at least this share of it is.
+SOLID = 0.5
 
 #: OpenVDB's metadata for vectors in coordinates of the voxels; without it they are in those of the scene.
 _LOCAL = "is_local_space"
@@ -48,7 +48,7 @@ def solid_on(obstacle: Quantity, cells: Box, run: Affine) -> tuple[np.ndarray, s
     voxels_of = _one_map(obstacle, run)
     box = _voxels_for(obstacle, cells, voxels_of)
     solid, words = solid_voxels(obstacle, box)
-    return resampled(solid, box, cells, voxels_of) >= _SOLID, words
+    return resampled(solid, box, cells, voxels_of) >= SOLID, words
 
 
 def is_as_stored(velocity: Quantity, main: Grid, run: Affine) -> bool:

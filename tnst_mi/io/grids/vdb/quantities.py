@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, naming
 from tnst_mi.geometry.affine import PLACE_TOLERANCE
 from tnst_mi.geometry.boxes import Box, union
 from tnst_mi.io.grids.vdb.file_format.reader import HALF, Grid, VdbFile
@@ -128,10 +128,8 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
         level_set = "level set of " if is_level_set(grid) else ""
         entries.append(Entry(grid.name, components == 1, components == 3, level_set + type_in_words(grid)))
     wanted = _with_told_names(file, wanted)
-    try:
+    with naming(path):
         roles = chosen_roles(entries, wanted)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     roles = _with_level_set(file, roles, fog)
     density, velocity, obstacle = (
         Quantity(tuple(file.grids[index] for index in chosen), components) if chosen else None
@@ -191,10 +189,8 @@ def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
     values = obstacle.values_in(box)
     if is_level_set(obstacle.main):
         return values < 0.0, "obstacle is the inside of a level set"
-    try:
+    with naming(obstacle.main.path):
         return solid_cells(values, plain_name(obstacle.main.name) == FLAGS)
-    except InputError as error:
-        raise InputError(f"{obstacle.main.path}: {error}") from None
 
 
 def _in_words(grid: Grid) -> str:

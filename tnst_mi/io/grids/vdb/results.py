@@ -14,6 +14,7 @@ from tnst_mi.geometry.placement import FileSource, GridSource, OwnVoxels, Placem
 from tnst_mi.geometry.resampling import resampled
 from tnst_mi.io.grids.vdb.file_format.reader import VdbFile
 from tnst_mi.io.grids.vdb.file_format.writer import DenseGrid, write_vdb
+from tnst_mi.io.grids.vdb.on_cells import SOLID
 from tnst_mi.io.grids.vdb.programs import NAME, UNITS, UP
 from tnst_mi.io.grids.vdb.quantities import Quantities
 from tnst_mi.io.interpretation.conventions import CELLS_PER_FRAME
@@ -33,9 +34,6 @@ _FARTHEST = 1 << 30
 
 # Less than this share of a voxel is rounding.
 _ROUNDING = 1e-4
-
-# A voxel is solid if at least this share of it is.
-_SOLID = 0.5
 
 
 def source_of(file: VdbFile, found: Quantities) -> FileSource:
@@ -122,7 +120,7 @@ def _on_voxels(role: str, array: np.ndarray, own: OwnVoxels, cells: Box, box: Bo
     moved = _interpolated(array.astype(np.float32), cells_of, cells, box)
     if role == "velocity":
         return moved * np.float32(abs(np.linalg.det(own.voxels_of.matrix)) ** (1 / 3))
-    return (moved >= _SOLID).astype(np.float32)
+    return (moved >= SOLID).astype(np.float32)
 
 
 def _interpolated(array: np.ndarray, cells_of: Affine, cells: Box, box: Box) -> np.ndarray:
