@@ -1,4 +1,4 @@
-"""scripts/simulate.py: what it refuses, how it reads what Blender leaves, how it goes on; the scene obstacle."""
+"""scripts/simulate.py: what it refuses, how it reads what Blender leaves, how it goes on; obstacle and fire."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ FACTS = {
     "source": "a ball",
     "simulation_parameters": {"vorticity": 0.5},
     "domain_height_m": 3.0,
+    "domain": {"turn_degrees": 30.0},
     "frames_per_second": 25,
 }
 
@@ -178,6 +179,27 @@ def test_without_the_solver_s_state_it_begins_anew(blender, tmp_path: Path):
     assert run(blender(last=1), out) == 1
     assert (tmp_path / "calls").read_text().split() == ["1", "1"]
     assert not (out / ".work" / "cache" / "stale").exists()
+
+
+def test_a_scene_whose_cache_is_the_result(blender, tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+    program = Path(blender(last=2))
+    fire = ["fire", "--resolution", "24", "--frames", "3", "--out", "fire", "--blender", f"./{program.name}"]
+    assert simulate.main(fire) == 1
+    assert not (tmp_path / "fire" / "cache").exists(), "what is there is whole"
+    blender()
+    assert simulate.main(fire) == 0
+    assert (tmp_path / "calls").read_text().split() == ["1", "1"]
+    out = tmp_path / "fire"
+    assert sorted(path.name for path in out.iterdir()) == ["cache", "meta.json"]
+    stock = {path.name: path.read_bytes() for path in (tmp_path / "stock").rglob("*.uni")}
+    assert {path.name: path.read_bytes() for path in (out / "cache").rglob("*.uni")} == stock
+    meta = json.loads((out / "meta.json").read_text(encoding="utf-8"))
+    assert meta["frames"] == [1, 2, 3] and meta["domain"] == {"turn_degrees": 30.0}
+    # It is not written over.
+    capsys.readouterr()
+    assert simulate.main(fire) == 2
+    assert "fire: has a cache already" in capsys.readouterr().err
 
 
 def test_what_blender_refuses_is_bad_input(blender, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
