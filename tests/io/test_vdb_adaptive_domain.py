@@ -109,6 +109,14 @@ def test_results_keep_the_voxels_of_their_file_and_are_read_again_where_they_wer
         np.testing.assert_array_equal(result.tree.values_in(box), 0.5 * source.tree.values_in(box))
     for number, frame in enumerate(open_frames(again)):
         np.testing.assert_array_equal(frame.density, 0.5 * expected(number))
+    # With a size of voxels, even the one that they have, results lie on the lattice itself.
+    edge = frames[0].placement.voxel_size
+    for number, frame in enumerate(open_frames(data, given=Conventions(voxel_size=edge))):
+        save_frames(tmp_path / "lattice.vdb", frame)
+        grid = read_vdb(tmp_path / "lattice.vdb").grids[0]
+        assert grid.voxel_size == edge
+        first = np.rint(np.array(grid.translation) / edge).astype(int) + grid.tree.active_box()[0]
+        np.testing.assert_array_equal(first, np.add(*PARTS[number][:2]))
     # Moved, they are so in their transforms and where they are read.
     moved = open_frames(again, given=Conventions(origin=(1.0, 2.0, 3.0)))[0]
     save_frames(tmp_path / "moved.vdb", moved)
