@@ -154,6 +154,7 @@ def test_the_configuration_of_another_bake_is_none(tmp_path: Path) -> None:
         (gzip.compress(b"short"), r"config_0002\.uni: truncated: 5 bytes, expected 172 or more"),
         (gzip.compress(bytes(204)), r"config_0002\.uni: damaged: \[0, 0, 0\] cells"),
     ],
+    ids=["empty", "other", "short", "zeros"],
 )
 def test_a_damaged_configuration_is_one_line(data: bytes, message: str, tmp_path: Path) -> None:
     folder = cache(tmp_path)
