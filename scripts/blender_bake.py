@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -21,8 +22,8 @@ from pathlib import Path
 
 import bpy
 
-# In metres; X, Y, Z.
-DOMAIN = (2.0, 2.0, 3.0)
+# Of the domain in metres; X, Y, Z.
+SIZE = (2.0, 2.0, 3.0)
 FRAMES_PER_SECOND = 25
 # The density of the jet's source is a noise that drifts so far over so many frames, easing in and out, again and again.
 NOISE_FRAMES = 84
@@ -49,12 +50,28 @@ class Fluid:
 
 
 @dataclass(frozen=True)
+class Domain:
+    """What sets the domain of one simulation apart from another; by default it is a box along the scene's axes.
+
+    Attributes:
+        adaptive: whether it is only as large as the smoke needs, frame by frame (Blender's Adaptive Domain).
+        upres_factor: how many times finer the noise is that is added to the smoke; 1 for none.
+        turn_degrees: angle of the domain object around Z.
+    """
+
+    adaptive: bool = False
+    upres_factor: int = 1
+    turn_degrees: float = 0.0
+
+
+@dataclass(frozen=True)
 class Scene:
-    """A simulation: its fluid, what builds its objects, given the arguments, and what these are."""
+    """A simulation: its fluid, what builds its objects, given the arguments, what these are, and its domain."""
 
     fluid: Fluid
     build: Callable[[Fluid, argparse.Namespace], None]
     description: str
+    domain: Domain = Domain()
 
 
 class RefusedError(Exception):
@@ -116,11 +133,21 @@ def jet(fluid: Fluid, arguments: argparse.Namespace) -> None:
 def jet_at_obstacle(fluid: Fluid, arguments: argparse.Namespace) -> None:
     """The jet, and a solid sphere in its way: where, and as large as, that of the paper's scene is."""
     jet(fluid, arguments)
-    width, depth, height = DOMAIN
+    width, depth, height = SIZE
     solid = sphere("obstacle", 0.15 * width, (0.7 * width, 0.5 * depth, 0.5 * height))
     modifier = solid.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "EFFECTOR"
     modifier.effector_settings.effector_type = "COLLISION"
+
+
+def burning_torus(fluid: Fluid, arguments: argparse.Namespace) -> None:
+    """A ring near the floor, off the middle, that burns and smokes."""
+    width, depth, _ = SIZE
+    bpy.ops.mesh.primitive_torus_add(location=(0.4 * width, 0.45 * depth, 0.4), major_radius=0.35, minor_radius=0.1)
+    flow = emit_smoke(bpy.context.object, "INFLOW", distance=1.0)
+    flow.flow_type = "BOTH"
+    flow.fuel_amount = 1.0
+    vary_density(flow)
 
 
 def release_shape(shape: bpy.types.Object) -> None:
@@ -132,7 +159,7 @@ def release_shape(shape: bpy.types.Object) -> None:
     if extents[2][0] == extents[2][1]:
         raise RefusedError("the mesh is flat, expected one with a height")
     scale = 1.15 / (extents[2][1] - extents[2][0])
-    if max(high - low for low, high in extents[:2]) * scale > DOMAIN[0]:
+    if max(high - low for low, high in extents[:2]) * scale > SIZE[0]:
         raise RefusedError("the mesh is more than 1.7 times as wide as it is high, and would not fit into the domain")
     for vertex in vertices:
         vertex.co = [
@@ -192,34 +219,44 @@ SCENES = {
         mesh,
         "a mesh (holes filled), 1.15 m high, filled with smoke once",
     ),
+    "fire": Scene(
+        Fluid(0.5, 2.0, 0.1),
+        burning_torus,
+        "a burning ring (radius 0.35 m, 0.2 m thick) 0.4 m above the floor, its smoke varied by drifting noise",
+        Domain(adaptive=True, upres_factor=2, turn_degrees=30.0),
+    ),
 }
 
 
-def domain(fluid: Fluid, arguments: argparse.Namespace) -> bpy.types.Object:
+def add_domain(scene: Scene, arguments: argparse.Namespace) -> bpy.types.Object:
     """Add the domain, whose longest axis has `resolution` cells.
 
     Blender cuts the other axes off to whole cells and stretches these; for cells that are cubes at any resolution,
     the domain is made as wide as a number of whole cells.
     """
-    sides = list(DOMAIN[:2])
+    sides = list(SIZE[:2])
     for axis, length in enumerate(sides):
-        cells = length * arguments.resolution / DOMAIN[2]
+        cells = length * arguments.resolution / SIZE[2]
         if cells != round(cells):
             # The small rest keeps Blender's rounding from losing a cell.
-            sides[axis] = (round(cells) + 1e-4) * DOMAIN[2] / arguments.resolution
-    bpy.ops.mesh.primitive_cube_add(size=1, location=[length / 2 for length in DOMAIN])
+            sides[axis] = (round(cells) + 1e-4) * SIZE[2] / arguments.resolution
+    bpy.ops.mesh.primitive_cube_add(size=1, location=[length / 2 for length in SIZE])
     box = bpy.context.object
     box.name = "domain"
-    box.scale = (*sides, DOMAIN[2])
+    box.scale = (*sides, SIZE[2])
     bpy.ops.object.transform_apply(location=False, rotation=False, scale=True)
+    box.rotation_euler.z = math.radians(scene.domain.turn_degrees)
     modifier = box.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "DOMAIN"
     settings = modifier.domain_settings
     settings.domain_type = "GAS"
     settings.resolution_max = arguments.resolution
-    settings.alpha, settings.beta = fluid.buoyancy_density, fluid.buoyancy_heat
-    settings.vorticity = fluid.vorticity
-    settings.use_adaptive_domain = settings.use_noise = settings.use_dissolve_smoke = False
+    settings.alpha, settings.beta = scene.fluid.buoyancy_density, scene.fluid.buoyancy_heat
+    settings.vorticity = scene.fluid.vorticity
+    settings.use_dissolve_smoke = False
+    settings.use_adaptive_domain = scene.domain.adaptive
+    settings.use_noise = scene.domain.upres_factor > 1
+    settings.noise_scale = scene.domain.upres_factor
     # One step per frame: the velocity of a frame is then what carries its density to the next.
     settings.use_adaptive_timesteps = False
     settings.timesteps_min = settings.timesteps_max = 1
@@ -247,7 +284,7 @@ def bake(scene: Scene, arguments: argparse.Namespace) -> None:
     settings.frame_start, settings.frame_end = 1, arguments.frames
     scene.build(scene.fluid, arguments)
     # Last: objects added after the domain would be left out of what the bake simulates.
-    box = domain(scene.fluid, arguments)
+    box = add_domain(scene, arguments)
     # What is told is y up, as all that comes of it: x = X, y = Z, z = -Y.
     right, back, up = settings.gravity
     facts = {
@@ -259,7 +296,8 @@ def bake(scene: Scene, arguments: argparse.Namespace) -> None:
             "substeps_per_frame": 1,
             "borders": "bottom closed, other five faces open (the outermost layer of cells stays empty there)",
         },
-        "domain_height_m": DOMAIN[2],
+        "domain_height_m": SIZE[2],
+        "domain": {**asdict(scene.domain), "centre_m": list(box.location)},
         "frames_per_second": FRAMES_PER_SECOND,
     }
     tell(f"scene {json.dumps(facts)}")

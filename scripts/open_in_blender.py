@@ -33,6 +33,8 @@ SURFACE = 0.05
 #: Density of the picture's smoke, per metre, where the grid says 1.
 EXTINCTION = 12.0
 SAMPLES = 16
+#: The grid of the smoke, the first of these that there is: the second is what the noise of a cache calls it.
+DENSITIES = ("density", "density_noise")
 LONGEST_LINE = 1000
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -79,6 +81,11 @@ def opened(file: Path) -> bpy.types.Object:
     return shown
 
 
+def density_of(volume: bpy.types.Object) -> str | None:
+    """The name of the grid with the smoke of a volume; None if there is none."""
+    return next((name for name in DENSITIES if name in volume.data.grids), None)
+
+
 def box_of(volume: bpy.types.Object) -> Box:
     """The box that the active cells of a volume fill, in the world."""
     corners = [tuple(volume.matrix_world @ type(volume.location)(corner)) for corner in volume.bound_box]
@@ -87,9 +94,12 @@ def box_of(volume: bpy.types.Object) -> Box:
 
 def smoke_box(volume: bpy.types.Object) -> Box | None:
     """The box around the smoke of a volume, in the world; None if there is none."""
+    density = density_of(volume)
+    if density is None:
+        return None
     surface = bpy.data.objects.new("surface", bpy.data.meshes.new("surface"))
     modifier = surface.modifiers.new("surface", "VOLUME_TO_MESH")
-    modifier.object, modifier.grid_name, modifier.threshold = volume, "density", SURFACE
+    modifier.object, modifier.grid_name, modifier.threshold = volume, density, SURFACE
     bpy.context.scene.collection.objects.link(surface)
     evaluated = surface.evaluated_get(bpy.context.evaluated_depsgraph_get())
     points = [tuple(vertex.co) for vertex in evaluated.to_mesh().vertices]
@@ -114,8 +124,8 @@ def spelled(numbers: Sequence[float]) -> str:
     return "(" + ", ".join(f"{number:.4g}" for number in numbers) + ")"
 
 
-def smoke_material() -> bpy.types.Material:
-    """A scattering volume whose density is the grid of that name."""
+def smoke_material(density: str) -> bpy.types.Material:
+    """A scattering volume whose density is the grid of a name."""
     material = bpy.data.materials.new("smoke")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -123,7 +133,7 @@ def smoke_material() -> bpy.types.Material:
     output = nodes.new("ShaderNodeOutputMaterial")
     shader = nodes.new("ShaderNodeVolumePrincipled")
     grid = nodes.new("ShaderNodeAttribute")
-    grid.attribute_name = "density"
+    grid.attribute_name = density
     scaled = nodes.new("ShaderNodeMath")
     scaled.operation = "MULTIPLY"
     scaled.inputs[1].default_value = EXTINCTION
@@ -155,9 +165,8 @@ def render(volumes: Sequence[bpy.types.Object], out: Path) -> None:
     """Draw volumes side by side, each in the box around all of them."""
     low, high = united([box_of(volume) for volume in volumes])
     width, height = 1.15 * (high[0] - low[0]), 1.1 * (high[2] - low[2])
-    material = smoke_material()
     for index, volume in enumerate(volumes):
-        volume.data.materials.append(material)
+        volume.data.materials.append(smoke_material(density_of(volume) or DENSITIES[0]))
         volume.location.x += index * width
         add_frame((low[0] + index * width, *low[1:]), (high[0] + index * width, *high[1:]))
     scene = bpy.context.scene

@@ -2,15 +2,18 @@
 
     python scripts/simulate.py smokejet|suzanne|obstacle --resolution 96 --frames 60 [--out FOLDER]
     python scripts/simulate.py mesh --mesh bunny.obj --resolution 96 --frames 24 [--out FOLDER]
+    python scripts/simulate.py fire --resolution 40 --frames 10 [--out FOLDER]
 
 The domain is 3 m high and 2 m wide and deep; --resolution is its height in cells (300 for the size of the paper's
 scenes). smokejet is a jet, obstacle the same jet with a solid sphere in its way, suzanne and mesh are shapes filled
-with smoke that rises. With --resolution 96 they are the simulations that scenes/ is made of.
+with smoke that rises. With --resolution 96 they are the simulations that scenes/ is made of. fire is a burning ring in
+a domain as an artist sets it up: adaptive, with noise, its object turned.
 
 Needs the program Blender (`apt-get install blender`; 3.4.1 is what this was tried with; the `bpy` wheel cannot bake).
 The frames are FOLDER/frame_0001.npz and so on: `density` (float32), `velocity` (float16, cells per frame) and, where
 something solid is in the scene, `obstacle`; meta.json tells what they are. A run that was interrupted or killed is
-continued by the same command: the solver's state is in FOLDER/.work until the last frame is there.
+continued by the same command: the solver's state is in FOLDER/.work until the last frame is there. fire is for trying
+what reads Blender's own files: FOLDER/cache is the OpenVDB cache that Blender wrote; interrupted, it begins anew.
 
 Exit codes: 0 done, 1 Blender failed, 2 bad input, 3 interrupted.
 """
@@ -40,7 +43,9 @@ from tnst_mi.io.interpretation.orientation import from_z_up
 from tnst_mi.io.interpretation.staggered import centred_velocity
 
 BAKE = Path(__file__).with_name("blender_bake.py")
-SCENES = ("smokejet", "suzanne", "obstacle", "mesh")
+SCENES = ("smokejet", "suzanne", "obstacle", "mesh", "fire")
+#: Scenes whose result is Blender's own cache.
+KEPT_AS_CACHES = ("fire",)
 RESOLUTIONS = (24, 2048)
 LAST_FRAME = 9999
 
@@ -98,6 +103,16 @@ class Simulation:
         """What Blender says."""
         return self.work / "blender.log"
 
+    @property
+    def kept_cache(self) -> Path:
+        """Where the cache goes that is the result."""
+        return self.out / "cache"
+
+    @property
+    def keeps_cache(self) -> bool:
+        """Whether the result is Blender's cache, not frames."""
+        return self.scene in KEPT_AS_CACHES
+
     def file(self, frame: int) -> Path:
         """Where a frame goes."""
         return self.out / f"frame_{frame:04d}.npz"
@@ -134,6 +149,8 @@ class Simulation:
         Raises:
             InputError: the folder holds another simulation, or frames of which nobody knows whose they are.
         """
+        if self.kept_cache.exists():
+            raise InputError(f"{self.out}: has a cache already; remove the folder, or give another one as --out")
         record = self.work / "settings.json"
         if not record.exists():
             # Frames come after the record, so these are complete, or not ours.
@@ -193,29 +210,20 @@ def read_cached_frame(cache: Path, frame: int) -> tuple[dict[str, np.ndarray], s
     return arrays, header.build
 
 
-def write_meta(
-    simulation: Simulation, facts: dict[str, Any], build: str, shape: tuple[int, ...], frames: list[int]
-) -> None:
-    """Write where the frames come from and what their numbers mean."""
-    depth, height, width = shape
-    cell = facts["domain_height_m"] / height
-    source = f"{simulation.mesh.name}: {facts['source']}" if simulation.mesh else facts["source"]
-    meta = {
+def origin_of(simulation: Simulation, facts: dict[str, Any]) -> dict[str, Any]:
+    """Where a simulation comes from, for meta.json."""
+    return {
         "name": simulation.mesh.stem if simulation.mesh else simulation.scene,
         "solver": "Mantaflow (Blender bundled), baked by the Blender fluid modifier",
-        "solver_build": build,
         "blender_version": facts["blender_version"],
-        "source": source,
+        "source": f"{simulation.mesh.name}: {facts['source']}" if simulation.mesh else facts["source"],
         "simulation_parameters": facts["simulation_parameters"],
-        "processing": f"density less than {LEAST_DENSITY:g} set to 0; velocity rounded to multiples of "
-        f"{VELOCITY_STEP:g}, and float16",
-        "frames": frames,
-        "shape_dhw": [depth, height, width],
-        "domain_size_m_xyz": [round(extent * cell, 6) for extent in (width, height, depth)],
-        "cell_size_m": cell,
         "frames_per_second": facts["frames_per_second"],
-        **CONVENTIONS,
     }
+
+
+def write_meta(simulation: Simulation, meta: dict[str, Any]) -> None:
+    """Write where the result comes from and what it is."""
     with written_whole(simulation.out / "meta.json") as temporary:
         temporary.write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
@@ -224,18 +232,43 @@ def keep_frame(simulation: Simulation, facts: dict[str, Any], frame: int) -> Non
     """Write a frame that Blender has in its cache, and let go of the one before it there."""
     arrays, build = read_cached_frame(simulation.cache, frame)
     write_arrays(simulation.file(frame), arrays)
-    write_meta(simulation, facts, build, arrays["density"].shape, list(range(1, frame + 1)))
+    depth, height, width = arrays["density"].shape
+    cell = facts["domain_height_m"] / height
+    what = {
+        "solver_build": build,
+        "processing": f"density less than {LEAST_DENSITY:g} set to 0; velocity rounded to multiples of "
+        f"{VELOCITY_STEP:g}, and float16",
+        "frames": list(range(1, frame + 1)),
+        "shape_dhw": [depth, height, width],
+        "domain_size_m_xyz": [round(extent * cell, 6) for extent in (width, height, depth)],
+        "cell_size_m": cell,
+        **CONVENTIONS,
+    }
+    write_meta(simulation, origin_of(simulation, facts) | what)
     for file in cached(simulation.cache, frame - 1):
         file.unlink()
+
+
+def keep_cache(simulation: Simulation, facts: dict[str, Any]) -> None:
+    """Make the cache of a complete simulation the result."""
+    what = {
+        "frames": list(range(1, simulation.frames + 1)),
+        "domain": facts["domain"],
+        "axis_order": "Z up in the cache and the domain's centre, y up in the gravity",
+    }
+    write_meta(simulation, origin_of(simulation, facts) | what)
+    simulation.cache.rename(simulation.kept_cache)
 
 
 @contextlib.contextmanager
 def baking(simulation: Simulation, begin: int) -> Iterator[Iterator[tuple[str, str]]]:
     """Run Blender from a frame on and give what `blender_bake.py` tells, kind and rest; Blender ends with the block."""
-    command = [simulation.blender, "--background", "--factory-startup", "--python-exit-code", "1"]
-    command += ["--python", str(BAKE), "--", simulation.scene, str(simulation.cache)]
+    program = Path(shutil.which(simulation.blender) or simulation.blender).absolute()
+    command = [str(program), "--background", "--factory-startup", "--python-exit-code", "1"]
+    command += ["--python", str(BAKE), "--", simulation.scene, str(simulation.cache.resolve())]
     command += ["--resolution", str(simulation.resolution), "--frames", str(simulation.frames), "--begin", str(begin)]
-    command += ["--mesh", str(simulation.mesh)] if simulation.mesh else []
+    command += ["--mesh", str(simulation.mesh.resolve())] if simulation.mesh else []
+    command += ["--format", "OPENVDB" if simulation.keeps_cache else "UNI"]
 
     def told(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
         with simulation.log.open("a", encoding="utf-8") as log:
@@ -248,6 +281,8 @@ def baking(simulation: Simulation, begin: int) -> Iterator[Iterator[tuple[str, s
     # In a session of its own, Blender is not reached by a Ctrl-C that is meant for us.
     process = subprocess.Popen(
         command,
+        # Mantaflow leaves its noise in the folder that it runs in.
+        cwd=simulation.work,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         stdin=subprocess.DEVNULL,
@@ -281,7 +316,8 @@ def simulate(simulation: Simulation) -> None:
                     facts = json.loads(rest)
                 elif kind == "frame" and int(rest) == frame + 1:
                     frame += 1
-                    keep_frame(simulation, facts, frame)
+                    if not simulation.keeps_cache:
+                        keep_frame(simulation, facts, frame)
                     bar.update()
                 elif kind == "refused":
                     simulation.leave_nothing()
@@ -289,6 +325,8 @@ def simulate(simulation: Simulation) -> None:
     if frame < simulation.frames:
         said = f"{simulation.log} holds what it said"
         raise BlenderError(f"Blender ended after frame {frame} of {simulation.frames}; {said}")
+    if simulation.keeps_cache:
+        keep_cache(simulation, facts)
     shutil.rmtree(simulation.work)
 
 

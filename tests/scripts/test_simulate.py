@@ -1,4 +1,4 @@
-"""scripts/simulate.py: what it refuses, how it reads what Blender leaves, how it goes on; the scene obstacle."""
+"""scripts/simulate.py: what it refuses, how it reads what Blender leaves, how it goes on; obstacle and fire."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pytest
 import simulate
 
 from tnst_mi import Recipe, load_frames
+from tnst_mi.io import open_frames
 
 SCRIPTS = Path(simulate.__file__).parent
 X, Y, Z = 3, 4, 5
@@ -43,6 +44,7 @@ FACTS = {
     "source": "a ball",
     "simulation_parameters": {"vorticity": 0.5},
     "domain_height_m": 3.0,
+    "domain": {"turn_degrees": 30.0},
     "frames_per_second": 25,
 }
 
@@ -180,6 +182,27 @@ def test_without_the_solver_s_state_it_begins_anew(blender, tmp_path: Path):
     assert not (out / ".work" / "cache" / "stale").exists()
 
 
+def test_a_scene_whose_cache_is_the_result(blender, tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+    program = Path(blender(last=2))
+    fire = ["fire", "--resolution", "24", "--frames", "3", "--out", "fire", "--blender", f"./{program.name}"]
+    assert simulate.main(fire) == 1
+    assert not (tmp_path / "fire" / "cache").exists(), "what is there is whole"
+    blender()
+    assert simulate.main(fire) == 0
+    assert (tmp_path / "calls").read_text().split() == ["1", "1"]
+    out = tmp_path / "fire"
+    assert sorted(path.name for path in out.iterdir()) == ["cache", "meta.json"]
+    stock = {path.name: path.read_bytes() for path in (tmp_path / "stock").rglob("*.uni")}
+    assert {path.name: path.read_bytes() for path in (out / "cache").rglob("*.uni")} == stock
+    meta = json.loads((out / "meta.json").read_text(encoding="utf-8"))
+    assert meta["frames"] == [1, 2, 3] and meta["domain"] == {"turn_degrees": 30.0}
+    # It is not written over.
+    capsys.readouterr()
+    assert simulate.main(fire) == 2
+    assert "fire: has a cache already" in capsys.readouterr().err
+
+
 def test_what_blender_refuses_is_bad_input(blender, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     mesh = tmp_path / "empty.obj"
     mesh.write_text("# nothing\n", encoding="utf-8")
@@ -258,3 +281,30 @@ def test_blender_simulates_the_jet_and_the_sphere_in_its_way(tmp_path: Path):
     centre = [(second.density * axis).sum() / mass for axis in (x, y, z)]
     assert math.dist(centre, (0.28, 0.36, 1.0)) < 1 / 8
     assert 0.1 < np.average(second.velocity[..., 0], weights=second.density) < 3.0
+
+
+@pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")
+def test_blender_simulates_fire_in_an_adaptive_turned_domain_with_noise(tmp_path: Path):
+    out = tmp_path / "fire"
+    assert simulate.main(["fire", "--resolution", "24", "--frames", "3", "--out", str(out)]) == 0
+    # The middle of the ring, seen from the lowest corner of the domain, whose object is turned around (1, 1).
+    turn = math.radians(json.loads((out / "meta.json").read_text(encoding="utf-8"))["domain"]["turn_degrees"])
+    right, back = 0.8 - 1.0, 0.9 - 1.0
+    middle = (
+        1.0 + right * math.cos(turn) + back * math.sin(turn),
+        1.0 - right * math.sin(turn) + back * math.cos(turn),
+        0.4,
+    )
+    noise, data = open_frames(out / "cache"), open_frames(out / "cache" / "data")
+    for frames, cell, files in ((data, 3 / 24, "data"), (noise, 3 / 48, "noise")):
+        assert [file.name for file in frames.files] == [f"fluid_{files}_000{n}.vdb" for n in (1, 2, 3)]
+        first = frames[0]
+        assert math.isclose(first.placement.voxel_size, cell, rel_tol=1e-5)
+        z, y, x = (np.indices(first.density.shape) + 0.5) * cell
+        mass = first.density.sum(dtype=float)
+        placed = [(first.density * axis).sum(dtype=float) / mass for axis in (x, first.density.shape[0] * cell - z, y)]
+        assert math.dist(np.add(placed, first.placement.corner), middle) < 3 / 48
+    assert data[0].velocity is not None and noise[0].velocity is None
+    # The ring keeps its place and its mass, while the part that is simulated grows.
+    assert len({frame.density.shape for frame in data}) == 1
+    assert 1.0 <= data[1].mass / data[0].mass < 1.1

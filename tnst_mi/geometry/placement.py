@@ -19,6 +19,7 @@ class OwnVoxels:
     Attributes:
         scene: from these voxels to the scene, as the file has it.
         voxels_of: from the frame's cells to them, in the axes of the file.
+        placed: from these voxels to the scene, where it is known that `scene` is untrue; else None.
         values: where cells and voxels do not coincide, the density (Z, Y, X) in `box`; else None.
         box: where these values lie.
         outside: the density of all other voxels.
@@ -26,6 +27,7 @@ class OwnVoxels:
 
     scene: Affine
     voxels_of: Affine
+    placed: Affine | None = None
     values: np.ndarray | None = None
     box: Box | None = None
     outside: float = 0.0
@@ -74,5 +76,8 @@ class Placement:
             (11.0, 2.0, 0.0)
         """
         x, y, z = (coordinate + by for coordinate, by in zip(self.corner, vector, strict=True))
-        own = None if self.own is None else replace(self.own, scene=self.own.scene.moved(vector))
+        own = self.own
+        if own is not None:
+            placed = None if own.placed is None else own.placed.moved(vector)
+            own = replace(own, scene=own.scene.moved(vector), placed=placed)
         return replace(self, corner=(x, y, z), own=own)

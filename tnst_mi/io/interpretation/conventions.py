@@ -248,7 +248,8 @@ class StoredFrame:
         if size is None:
             return None
         placement = Placement(size, self.corner, self.scene_up or given.up or self.up, self.own, self.source)
-        if given.flip or size != self.voxel_size:
+        untrue = self.own is not None and self.own.placed is not None
+        if given.flip or size != self.voxel_size or (untrue and given.voxel_size is not None):
             # Such a grid is another one than that of the file.
             placement = replace(placement, own=None)
         return placement if given.origin is None else placement.moved(given.origin)

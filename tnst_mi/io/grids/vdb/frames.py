@@ -18,6 +18,7 @@ from tnst_mi.frame import Note
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
+from tnst_mi.io.grids.vdb.adaptive_domain import placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
@@ -52,7 +53,7 @@ def read_vdb_frame(
     Raises:
         InputError: the file cannot be used, or it has no active voxel and no box.
     """
-    file = read_vdb(path)
+    file = placed(read_vdb(path))
     found = quantities_of(file, wanted or Wanted(), fog)
     density, velocity, obstacle, main = found.density, found.velocity, found.obstacle, found.main
     notes: tuple[Note, ...] = ()
@@ -66,7 +67,8 @@ def read_vdb_frame(
     require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
     if main is None:
         return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
-    own = OwnVoxels(main.main.affine, _from(cells, between(run.cells, main.main.affine)))
+    grid = main.main
+    own = OwnVoxels(grid.stored_affine, _from(cells, between(run.cells, grid.affine)), grid.placed)
     values = None
     if density is not None:
         values, own = density_on(density, cells, run.cells, own)
@@ -114,7 +116,7 @@ def read_vdb_obstacle(path: Path, name: str, run: RunGrid | None) -> StoredFrame
     Raises:
         InputError: a file cannot be used.
     """
-    found = quantities_of(read_vdb(path), Wanted())
+    found = quantities_of(placed(read_vdb(path)), Wanted())
     obstacle = found.obstacle or found.density
     if obstacle is None or run is None:
         return StoredFrame(density=None)
@@ -171,7 +173,7 @@ def run_grid_of(
     spans = []
     for path in paths:
         with contextlib.suppress(InputError):
-            file = read_vdb(path)
+            file = placed(read_vdb(path))
             span = _span_of(file, quantities_of(file, wanted or Wanted(), fog), (numbers or {}).get(path))
             spans += [] if span is None else [span]
     return run_grid(spans, boxing) if any(span.box is not None for span in spans) else None
@@ -215,7 +217,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
     """What a file spans; None if it has neither density nor velocity."""
     if found.main is None:
         return None
-    voxels, density, velocity = found.main.main.affine, found.density, found.velocity
+    grid, density, velocity = found.main.main, found.density, found.velocity
+    voxels = grid.affine
     trees = [] if density is None else [grid.tree for grid in density.grids]
     told = _told_box(file, found)
     boxes = [told, *(tree.active_box() for tree in trees)]
@@ -230,7 +233,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         union(boxes),
         tuple(clumps_of(trees)),
         () if velocity is None else tuple(grid.affine for grid in velocity.grids),
-        BLENDER in found.main.main.metadata,
+        None if grid.placed is None else grid.stored_affine,
+        BLENDER in grid.metadata,
         float(trees[0].background) if trees else 0.0,
         number,
     )

@@ -12,6 +12,7 @@ from tnst_mi.geometry.affine import Affine
 from tnst_mi.geometry.boxes import Box, grown, image, union
 from tnst_mi.geometry.placement import FileSource, GridSource, OwnVoxels, Placement
 from tnst_mi.geometry.resampling import resampled
+from tnst_mi.io.grids.vdb.adaptive_domain import TRANSLATION, VOXEL_SIZE
 from tnst_mi.io.grids.vdb.file_format.reader import VdbFile
 from tnst_mi.io.grids.vdb.file_format.writer import DenseGrid, write_vdb
 from tnst_mi.io.grids.vdb.on_cells import SOLID
@@ -25,6 +26,9 @@ LOWEST, HIGHEST = "tnst_mi_box_min", "tnst_mi_box_max"
 
 # Metadata of grids that are untrue of other values.
 _OF_VALUES = ("file_bbox_min", "file_bbox_max", "file_mem_bytes", "file_voxel_count", "file_delayed_load")
+
+# Metadata of files that are untrue of voxels elsewhere.
+_OF_PLACE = (VOXEL_SIZE, TRANSLATION)
 
 # What a result says by itself: velocities are written at centres, along the scene's axes, and level sets as density.
 _OF_KIND = ("class", "is_local_space", "name", "file_compression", "is_saved_as_half_float")
@@ -44,7 +48,7 @@ def source_of(file: VdbFile, found: Quantities) -> FileSource:
             grid = quantity.main
             kept = {key: value for key, value in grid.stored.items() if key not in _OF_VALUES + _OF_KIND}
             grids[role] = GridSource(grid.name, kept, grid.half)
-    return FileSource(file.stored, grids)
+    return FileSource({key: value for key, value in file.stored.items() if key not in _OF_PLACE}, grids)
 
 
 def write_vdb_frame(path: Path, arrays: Mapping[str, np.ndarray], placement: Placement | None = None) -> None:
@@ -69,6 +73,7 @@ def write_vdb_frame(path: Path, arrays: Mapping[str, np.ndarray], placement: Pla
     first = tuple(box[0].tolist())
     metadata: dict[str, tuple[str, Any]] = {
         **({} if source is None else source.metadata),
+        **({} if own.placed is None else _place(own.placed)),
         "creator": ("string", "tnst_mi"),
         UP: ("string", placement.up),
         UNITS: ("string", CELLS_PER_FRAME),
@@ -92,6 +97,11 @@ def write_vdb_frame(path: Path, arrays: Mapping[str, np.ndarray], placement: Pla
             )
         )
     write_vdb(path, grids, metadata)
+
+
+def _place(placed: Affine) -> dict[str, tuple[str, Any]]:
+    """The metadata that tell where voxels are, other than their transform says."""
+    return {VOXEL_SIZE: ("double", placed.edge), TRANSLATION: ("vec3d", tuple(placed.offset.tolist()))}
 
 
 def _plain(placement: Placement) -> OwnVoxels:

@@ -176,6 +176,13 @@ def _require_small(grid: RunGrid, spans: Sequence[Span], crop: bool) -> None:
 
 def _resampling_notes(spans: Sequence[Span], cells: Affine) -> Iterator[str]:
     """What is not read value by value."""
+    for span in spans:
+        if span.stored is not None:
+            yield (
+                f"the voxels are {span.scene.edge:.4g} large, not {span.stored.edge:.4g} as {span.path.name} says: "
+                "Blender's Adaptive Domain gives each file a size and place of its own, which results keep"
+            )
+            break
     moved = [span for span in spans if not between(cells, span.scene).whole]
     edge = f"{cells.edge:.4g}"
     if moved:
@@ -183,7 +190,12 @@ def _resampling_notes(spans: Sequence[Span], cells: Affine) -> Iterator[str]:
         others = f" and {len(moved) - 1} other files" if len(moved) > 1 else ""
         voxels = "×".join(f"{length:.4g}" for length in first.scene.edges)
         turned = "" if first.scene.axes() is not None or _upright(first.scene) else ", turned or sheared"
-        blender = " (Blender: Adaptive Domain changes them from frame to frame)" if first.adaptive else ""
+        blender = ""
+        if first.blender:
+            blender = (
+                " (Blender: Adaptive Domain changes them from frame to frame; the config/ of their cache, beside the "
+                "folder of the files, would tell where they are)"
+            )
         yield (
             f"resampled to cubes of {edge}: the voxels of {first.path.name}{others} are {voxels}{turned}{blender}; "
             "results return to each file's own voxels"

@@ -21,7 +21,8 @@ class Span:
             of density and velocity; None if it has neither.
         clumps: where its smoke is.
         velocity: from the voxels of the velocity, or of each of its components, to the scene; () if there is none.
-        adaptive: whether it comes from Blender, whose domains may be adaptive.
+        stored: from voxels to the scene as the file has it, where that is untrue; else None.
+        blender: whether it comes from Blender, whose domains may be adaptive.
         outside: the density outside of the active voxels.
         number: of the frame, or None.
     """
@@ -31,6 +32,7 @@ class Span:
     box: Box | None
     clumps: tuple[Clump, ...] = ()
     velocity: tuple[Affine, ...] = ()
-    adaptive: bool = False
+    stored: Affine | None = None
+    blender: bool = False
     outside: float = 0.0
     number: float | None = None

@@ -57,6 +57,7 @@ class Grid:
         transform: from voxels to the scene; the name of its kind if that is not affine.
         compression: bits, see `tnst_mi.io.grids.vdb.file_format.values`.
         span: offsets in the file of the tree, of the values of its leaves, and of its end.
+        placed: from voxels to the scene where `transform` is known to be untrue; else None.
     """
 
     path: Path
@@ -66,6 +67,7 @@ class Grid:
     transform: Affine | str
     compression: int
     span: tuple[int, int, int]
+    placed: Affine | None = None
 
     @cached_property
     def metadata(self) -> dict[str, Value]:
@@ -75,6 +77,15 @@ class Grid:
     @property
     def affine(self) -> Affine:
         """The map from voxels to the scene.
+
+        Raises:
+            InputError: as `stored_affine`.
+        """
+        return self.stored_affine if self.placed is None else self.placed
+
+    @property
+    def stored_affine(self) -> Affine:
+        """The map from voxels to the scene as the file has it.
 
         Raises:
             InputError: it is not affine.
