@@ -111,8 +111,9 @@ def main() -> int:
     if guided:
         command = [sys.executable, "-m", "fuzzing.guided"]
         options = [str(arguments.minutes), str(arguments.seed), str(arguments.out.absolute())]
-        codes = [subprocess.run([*command, name, *options], cwd=Path(__file__).parent).returncode for name in names]
-        return int(any(codes))
+        here = Path(__file__).parent
+        ends = [subprocess.run([*command, name, *options], cwd=here, check=False) for name in names]
+        return int(any(end.returncode for end in ends))
     count = arguments.inputs if arguments.inputs or arguments.minutes else 1000
     worker, clean = Worker(), True
     for name in names:

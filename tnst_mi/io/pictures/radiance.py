@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.untrusted import opening
+from tnst_mi.machine.gate import opening
 
 #: How the files begin.
 MAGIC = (b"#?RADIANCE", b"#?RGBE")
@@ -28,7 +28,7 @@ def read_radiance(path: Path) -> np.ndarray:
     Raises:
         InputError: the file is missing, damaged, has too many pixels, or holds another colour space than RGB.
     """
-    with opening(path, "a Radiance picture", (ValueError,)):
+    with opening(path, "a Radiance picture"):
         data = path.read_bytes()
         header, _, rest = data[:_LONGEST_HEADER].partition(b"\n\n")
         line, _, _ = rest.partition(b"\n")

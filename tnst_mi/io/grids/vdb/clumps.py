@@ -70,25 +70,23 @@ def clumps_of(trees: Sequence[Tree]) -> list[Clump]:
     if (blocks.high - blocks.low >= _LARGEST_TILE).any():
         return [blocks.clump(slice(None))]
     labels = _labels(blocks)
-    found = [blocks.clump(labels == label) for label in range(labels.max() + 1)]
+    ordered = np.argsort(labels, kind="stable")
+    found = [blocks.clump(chosen) for chosen in np.split(ordered, np.flatnonzero(np.diff(labels[ordered])) + 1)]
     return sorted(found, key=lambda clump: -clump.mass)
 
 
 def stray(clumps: Sequence[Clump]) -> list[Clump]:
     """Of clumps in the order of their mass, those that together have next to none."""
     whole = sum(clump.mass for clump in clumps)
-    chosen: list[Clump] = []
-    for clump in reversed(clumps[1:]):
-        if sum(other.mass for other in chosen) + clump.mass >= _STRAY * whole:
-            break
-        chosen.append(clump)
-    return chosen
+    lightest_first = clumps[:0:-1]
+    share = np.cumsum([clump.mass for clump in lightest_first])
+    return list(lightest_first[: int(np.count_nonzero(share < _STRAY * whole))])
 
 
 def smoke_box(clumps: Sequence[Clump], ignore_stray: bool) -> Box | None:
     """The box around the smoke of a frame."""
-    left_out = stray(clumps) if ignore_stray else []
-    return union(clump.box for clump in clumps if clump not in left_out)
+    left_out = len(stray(clumps)) if ignore_stray else 0
+    return union(clump.box for clump in clumps[: len(clumps) - left_out])
 
 
 def _blocks_of(tree: Tree) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ LARGEST_BOX = 1 << 28
 _CELL_BYTES = 14
 
 # Below this share of active voxels, boxes of more than so many cells count as a mistake.
-_EMPTIEST, _HARMLESS = 1e-4, 1 << 22
+_EMPTIEST, _HARMLESS = 1e-3, 1 << 24
 
 
 def require_small(path: Path, box: Box, components: int = 1, remedy: str = "crop the grid") -> None:
