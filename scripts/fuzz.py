@@ -22,40 +22,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from fuzzing.mutations import mutated
 from fuzzing.readers import READERS
-from fuzzing.trials import Trial
+from fuzzing.trials import Tally, save
 from fuzzing.workers import Worker
-
-
-@dataclass
-class Tally:
-    """What came of the inputs of one reader."""
-
-    inputs: int = 0
-    refused: int = 0
-    slowest: float = 0.0
-    largest: int = 0
-    faults: Counter[str] = field(default_factory=Counter)
-
-    def add(self, found: Trial) -> None:
-        """Count one."""
-        self.inputs, self.refused = self.inputs + 1, self.refused + found.refused
-        self.slowest, self.largest = max(self.slowest, found.seconds), max(self.largest, found.memory)
-        self.faults.update(found.faults.keys())
-
-    def line(self, name: str) -> str:
-        """All of it in one line."""
-        faults = ", ".join(f"{count} × {kind}" for kind, count in sorted(self.faults.items())) or "no fault"
-        return (
-            f"{name}: {self.inputs} inputs, {self.refused} refused, at most {self.slowest:.2f} s and "
-            f"{self.largest / 1e6:.0f} MB; {faults}"
-        )
 
 
 def inputs(name: str, seed: int) -> Iterator[bytes]:
@@ -82,12 +55,15 @@ def fuzzed(name: str, count: int | None, minutes: float | None, seed: int, out: 
     return tally
 
 
-def save(path: Path, content: bytes, found: Trial) -> None:
-    """Keep an input with a fault, and what that is."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    words = "".join(f"{kind}: {text}\n" for kind, text in found.faults.items())
-    path.with_name(f"{path.name}.txt").write_text(words + found.where, "utf-8", errors="replace")
+def run_guided(name: str, minutes: float, seed: int, out: Path) -> int:
+    """Try one reader with atheris, whose own words go to a log; the exit code, which is not 0 if there is a fault."""
+    out.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "fuzzing.guided", name, str(minutes), str(seed), str(out.absolute())]
+    with (out / f"{name}.log").open("wb") as log:
+        code = subprocess.run(command, cwd=Path(__file__).parent, stderr=log, check=False).returncode
+    if code > 1:
+        print(f"{name}: a crash, a hang or too much memory; see {log.name} and the input beside it")
+    return code
 
 
 def main() -> int:
@@ -109,11 +85,8 @@ def main() -> int:
     if arguments.minutes is not None and not guided:
         print("atheris is not installed: the inputs are not guided by what they reach", file=sys.stderr)
     if guided:
-        command = [sys.executable, "-m", "fuzzing.guided"]
-        options = [str(arguments.minutes), str(arguments.seed), str(arguments.out.absolute())]
-        here = Path(__file__).parent
-        ends = [subprocess.run([*command, name, *options], cwd=here, check=False) for name in names]
-        return int(any(end.returncode for end in ends))
+        codes = [run_guided(name, arguments.minutes, arguments.seed, arguments.out) for name in names]
+        return int(any(codes))
     count = arguments.inputs if arguments.inputs or arguments.minutes else 1000
     worker, clean = Worker(), True
     for name in names:

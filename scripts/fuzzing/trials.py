@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import resource
 import sys
+import tempfile
 import time
 import traceback
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fuzzing.readers import READERS
@@ -39,13 +43,46 @@ class Trial:
     where: str = ""
 
 
+@dataclass
+class Tally:
+    """What came of the inputs of one reader."""
+
+    inputs: int = 0
+    refused: int = 0
+    slowest: float = 0.0
+    largest: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+
+    def add(self, found: Trial) -> None:
+        """Count one."""
+        self.inputs, self.refused = self.inputs + 1, self.refused + found.refused
+        self.slowest, self.largest = max(self.slowest, found.seconds), max(self.largest, found.memory)
+        self.faults.update(found.faults.keys())
+
+    def line(self, name: str) -> str:
+        """All of it in one line."""
+        faults = ", ".join(f"{count} × {kind}" for kind, count in sorted(self.faults.items())) or "no fault"
+        return (
+            f"{name}: {self.inputs} inputs, {self.refused} refused, at most {self.slowest:.2f} s and "
+            f"{self.largest / 1e6:.0f} MB; {faults}"
+        )
+
+
+def save(path: Path, content: bytes, found: Trial) -> None:
+    """Keep an input with a fault, and what that is."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    words = "".join(f"{kind}: {text}\n" for kind, text in found.faults.items())
+    path.with_name(f"{path.name}.txt").write_text(words + found.where, "utf-8", errors="replace")
+
+
 def trial(name: str, content: bytes, folder: Path) -> Trial:
     """Read a damaged file by the reader of a name, in a folder that it has to itself."""
     faults: dict[str, str] = {}
     refused, where, shown = False, "", io.StringIO()
     before, started = _memory(reset=True), time.process_time()
     try:
-        with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(shown):
+        with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(shown), _printed(faults):
             READERS[name].read_damaged(content, folder)
     except InputError as error:
         refused = True
@@ -69,6 +106,22 @@ def limit_memory(beyond: int) -> None:
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         most = pages * resource.getpagesize() + beyond
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+@contextlib.contextmanager
+def _printed(faults: dict[str, str]) -> Iterator[None]:
+    """Note it as a fault if libraries that are not written in Python print anything on stderr."""
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            if text := file.read(LONGEST_MESSAGE):
+                faults["output"] = repr(text)
 
 
 def _faults_of_message(message: str) -> dict[str, str]:
