@@ -87,7 +87,7 @@ def main() -> int:
     if guided:
         codes = [run_guided(name, arguments.minutes, arguments.seed, arguments.out) for name in names]
         return int(any(codes))
-    count = arguments.inputs if arguments.inputs or arguments.minutes else 1000
+    count = 1000 if arguments.inputs is None and arguments.minutes is None else arguments.inputs
     worker, clean = Worker(), True
     for name in names:
         tally = fuzzed(name, count, arguments.minutes, arguments.seed, arguments.out, worker)

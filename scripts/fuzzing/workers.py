@@ -30,12 +30,12 @@ class Worker:
         if self._connection is None:
             self._start()
         assert self._connection is not None and self._process is not None
-        self._connection.send((name, content))
         try:
+            self._connection.send((name, content))
             if self._connection.poll(HANGS):
                 return self._connection.recv()
             fault = {"hang": f"no end after {HANGS:.0f} s"}
-        except EOFError:
+        except (EOFError, OSError):
             self._process.join()
             fault = {"crash": f"the process ended with code {self._process.exitcode}"}
         self.close()
