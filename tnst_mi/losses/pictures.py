@@ -31,7 +31,7 @@ _AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc",
 
 #: Pixels of a picture that a file of any size may have, and those for each of its bytes beyond that: for files that
 #: Pillow reads, and for those of high dynamic range, whose pixels take more memory.
-_PIXELS, _LINEAR_PIXELS = (1 << 25, 64), (1 << 23, 4)
+_PIXELS, _LINEAR_PIXELS = (1 << 25, 64), (1 << 22, 4)
 
 #: Standard deviation of grey below which a picture is nearly flat.
 _FLAT = 0.02
@@ -139,9 +139,8 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32, tuple[str, ...]]:
     with path.open("rb") as file:
         start = file.read(64)
     if start.startswith((_OPENEXR, *RADIANCE)):
-        linear = (
-            read_linear(path, _most_pixels(path, _LINEAR_PIXELS)) if start.startswith(_OPENEXR) else read_radiance(path)
-        )
+        most = _most_pixels(path, _LINEAR_PIXELS)
+        linear = read_linear(path, most) if start.startswith(_OPENEXR) else read_radiance(path, most)
         if not np.isfinite(linear).all():
             raise InputError(f"{path}: {int((~np.isfinite(linear)).sum())} values are not finite; mend the picture")
         alpha = np.clip(linear[..., 3:], 0.0, 1.0)
