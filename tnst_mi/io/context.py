@@ -15,6 +15,7 @@ from tnst_mi.io.grids.vdb.frames import has_density, run_grid_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid
 from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.machine.gate import gate
 
 
 class SequenceContext:
@@ -46,7 +47,8 @@ class SequenceContext:
         # An error is kept too: it would be found anew for every frame.
         files = [file for file in self._files if file.suffix.lower() == ".vdb"]
         try:
-            return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers)
+            with gate(files[0] if files else Path(), "a .vdb file"):
+                return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers)
         except InputError as error:
             return error
 
@@ -65,4 +67,5 @@ class SequenceContext:
         for file in self._files:
             if file.suffix.lower() in formats:
                 with contextlib.suppress(InputError):
-                    yield found(file, self._given.names)
+                    with gate(file, f"a {file.suffix.lower()} file"):
+                        yield found(file, self._given.names)

@@ -27,6 +27,7 @@ from tnst_mi.io.interpretation.conventions import StoredFrame
 from tnst_mi.io.interpretation.orientation import to_z_up
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
+from tnst_mi.machine.gate import gate
 
 #: File extensions of the formats that can be read and written.
 FORMATS = (".npz", ".vol", ".uni", ".vdb")
@@ -69,8 +70,20 @@ def read_stored(
     Raises:
         InputError: a file cannot be used.
     """
-    wanted = wanted or Wanted()
-    match require_format(file, READABLE):
+    wanted, suffix = wanted or Wanted(), require_format(file, READABLE)
+    with gate(file, f"a {suffix} file"):
+        return _read(file, suffix, velocities, context, wanted, fog)
+
+
+def _read(
+    file: Path,
+    suffix: str,
+    velocities: Path | None,
+    context: SequenceContext | None,
+    wanted: Wanted,
+    fog: bool,
+) -> StoredFrame:
+    match suffix:
         case ".vol":
             return read_vol_frame(file, wanted)
         case ".uni":
@@ -132,6 +145,11 @@ def describe(file: Path) -> list[str]:
         InputError: a file cannot be used.
     """
     suffix = require_format(file, READABLE)
+    with gate(file, f"a {suffix} file"):
+        return _described(file, suffix)
+
+
+def _described(file: Path, suffix: str) -> list[str]:
     if suffix in ARRAY_FORMATS:
         return describe_arrays(file)
     if suffix == ".vdb":

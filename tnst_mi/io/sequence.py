@@ -30,6 +30,7 @@ from tnst_mi.io.formats import (
     write_frame,
 )
 from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
+from tnst_mi.machine.gate import gate
 from tnst_mi.resources import expanded
 
 
@@ -145,7 +146,8 @@ class FrameFiles(Sequence[Frame]):
         file = self.files[index]
         name = displayable(file.stem)
         try:
-            return stored.frame(self._given, name, self.numbers[index])
+            with gate(file, f"a usable {self.suffix} file"):
+                return stored.frame(self._given, name, self.numbers[index])
         except InputError as error:
             raise InputError(f"{file}: {str(error).removeprefix(f'{name}: ')}") from None
 

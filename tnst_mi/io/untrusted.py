@@ -1,15 +1,16 @@
-"""Reading files that may be missing or damaged, or that claim more data than they hold."""
+"""Arrays in files that may claim more data than they hold: memory is taken for what can be there, and is there.
+
+Pictures, networks and trees of voxels have bounds of their own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BufferedIOBase
-from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.environment import free_memory
 
 #: Longest plausible edge of a grid, in cells.
 LARGEST_EXTENT = 1 << 14
@@ -20,36 +21,29 @@ LARGEST_ARRAY = 1 << 34
 #: Deflate compresses by at most this factor: a claim beyond it is false.
 LARGEST_RATIO = 1032
 
+#: Memory that it takes to make a frame of an array, relative to the array.
+_COPIES = 3
+
 _CHUNK = 1 << 24
 
 
-@contextmanager
-def opening(path: Path, kind: str, damage: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """Turn errors in opening and reading a file into one line that names the file.
+def require_plausible(what: str, size: int, most: int) -> None:
+    """Check the claimed size of an array before memory is taken for it.
 
     Args:
-        path: the file.
-        kind: what was expected, with its article, such as "an npz file".
-        damage: exceptions by which readers report a file of another kind, truncated or damaged.
+        what: the file, and the array in it, for messages.
+        size: bytes that it claims.
+        most: bytes that it can hold.
 
     Raises:
-        InputError: the path is a folder, or the file is missing, empty, damaged, or lacks read permission.
+        InputError: it claims more than that, than any array is read of, or than there is memory.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected {kind}")
-    try:
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: is empty (0 bytes), expected {kind}")
-        yield
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read (no permission)") from None
-    except damage as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason})") from None
+    if size > LARGEST_ARRAY:
+        raise InputError(f"{what} has {size} bytes, expected at most {LARGEST_ARRAY}")
+    if size > most:
+        raise InputError(f"{what} claims {size} bytes, more than it holds")
+    if _COPIES * size > (free := free_memory()):
+        raise InputError(f"{what} takes {_COPIES * size / 1e9:.1f} GB, and {free / 1e9:.1f} GB of memory are free")
 
 
 def read_numbers(stream: BufferedIOBase, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import MAGIC as RADIANCE
 from tnst_mi.io.pictures.radiance import read_radiance
 from tnst_mi.losses.tone_mapping import tone_mapped
+from tnst_mi.machine.gate import gate, silenced
 
 # Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
 PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM", "AVIF", "HEIF")
@@ -26,6 +28,10 @@ _OPENEXR = b"\x76\x2f\x31\x01"
 
 #: Brands of files in the container that AVIF and HEIC share.
 _AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+
+#: Pixels of a picture that a file of any size may have, and those for each of its bytes beyond that: for files that
+#: Pillow reads, and for those of high dynamic range, whose pixels take more memory.
+_PIXELS, _LINEAR_PIXELS = (1 << 25, 64), (1 << 22, 4)
 
 #: Standard deviation of grey below which a picture is nearly flat.
 _FLAT = 0.02
@@ -79,13 +85,14 @@ def read_image(path: str | Path) -> GreyImage:
     mapped (`tnst_mi.losses.tone_mapping`).
 
     Raises:
-        InputError: The file is missing, unreadable, has more pixels than Pillow's limit
-            (`PIL.Image.MAX_IMAGE_PIXELS`), is less than 2 pixels wide or high, or is wholly transparent.
+        InputError: The file is missing, unreadable, has more pixels than Pillow's limit (`PIL.Image.MAX_IMAGE_PIXELS`)
+            or than a file of its size may have, is less than 2 pixels wide or high, or is wholly transparent.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such picture file; give the path of a PNG or JPEG picture")
-    pixels, full_scale, remarks = _decode(path)
+    with gate(path, "a picture"), silenced():
+        pixels, full_scale, remarks = _decode(path)
     height, width = pixels.shape[:2]
     if min(height, width) < 2:
         raise InputError(f"{path}: the picture has {width} x {height} pixels; use one of at least 2 x 2")
@@ -132,7 +139,8 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32, tuple[str, ...]]:
     with path.open("rb") as file:
         start = file.read(64)
     if start.startswith((_OPENEXR, *RADIANCE)):
-        linear = read_linear(path, Image.MAX_IMAGE_PIXELS) if start.startswith(_OPENEXR) else read_radiance(path)
+        most = _most_pixels(path, _LINEAR_PIXELS)
+        linear = read_linear(path, most) if start.startswith(_OPENEXR) else read_radiance(path, most)
         if not np.isfinite(linear).all():
             raise InputError(f"{path}: {int((~np.isfinite(linear)).sum())} values are not finite; mend the picture")
         alpha = np.clip(linear[..., 3:], 0.0, 1.0)
@@ -147,7 +155,11 @@ def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(path, formats=formats) as file:
+                if file.width * file.height > (most := _most_pixels(path, _PIXELS)):
+                    raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
                 return _pixels(ImageOps.exif_transpose(file))
+    except InputError:
+        raise
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         limit = Image.MAX_IMAGE_PIXELS
         raise InputError(f"{path}: the picture has more than {limit} pixels; make it smaller") from None
@@ -156,6 +168,13 @@ def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32
     except Exception as error:  # Pillow's decoders raise many types on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or JPEG") from None
+
+
+def _most_pixels(path: Path, bounds: tuple[int, int]) -> int:
+    """The largest number of pixels that is read of a file: a small one that claims many is a bomb."""
+    always, per_byte = bounds
+    limit = Image.MAX_IMAGE_PIXELS or sys.maxsize
+    return min(limit, max(always, per_byte * path.stat().st_size))
 
 
 def _known_formats(path: Path, start: bytes) -> list[str]:

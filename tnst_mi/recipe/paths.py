@@ -42,8 +42,15 @@ def located(name: str, value: Any, source: str, folder: Path) -> Any:
         folder: where relative paths start.
 
     Raises:
-        InputError: a file does not exist, or its path cannot be written to a recipe file.
+        InputError: a file does not exist, or its path is none or cannot be written to a recipe file.
     """
+    try:
+        return _located(name, value, source, folder)
+    except OSError as error:  # such as a path that is too long
+        raise InputError(f"{source}{name} = {value!r}: {error.strerror}") from None
+
+
+def _located(name: str, value: Any, source: str, folder: Path) -> Any:
     if name in ("style", "content"):
         return tuple(_picture(name, entry, source, folder) for entry in value)
     if name == "match":

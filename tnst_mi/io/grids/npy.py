@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tokenize
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.untrusted import LARGEST_ARRAY, opening, read_numbers
+from tnst_mi.io.untrusted import read_numbers, require_plausible
+from tnst_mi.machine.gate import opening
 
 _LARGEST_HEADER = 10_000
-_DAMAGE = (tokenize.TokenError, SyntaxError, EOFError, OSError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -93,10 +92,7 @@ def read_array(path: Path, what: str, header: ArrayHeader, stream: BufferedIOBas
     if header.dtype.kind not in "fiub":
         raise InputError(f"{path}: {what} has type {header.dtype}, expected numbers")
     size = math.prod(header.shape) * header.dtype.itemsize
-    if size > LARGEST_ARRAY:
-        raise InputError(f"{path}: {what} has {size} bytes, expected at most {LARGEST_ARRAY}")
-    if size > most:
-        raise InputError(f"{path}: {what} claims {size} bytes for shape {header.shape}, more than it holds")
+    require_plausible(f"{path}: {what} of shape {header.shape}", size, most)
     array, filled = read_numbers(stream, math.prod(header.shape), header.dtype)
     if filled < size:
         raise InputError(f"{path}: {what} is truncated: {filled} of {size} bytes")
@@ -107,5 +103,5 @@ def read_array(path: Path, what: str, header: ArrayHeader, stream: BufferedIOBas
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BufferedIOBase]:
-    with opening(path, "an npy file", _DAMAGE), path.open("rb") as stream:
+    with opening(path, "an npy file"), path.open("rb") as stream:
         yield stream

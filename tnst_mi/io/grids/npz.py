@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import lzma
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,22 +13,11 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.grids.npy import ArrayHeader, parsed_header, read_array
-from tnst_mi.io.untrusted import LARGEST_RATIO, opening
+from tnst_mi.io.untrusted import LARGEST_RATIO
+from tnst_mi.machine.gate import opening
 
 # What numpy writes; other methods unfold to any size.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-
-_DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    tokenize.TokenError,
-    SyntaxError,
-    EOFError,
-    OSError,
-    RuntimeError,
-    ValueError,
-)
 
 
 def read_headers(path: Path) -> dict[str, ArrayHeader]:
@@ -63,7 +49,7 @@ def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    with opening(path, "an npz file", _DAMAGE), zipfile.ZipFile(path) as archive:
+    with opening(path, "an npz file"), zipfile.ZipFile(path) as archive:
         yield archive
 
 

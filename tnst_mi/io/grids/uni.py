@@ -9,7 +9,6 @@ from __future__ import annotations
 import gzip
 import math
 import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.untrusted import LARGEST_ARRAY, LARGEST_EXTENT, LARGEST_RATIO, opening, read_numbers
+from tnst_mi.io.untrusted import LARGEST_EXTENT, LARGEST_RATIO, read_numbers, require_plausible
+from tnst_mi.machine.gate import opening
 
 # Bits of a grid's type (Mantaflow's GridBase::GridType).
 REAL, INTEGER, VECTOR, MAC, FLAGS = 1, 2, 4, 8, 32
@@ -108,7 +108,7 @@ def write_uni(path: Path, values: np.ndarray, grid_type: int, build: str = "tnst
 
 
 def _read(path: Path, values: bool) -> tuple[UniHeader, np.ndarray]:
-    with opening(path, "a .uni file", (OSError, EOFError, zlib.error)), gzip.open(path, "rb") as file:
+    with opening(path, "a .uni file"), gzip.open(path, "rb") as file:
         header = _read_header(path, file)
         return header, _read_values(path, file, header) if values else np.empty(0)
 
@@ -135,10 +135,7 @@ def _read_values(path: Path, file: gzip.GzipFile, header: UniHeader) -> np.ndarr
     """Read the values, rejecting a claimed size that the file cannot hold."""
     shape = header.shape if header.components == 1 else (*header.shape, header.components)
     size = math.prod(shape) * header.dtype.itemsize
-    if size > LARGEST_ARRAY:
-        raise InputError(f"{path}: claims {size} bytes, expected at most {LARGEST_ARRAY}")
-    if size > LARGEST_RATIO * path.stat().st_size:
-        raise InputError(f"{path}: claims {size} bytes for a {header.shape} grid, more than it holds")
+    require_plausible(f"{path}: its grid of shape {header.shape}", size, LARGEST_RATIO * path.stat().st_size)
     values, filled = read_numbers(file, math.prod(shape), header.dtype)
     if filled < size:
         raise InputError(f"{path}: truncated: {filled} of the {size} bytes of its {header.shape} grid")

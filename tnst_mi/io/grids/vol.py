@@ -14,7 +14,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.io.untrusted import LARGEST_EXTENT, opening
+from tnst_mi.io.untrusted import LARGEST_EXTENT
+from tnst_mi.machine.gate import opening
 
 _MAGIC = b"VOL"
 _VERSION = 3

@@ -28,12 +28,12 @@ def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str |
             raise write_failure(temporary, str(error)) from error
 
 
-def read_linear(path: Path, most: int | None) -> np.ndarray:
+def read_linear(path: Path, most: int) -> np.ndarray:
     """Read the colours of a picture of any program: (H, W, 3) float32, or (H, W, 4) with alpha, not premultiplied.
 
     Args:
         path: the file.
-        most: the largest number of pixels to read, or None.
+        most: the largest number of pixels to read.
 
     Raises:
         InputError: it is damaged or too large, or has neither red, green and blue nor luminance.
@@ -42,7 +42,7 @@ def read_linear(path: Path, most: int | None) -> np.ndarray:
         with OpenEXR.File(str(path), header_only=True) as file:
             low, high = file.header()["dataWindow"]
         columns, rows = (int(end) - int(start) + 1 for start, end in zip(low, high, strict=True))
-        if most is not None and columns * rows > most:
+        if columns * rows > most:
             raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.io.untrusted import opening
+from tnst_mi.machine.gate import opening
 
 #: How the files begin.
 MAGIC = (b"#?RADIANCE", b"#?RGBE")
@@ -22,13 +22,17 @@ _RESOLUTION = re.compile(rb"(?P<y>[-+])Y (?P<rows>\d{1,6}) (?P<x>[-+])X (?P<colu
 _COMPRESSED_WIDTHS = range(8, 1 << 15)
 
 
-def read_radiance(path: Path) -> np.ndarray:
+def read_radiance(path: Path, most: int) -> np.ndarray:
     """Read a picture as linear values (H, W, 3) float32, row 0 at the top.
+
+    Args:
+        path: the file.
+        most: the largest number of pixels to read, as far as that is not more than 4096 × 4096.
 
     Raises:
         InputError: the file is missing, damaged, has too many pixels, or holds another colour space than RGB.
     """
-    with opening(path, "a Radiance picture", (ValueError,)):
+    with opening(path, "a Radiance picture"):
         data = path.read_bytes()
         header, _, rest = data[:_LONGEST_HEADER].partition(b"\n\n")
         line, _, _ = rest.partition(b"\n")
@@ -38,8 +42,8 @@ def read_radiance(path: Path) -> np.ndarray:
         if re.search(rb"^FORMAT=\s*32-bit_rle_xyze", header, re.MULTILINE):
             raise InputError(f"{path}: holds XYZ colours, expected RGB; save it again as OpenEXR")
         rows, columns = int(match["rows"]), int(match["columns"])
-        if not 0 < rows * columns <= _LARGEST:
-            raise InputError(f"{path}: has {columns} x {rows} pixels, expected at most {_LARGEST}; make it smaller")
+        if not 0 < rows * columns <= (most := min(most, _LARGEST)):
+            raise InputError(f"{path}: has {columns} x {rows} pixels, expected at most {most}; make it smaller")
         start = len(header) + 2 + len(line) + 1
         packed = _unpacked(memoryview(data)[start:], rows, columns)
     values = np.ldexp(packed[..., :3].astype(np.float32), packed[..., 3:].astype(np.int32) - 136)

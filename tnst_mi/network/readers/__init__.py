@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.gate import gate
 from tnst_mi.network.readers.caffemodel import read_caffemodel
 from tnst_mi.network.readers.graphdef import read_graphdef
 from tnst_mi.network.readers.network_weights import MalformedFile, NetworkWeights
@@ -36,8 +37,11 @@ SUFFIXES = (".safetensors", ".caffemodel", ".pb", ".zip", ".pth", ".pt")
 
 _GRAPH = "tensorflow_inception_graph.pb"
 _ZIP_MAGIC = b"PK\x03\x04"
-_LARGEST_FILE = 1 << 30
+_LARGEST_FILE = 1 << 28
 """In bytes; the published files have 28 to 54 million. Keeps unrelated large files out of memory."""
+
+_LARGEST_RATIO, _SMALL_ARCHIVE = 16, 1 << 20
+"""Weights hardly shrink: no archive unfolds to more than so many times its size, or else to so many bytes."""
 
 
 def read_weights(path: Path) -> NetworkWeights:
@@ -67,12 +71,13 @@ def flavour_of(path: Path) -> str:
 @contextmanager
 def _input_errors(path: Path) -> Iterator[None]:
     """Turn errors in reading a file into one line that names it."""
-    try:
-        yield
-    except MalformedFile as error:
-        raise InputError(f"{path}: {error}; expected the weights of a GoogLeNet (tnst-mi weights lists them)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    with gate(path, "the weights of a GoogLeNet"):
+        try:
+            yield
+        except MalformedFile as error:
+            raise InputError(
+                f"{path}: {error}; expected the weights of a GoogLeNet (tnst-mi weights lists them)"
+            ) from None
 
 
 def _suffix(path: Path) -> str:
@@ -113,7 +118,10 @@ def _unpacked_size(path: Path) -> int:
         if file.read(len(_ZIP_MAGIC)) != _ZIP_MAGIC:
             return path.stat().st_size
     with _archive(path) as archive:
-        return sum(member.file_size for member in archive.infolist())
+        unpacked = sum(member.file_size for member in archive.infolist())
+    if unpacked > max(_SMALL_ARCHIVE, _LARGEST_RATIO * (stored := path.stat().st_size)):
+        raise MalformedFile(f"an archive of {stored} bytes that claims to hold {unpacked}")
+    return unpacked
 
 
 def _read_zip(path: Path) -> NetworkWeights:

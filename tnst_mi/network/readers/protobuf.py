@@ -13,6 +13,8 @@ import numpy as np
 from tnst_mi.network.readers.network_weights import MalformedFile
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+# A field takes far more memory than the two bytes that it may have in a file.
+_MOST_FIELDS = 1 << 20
 _FIXED_SIZES = {_FIXED64: 8, _FIXED32: 4}
 
 
@@ -32,8 +34,10 @@ class Message:
     def __init__(self, data: memoryview) -> None:
         """Split `data` into fields; raises `MalformedFile` where a field runs past the end."""
         self._fields: dict[int, list[int | memoryview]] = defaultdict(list)
-        position = 0
+        position = count = 0
         while position < len(data):
+            if (count := count + 1) > _MOST_FIELDS:
+                raise MalformedFile(f"not the expected protocol buffer (more than {_MOST_FIELDS} fields in a message)")
             key, position = _varint(data, position)
             number, wire_type = key >> 3, key & 7
             if wire_type == _VARINT:

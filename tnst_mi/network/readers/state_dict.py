@@ -64,7 +64,9 @@ def flavour_of_names(names: Iterable[str]) -> str:
         if name in _FIRST_TENSORS:
             return _FIRST_TENSORS[name]
     found = f"{len(names)} tensors, such as {sorted(names)[0]!r}" if names else "no tensors"
-    raise MalformedFile(f"weights of another network: {found}, but none of {', '.join(_FIRST_TENSORS)}")
+    raise MalformedFile(
+        f"weights of another network: {found}, but no first layer, such as {next(iter(_FIRST_TENSORS))!r}"
+    )
 
 
 def safetensors_header(path: Path) -> tuple[list[str], dict[str, str]]:

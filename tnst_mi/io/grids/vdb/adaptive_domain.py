@@ -14,7 +14,6 @@ from __future__ import annotations
 import gzip
 import re
 import struct
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +23,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile
 from tnst_mi.io.grids.vdb.programs import BLENDER
-from tnst_mi.io.untrusted import LARGEST_EXTENT, opening
+from tnst_mi.io.untrusted import LARGEST_EXTENT
+from tnst_mi.machine.gate import opening
 
 #: Metadata that our files carry where their transform is untrue: the size of the voxels, and where the first one is.
 VOXEL_SIZE, TRANSLATION = "tnst_mi_voxel_size", "tnst_mi_translation"
@@ -84,7 +84,7 @@ def _part(path: Path) -> _Part | None:
     configuration = path.parent.parent / "config" / f"config_{number[1]}.uni"
     if not configuration.is_file():
         return None
-    with opening(configuration, "a configuration of Blender's fluids", (OSError, EOFError, zlib.error)):
+    with opening(configuration, "a configuration of Blender's fluids"):
         with gzip.open(configuration, "rb") as file:
             data = file.read(_CONFIGURATION.size)
         if len(data) < _CONFIGURATION.size:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.geometry.boxes import Box, union
-from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, Tree
+from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, LEAF_VOXELS, Tree
 
 # Smoke is of one clump if it lies in neighbouring bins, cubes with this edge. It divides the edges of nodes.
 _BIN = 32
@@ -31,26 +31,30 @@ class Clump:
         box: the smallest box around it.
         mass: the sum of its values.
         voxels: how many are not 0.
+        stored: for how many the file has values; those of a tile share one, and count as one leaf.
     """
 
     box: Box
     mass: float
     voxels: int
+    stored: int
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Leaves and tiles with smoke: the box around it (N, 3) each, its mass (N), and its voxels (N)."""
+    """Leaves and tiles with smoke: the box around it (N, 3) each, mass (N), voxels (N), those stored (N)."""
 
     low: np.ndarray
     high: np.ndarray
     mass: np.ndarray
     voxels: np.ndarray
+    stored: np.ndarray
 
     def clump(self, chosen: np.ndarray | slice) -> Clump:
         """The clump of some of them."""
         box = self.low[chosen].min(axis=0), self.high[chosen].max(axis=0)
-        return Clump(box, float(self.mass[chosen].sum()), int(self.voxels[chosen].sum()))
+        voxels, stored = (int(counts[chosen].sum()) for counts in (self.voxels, self.stored))
+        return Clump(box, float(self.mass[chosen].sum()), voxels, stored)
 
 
 def clumps_of(trees: Sequence[Tree]) -> list[Clump]:
@@ -62,7 +66,8 @@ def clumps_of(trees: Sequence[Tree]) -> list[Clump]:
     if any(tree.background.any() for tree in trees):
         box = union(tree.active_box() for tree in trees)
         voxels = sum(tree.active_voxels for tree in trees)
-        return [] if box is None else [Clump(box, float(voxels), voxels)]
+        stored = sum(int(tree.leaf_active.sum()) + LEAF_VOXELS * int(tree.tile_active.sum()) for tree in trees)
+        return [] if box is None else [Clump(box, float(voxels), voxels, stored)]
     columns = [np.concatenate(column) for column in zip(*map(_blocks_of, trees), strict=True)]
     if not columns or not len(columns[0]):
         return []
@@ -70,28 +75,26 @@ def clumps_of(trees: Sequence[Tree]) -> list[Clump]:
     if (blocks.high - blocks.low >= _LARGEST_TILE).any():
         return [blocks.clump(slice(None))]
     labels = _labels(blocks)
-    found = [blocks.clump(labels == label) for label in range(labels.max() + 1)]
+    ordered = np.argsort(labels, kind="stable")
+    found = [blocks.clump(chosen) for chosen in np.split(ordered, np.flatnonzero(np.diff(labels[ordered])) + 1)]
     return sorted(found, key=lambda clump: -clump.mass)
 
 
 def stray(clumps: Sequence[Clump]) -> list[Clump]:
     """Of clumps in the order of their mass, those that together have next to none."""
     whole = sum(clump.mass for clump in clumps)
-    chosen: list[Clump] = []
-    for clump in reversed(clumps[1:]):
-        if sum(other.mass for other in chosen) + clump.mass >= _STRAY * whole:
-            break
-        chosen.append(clump)
-    return chosen
+    lightest_first = clumps[:0:-1]
+    share = np.cumsum([clump.mass for clump in lightest_first])
+    return list(lightest_first[: int(np.count_nonzero(share < _STRAY * whole))])
 
 
 def smoke_box(clumps: Sequence[Clump], ignore_stray: bool) -> Box | None:
     """The box around the smoke of a frame."""
-    left_out = stray(clumps) if ignore_stray else []
-    return union(clump.box for clump in clumps if clump not in left_out)
+    left_out = len(stray(clumps)) if ignore_stray else 0
+    return union(clump.box for clump in clumps[: len(clumps) - left_out])
 
 
-def _blocks_of(tree: Tree) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _blocks_of(tree: Tree) -> tuple[np.ndarray, ...]:
     """The columns of `_Blocks`."""
     inside = tree.leaf_values != 0.0
     occupied = inside.any(axis=1)
@@ -107,6 +110,7 @@ def _blocks_of(tree: Tree) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
         np.concatenate([high, origins + edges[:, None] - 1]),
         np.concatenate([mass, np.abs(tree.tile_values[filled]) * edges.astype(np.float64) ** 3]),
         np.concatenate([inside[occupied].sum(axis=1), edges**3]),
+        np.concatenate([inside[occupied].sum(axis=1), np.full(len(edges), LEAF_VOXELS)]),
     )
 
 

@@ -30,6 +30,7 @@ from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
 from tnst_mi.io.grids.vdb.span import Span
 from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.machine.gate import gate
 
 
 def read_vdb_frame(
@@ -172,7 +173,7 @@ def run_grid_of(
     """
     spans = []
     for path in paths:
-        with contextlib.suppress(InputError):
+        with contextlib.suppress(InputError), gate(path, "a .vdb file"):
             file = placed(read_vdb(path))
             span = _span_of(file, quantities_of(file, wanted or Wanted(), fog), (numbers or {}).get(path))
             spans += [] if span is None else [span]

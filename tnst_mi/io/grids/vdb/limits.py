@@ -15,8 +15,8 @@ LARGEST_BOX = 1 << 28
 # Measured bytes per cell and component that it takes to expand a tree and make a frame's grid from it.
 _CELL_BYTES = 14
 
-# Below this share of active voxels, boxes of more than so many cells count as a mistake.
-_EMPTIEST, _HARMLESS = 1e-4, 1 << 22
+# Below this share of stored voxels, boxes of more than so many cells count as a mistake.
+_EMPTIEST, _HARMLESS = 1e-3, 1 << 23
 
 
 def require_small(path: Path, box: Box, components: int = 1, remedy: str = "crop the grid") -> None:
@@ -41,6 +41,6 @@ def require_small(path: Path, box: Box, components: int = 1, remedy: str = "crop
         raise InputError(f"{spans}, which take {need / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; {remedy}")
 
 
-def is_almost_empty(box: Box, active_voxels: int) -> bool:
-    """Whether memory for a box would be out of proportion to the active voxels in it."""
-    return size(box) > max(_HARMLESS, active_voxels / _EMPTIEST)
+def is_almost_empty(box: Box, stored_voxels: int) -> bool:
+    """Whether memory for a box would be out of proportion to the voxels that the file has values for."""
+    return size(box) > max(_HARMLESS, stored_voxels / _EMPTIEST)

@@ -160,11 +160,11 @@ def _drifts(spans: Sequence[Span], lows: Mapping[str, np.ndarray]) -> dict[str, 
 
 def _require_small(grid: RunGrid, spans: Sequence[Span], crop: bool) -> None:
     """Check that memory for the box is in proportion to its smoke; names what makes it large."""
-    voxels = max(sum(clump.voxels for clump in span.clumps) for span in spans)
-    if size(grid.box) <= LARGEST_BOX and not is_almost_empty(grid.box, voxels):
+    stored = max(sum(clump.stored for clump in span.clumps) for span in spans)
+    if size(grid.box) <= LARGEST_BOX and not is_almost_empty(grid.box, stored):
         return
     widest = max(spans, key=lambda span: len(stray(span.clumps)) or len(span.clumps))
-    what = f"{widest.path}: its grid spans {words(grid.box)} cells with {voxels} voxels of smoke"
+    what = f"{widest.path}: its grid spans {words(grid.box)} cells with {stored} stored voxels of smoke"
     if strays := stray(widest.clumps):
         raise InputError(f"{what}: {_named_strays(strays, widest.clumps)}; --ignore-stray drops them")
     if not crop and any(span.clumps for span in spans):

@@ -18,7 +18,7 @@ from tnst_mi.io.grids.vdb.file_format.cursor import Cursor
 from tnst_mi.io.grids.vdb.file_format.metadata import Stored, Value, read_metadata, read_transform, values_of
 from tnst_mi.io.grids.vdb.file_format.tree import Tree, TreeReader
 from tnst_mi.io.grids.vdb.file_format.values import BLOSC, VALUE_TYPES, ZIP, ValueType
-from tnst_mi.io.untrusted import opening
+from tnst_mi.machine.gate import opening
 
 #: The first eight bytes of every file.
 MAGIC = struct.pack("<q", 0x56444220)
@@ -58,6 +58,7 @@ class Grid:
         compression: bits, see `tnst_mi.io.grids.vdb.file_format.values`.
         span: offsets in the file of the tree, of the values of its leaves, and of its end.
         placed: from voxels to the scene where `transform` is known to be untrue; else None.
+        owner: the grid whose tree it shares; None if it has its own.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Grid:
     compression: int
     span: tuple[int, int, int]
     placed: Affine | None = None
+    owner: Grid | None = None
 
     @cached_property
     def metadata(self) -> dict[str, Value]:
@@ -138,7 +140,7 @@ class Grid:
         Raises:
             InputError: they are truncated or damaged, or of an unsupported kind.
         """
-        return self._read(values=True)
+        return self._read(values=True) if self.owner is None else self.owner.tree
 
     @cached_property
     def topology(self) -> Tree:
@@ -147,7 +149,7 @@ class Grid:
         Raises:
             InputError: as `tree`.
         """
-        return self._read(values=False)
+        return self._read(values=False) if self.owner is None else self.owner.topology
 
     def _read(self, values: bool) -> Tree:
         if self.kind is None:
@@ -215,7 +217,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
             raise InputError(f"{path}: damaged: grid {name!r} shares the tree of {parent!r}, which is not there")
         tree = grids[parent]
         grids[name] = dataclasses.replace(
-            grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span
+            grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span, owner=tree
         )
     return VdbFile(path, stored, list(grids.values()))
 
@@ -228,8 +230,9 @@ def _read_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, str, str]:
     # A grid that shares the tree of another has no leaves of its own.
     if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
         raise InputError(f"{path}: truncated or damaged: grid {unique_name!r} lies outside of the file")
-    if end <= place:
-        raise InputError(f"{path}: damaged: grid {unique_name!r} ends before it begins")
+    # Grids that overlap would hold more together than the file does.
+    if start < place + cursor.position:
+        raise InputError(f"{path}: damaged: grid {unique_name!r} begins before its description ends")
     cursor = _cursor(path, file, start, min(end, start + _LARGEST_DESCRIPTION))
     grid = _described_grid(cursor, unique_name, tree_type)
     if not parent and start + cursor.position > leaves:

@@ -87,8 +87,12 @@ class Tree:
         first, last = (corner // LEAF_EDGE for corner in box)
         counts = last - first + 1
         shape = background.shape
-        blocks = np.empty((*counts, *(LEAF_EDGE,) * 3, *shape), background.dtype)
-        blocks[...] = background
+        dense = np.empty((*(counts[::-1] * LEAF_EDGE), *shape), background.dtype)
+        dense[...] = background
+        # A view of (bZ, Z, bY, Y, bX, X) as (bX, bY, bZ, X, Y, Z).
+        x, y, z = counts.tolist()
+        blocks = dense.reshape(z, LEAF_EDGE, y, LEAF_EDGE, x, LEAF_EDGE, *shape)
+        blocks = blocks.transpose(4, 2, 0, 5, 3, 1, *range(6, blocks.ndim))
         starts = self.tile_origins // LEAF_EDGE - first
         ends = np.minimum(starts + self.tile_edges[:, None] // LEAF_EDGE, counts)
         starts = np.maximum(starts, 0)
@@ -98,9 +102,6 @@ class Tree:
         places = self.leaf_origins // LEAF_EDGE - first
         inside = ((places >= 0) & (places < counts)).all(axis=1)
         blocks[tuple(places[inside].T)] = leaves[inside].reshape(-1, *(LEAF_EDGE,) * 3, *shape)
-        # (bX, bY, bZ, X, Y, Z) to (bZ, Z, bY, Y, bX, X).
-        axes = (2, 5, 1, 4, 0, 3, *range(6, blocks.ndim))
-        dense = blocks.transpose(axes).reshape(*(counts[::-1] * LEAF_EDGE), *shape)
         margin = box[0] - first * LEAF_EDGE
         window = zip(margin[::-1], (margin + box[1] - box[0] + 1)[::-1], strict=True)
         return np.ascontiguousarray(dense[tuple(itertools.starmap(slice, window))])

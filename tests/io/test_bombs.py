@@ -1,0 +1,181 @@
+"""Small files that would unfold to far more than they hold are refused; honest ones of the same kind are read."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from tnst_mi import Recipe, load_frames
+from tnst_mi.errors import InputError
+from tnst_mi.io.grids.npy import read_npy
+from tnst_mi.io.grids.uni import REAL, read_uni, write_uni
+from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
+from tnst_mi.io.grids.vdb.clumps import clumps_of, stray
+from tnst_mi.io.grids.vdb.file_format.tree import LEAF_VOXELS, Tree
+from tnst_mi.losses.pictures import read_image
+from tnst_mi.network.readers import read_weights
+
+
+def png(path: Path, edge: int) -> Path:
+    """A black picture, compressed as well as PNG can."""
+    packed = zlib.compress((b"\0" + b"\0" * edge) * edge, 9)
+    parts = ((b"IHDR", struct.pack(">IIBBBBB", edge, edge, 8, 0, 0, 0, 0)), (b"IDAT", packed), (b"IEND", b""))
+    chunks = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    return path
+
+
+def test_pictures_that_unfold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="the picture has more than 33554432 pixels; make it smaller"):
+        read_image(png(tmp_path / "bomb.png", 6000))
+    monkeypatch.setattr("tnst_mi.losses.pictures._PIXELS", (1 << 16, 64))
+    with pytest.raises(InputError, match="the picture has more than 65536 pixels"):
+        read_image(png(tmp_path / "bomb.png", 300))
+    # A file with more bytes may have more pixels.
+    with (tmp_path / "bomb.png").open("ab") as file:
+        file.truncate(300 * 300 // 64 + 1)
+    assert read_image(tmp_path / "bomb.png").grey.shape == (300, 300)
+
+
+def test_pictures_of_high_dynamic_range_that_unfold(tmp_path: Path) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"Y": np.zeros((3000, 3000), np.float16)}) as file:
+        file.write(str(tmp_path / "bomb.exr"))
+    with pytest.raises(InputError, match=r"bomb.exr: the picture has more than 4194304 pixels"):
+        read_image(tmp_path / "bomb.exr")
+
+
+def test_libraries_print_nothing_about_damaged_pictures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": np.random.default_rng(0).random((20, 20, 3)).astype(np.float32)}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    content = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"a.exr: unreadable picture"):
+        read_image(tmp_path / "a.exr")
+    assert capfd.readouterr().err == ""
+
+
+def test_archives_of_weights_that_unfold(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tensorflow_inception_graph.pb", b"\x08\x01" * (2 << 20))
+    with pytest.raises(InputError, match=r"an archive of .* bytes that claims to hold 4194304"):
+        read_weights(tmp_path / "bomb.zip")
+
+
+def test_protocol_buffers_of_countless_fields(tmp_path: Path) -> None:
+    (tmp_path / "bomb.caffemodel").write_bytes(b"\x08\x01" * ((1 << 20) + 1))
+    with pytest.raises(InputError, match="more than 1048576 fields in a message"):
+        read_weights(tmp_path / "bomb.caffemodel")
+
+
+def test_arrays_that_exceed_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.ones((10, 10, 10), np.float32)
+    np.save(tmp_path / "a.npy", values)
+    write_uni(tmp_path / "a.uni", values, REAL)
+    monkeypatch.setattr("tnst_mi.io.untrusted.free_memory", lambda: 12_001)
+    assert read_npy(tmp_path / "a.npy").shape == read_uni(tmp_path / "a.uni")[1].shape == (10, 10, 10)
+    monkeypatch.setattr("tnst_mi.io.untrusted.free_memory", lambda: 11_999)
+    for read in (read_npy, read_uni):
+        with pytest.raises(InputError, match=r"takes 0\.0 GB, and 0\.0 GB of memory are free"):
+            read(tmp_path / ("a.npy" if read is read_npy else "a.uni"))
+
+
+def block(edge: int) -> np.ndarray:
+    return np.ones((edge,) * 3, np.float32)
+
+
+def test_boxes_of_grids_are_in_proportion_to_what_the_file_stores(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    smoke = rng.random((8, 8, 8)).astype(np.float32) + 0.5
+    far = [DenseGrid("density", smoke), DenseGrid("density", smoke, (256, 256, 256))]
+    write_vdb(tmp_path / "far.vdb", far, {})
+    with pytest.raises(InputError, match="spans 264 × 264 × 264 cells with 1024 stored voxels of smoke"):
+        load_frames(tmp_path / "far.vdb")
+    near = [DenseGrid("density", smoke), DenseGrid("density", smoke, (128, 128, 128))]
+    write_vdb(tmp_path / "near.vdb", near, {})
+    assert load_frames(tmp_path / "near.vdb")[0].density.shape == (136, 136, 136)
+
+
+def test_tiles_count_as_one_leaf_each(tmp_path: Path) -> None:
+    """Two tiles of 128³ voxels, far apart: 4 million active voxels in a file of a few kilobytes."""
+    grids = [DenseGrid("density", block(128)), DenseGrid("density", block(128), (256, 256, 256))]
+    write_vdb(tmp_path / "a.vdb", grids, {})
+    assert (tmp_path / "a.vdb").stat().st_size < 40_000
+    with pytest.raises(InputError, match="spans 384 × 384 × 384 cells with 1024 stored voxels of smoke"):
+        load_frames(tmp_path / "a.vdb")
+
+
+def test_grids_that_overlap_in_the_file(tmp_path: Path) -> None:
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", block(9)), DenseGrid("other", block(9))], {})
+    content = bytearray((tmp_path / "a.vdb").read_bytes())
+    first, second = read_vdb(tmp_path / "a.vdb").grids
+    place = content.index(struct.pack("<2q", second.span[1], second.span[2])) - 8
+    own = content.index(struct.pack("<2q", first.span[1], first.span[2])) - 8
+    content[place : place + 8] = content[own : own + 8]
+    (tmp_path / "b.vdb").write_bytes(content)
+    with pytest.raises(InputError, match="grid 'other' begins before its description ends"):
+        read_vdb(tmp_path / "b.vdb")
+
+
+def test_stray_clumps_are_the_lightest_that_together_have_next_to_none() -> None:
+    """Many clumps, against the definition written out."""
+    rng = np.random.default_rng(0)
+    count = 400
+    values = np.zeros((count, LEAF_VOXELS), np.float32)
+    values[:, 0] = 10.0 ** rng.uniform(-6, 1, count)
+    none = np.zeros(0, np.float32)
+    tree = Tree(
+        background=np.float32(0.0).reshape(()),
+        leaf_origins=np.stack([np.arange(count) * 128, np.zeros(count, int), np.zeros(count, int)], axis=1),
+        leaf_active=values > 0,
+        leaf_values=values,
+        tile_origins=np.zeros((0, 3), np.int64),
+        tile_edges=np.zeros(0, np.int64),
+        tile_active=none > 0,
+        tile_values=none,
+    )
+    clumps = clumps_of([tree])
+    masses = np.sort(values[:, 0].astype(float))
+    np.testing.assert_allclose([clump.mass for clump in clumps], masses[::-1], rtol=1e-6)
+    chosen, whole = 0, masses.sum()
+    while masses[: chosen + 1].sum() < 1e-3 * whole:
+        chosen += 1
+    assert chosen > 50
+    assert [clump.mass for clump in stray(clumps)] == [clump.mass for clump in clumps[: count - chosen - 1 : -1]]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f'style = ["{"d/" * 3000}a.png"]', "style = .*: File name too long"),
+        (f'light = "{"n" * 5000}"', "light = .*: File name too long"),
+        (f"seed = {'9' * 5000}", "not a recipe file, truncated, or damaged .*4300 digits"),
+    ],
+)
+def test_recipes_with_endless_values(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "r.toml").write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        Recipe.from_toml(tmp_path / "r.toml")
+    assert len(str(caught.value)) <= 300
+
+
+def test_names_in_damaged_files_do_not_flood_messages(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("n\x1b[31m" * 1000 + ".npy", b"")
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("n\x07" * 2000, block(3))], {})
+    content = (tmp_path / "a.vdb").read_bytes()
+    (tmp_path / "a.vdb").write_bytes(content[:-5])
+    for name in ("a.npz", "a.vdb"):
+        with pytest.raises(InputError) as caught:
+            load_frames(tmp_path / name)
+        message = str(caught.value)
+        assert len(message) <= 300 and message.isprintable() and name in message
