@@ -159,7 +159,7 @@ def test_the_cache_of_blender_leads_to_its_data(tmp_path: Path) -> None:
     densities(tmp_path / "noise", "fluid_noise_0001.vdb", "fluid_noise_0002.vdb", "fluid_noise_0003.vdb")
     frames = open_frames(tmp_path)
     assert frames.numbers == [1, 2, 3]
-    assert "without the velocities, which are in data/" in frames.notes[0]
+    assert "a cache with noise, whose velocities are in data/" in frames.notes[0]
 
 
 def test_the_folder_of_a_run_leads_to_its_densities(tmp_path: Path) -> None:

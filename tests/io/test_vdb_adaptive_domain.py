@@ -93,6 +93,41 @@ def test_all_frames_lie_on_one_lattice_value_by_value(finer: int, tmp_path: Path
             np.testing.assert_allclose(motion, np.broadcast_to([2.0, 2.0, -2.0], motion.shape))
 
 
+def test_noise_has_the_velocity_of_its_simulation_at_the_centres_of_its_own_cells(tmp_path: Path) -> None:
+    cache(tmp_path)
+    cache(tmp_path, finer=2)
+    for number, (first, moved, extents) in enumerate(PARTS, 1):
+        file = tmp_path / "data" / f"fluid_data_{number:04d}.vdb"
+        z, y, x = np.indices(extents[::-1])
+        centres = np.stack([x, y, z], axis=-1) + np.add(first, moved) + 0.5  # in cells of the simulation
+        density, velocity = read_vdb(file).grids
+        grids = [
+            DenseGrid(grid.name, values, (0, 0, 0), 3.2 / max(extents), metadata=grid.stored)
+            for grid, values in (
+                (density, smoke(np.add(first, moved), np.array(extents))),
+                (velocity, np.float32(centres)),
+            )
+        ]
+        write_vdb(file, grids, {})
+    frames = open_frames(tmp_path)
+    assert "velocities are in data/" in frames.notes[0]
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.density, expected(number, 2))
+        first, moved, extents = (np.array(part) for part in PARTS[number])
+        z, y, x = np.indices(frame.density.shape)
+        lowest = np.min([np.add(first, moved) for first, moved, _ in PARTS], axis=0)
+        depth = frame.density.shape[0]
+        # y up: x, y, z are X, Z, -Y, in cells of the noise, two to one of the simulation.
+        own = np.stack([x, y, depth - 1 - z], axis=-1) + 0.5
+        world = own / 2 + lowest[[0, 2, 1]]
+        # Away from the border of the part, where interpolation has both neighbours.
+        low, high = (first + moved + 0.5)[[0, 2, 1]], (first + moved + extents - 0.5)[[0, 2, 1]]
+        inside = ((world > low) & (world < high)).all(axis=-1)
+        # 0.1 time units a frame, and two cells of the noise for one of the simulation.
+        wanted = 0.2 * world * [1.0, 1.0, -1.0]
+        np.testing.assert_allclose(frame.velocity[inside], wanted[inside], rtol=1e-5, atol=1e-6)
+
+
 def test_results_keep_the_voxels_of_their_file_and_are_read_again_where_they_were(tmp_path: Path) -> None:
     data = cache(tmp_path / "cache")
     frames = open_frames(data)

@@ -9,7 +9,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.array_frames import obstacle_beside, velocity_beside
 from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.files import companions
-from tnst_mi.io.grids.vdb.frames import read_vdb_frame, read_vdb_obstacle
+from tnst_mi.io.grids.vdb.frames import read_simulation_of_noise, read_vdb_frame, read_vdb_obstacle
 from tnst_mi.io.interpretation.conventions import StoredFrame
 from tnst_mi.io.interpretation.roles import NONE, Wanted
 
@@ -41,7 +41,8 @@ def with_grids_beside(file: Path, frame: StoredFrame, context: SequenceContext, 
         return frame
     velocity, obstacle = _found_beside(file, frame, wanted)
     if velocity is not None:
-        frame = _with_velocity_of(frame, velocity, read_vdb_frame(velocity, context.run, name=file.stem))
+        read = read_simulation_of_noise if velocity == companions.simulation_of(file) else read_vdb_frame
+        frame = _with_velocity_of(frame, velocity, read(velocity, context.run, name=file.stem))
     if obstacle is not None:
         frame = _with_obstacle_of(frame, obstacle, read_vdb_obstacle(obstacle, file.stem, context.run))
     return frame
@@ -60,7 +61,7 @@ def _found_beside(file: Path, frame: StoredFrame, wanted: Wanted) -> tuple[Path 
 def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
     """A frame with the velocity that a companion holds."""
     if other.velocity is None:
-        raise InputError(f"{file}: holds no velocity, as which its name has it read; --velocity none goes without it")
+        raise InputError(f"{file}: holds no velocity, which is looked for there; --velocity none goes without it")
     return replace(
         frame,
         velocity=other.velocity,

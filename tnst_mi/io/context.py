@@ -25,10 +25,21 @@ class SequenceContext:
     """
 
     def __init__(
-        self, files: Sequence[Path], given: Conventions, numbers: Mapping[Path, float] = MappingProxyType({})
+        self,
+        files: Sequence[Path],
+        given: Conventions,
+        numbers: Mapping[Path, float] = MappingProxyType({}),
+        beside: Sequence[Path] = (),
     ) -> None:
-        """Set the files, what the user overrides, and the numbers of the frames as far as they are known."""
-        self._files, self._given, self._numbers = files, given, numbers
+        """Set what is known of the sequence.
+
+        Args:
+            files: of the densities.
+            given: what the user overrides.
+            numbers: of the frames, as far as they are known.
+            beside: files of velocities and obstacles alone, or of which these are read alone.
+        """
+        self._files, self._given, self._numbers, self._beside = files, given, numbers, beside
 
     @property
     def run(self) -> RunGrid | None:
@@ -45,10 +56,12 @@ class SequenceContext:
     @cached_property
     def _run(self) -> RunGrid | InputError | None:
         # An error is kept too: it would be found anew for every frame.
-        files = [file for file in self._files if file.suffix.lower() == ".vdb"]
+        files, beside = (
+            [file for file in group if file.suffix.lower() == ".vdb"] for group in (self._files, self._beside)
+        )
         try:
             with gate(files[0] if files else Path(), "a .vdb file"):
-                return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers)
+                return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers, beside)
         except InputError as error:
             return error
 

@@ -163,7 +163,7 @@ class FrameFiles(Sequence[Frame]):
         numbers = {
             file: float(number) for file, number in zip(self.files, self.numbers, strict=True) if number is not None
         }
-        return SequenceContext([*sequence, *beside], self._given, numbers)
+        return SequenceContext(sequence, self._given, numbers, beside)
 
 
 def open_frames(

@@ -5,7 +5,7 @@ obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`, …). If the den
 as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. For files of other
 programs, other words for density are replaced too (`smoke_0012.npz` beside `velocity_0012.npz`, as PhiFlow writes), and
 the word may be at the end (`NAME_0012_vel.npz`). Words may also be capitalised or in upper case, extensions in upper
-case.
+case. The noise of Blender's caches, `noise/fluid_noise_0012.vdb`, has its velocity in `data/fluid_data_0012.vdb`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,16 @@ def possible_companions(file: Path, words: tuple[str, ...] = VELOCITY + OBSTACLE
 
 def found_companion(file: Path, words: tuple[str, ...]) -> Path | None:
     """The first existing companion for any of the words, of whatever program, or None."""
-    return next((path for path in _all_possible(file, words) if path.is_file()), None)
+    possible = [*_all_possible(file, words), simulation_of(file) if words == VELOCITY else None]
+    return next((path for path in possible if path is not None and path.is_file()), None)
+
+
+def simulation_of(noise: Path) -> Path | None:
+    """The file with the simulation to which Blender has added noise, or would be; None if this is no such noise."""
+    number = re.fullmatch(r"fluid_noise_(\d+)", noise.stem)
+    if number is None or noise.suffix != ".vdb":
+        return None
+    return noise.parent.parent / "data" / f"fluid_data_{number[1]}.vdb"
 
 
 def companions_of(file: Path) -> list[Path]:

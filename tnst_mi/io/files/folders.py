@@ -51,8 +51,7 @@ def frame_folder(path: Path, suffixes: Sequence[str]) -> FrameFolder:
             raise InputError(f"{path}: is the folder of a run that has not finished a frame, so its density/ is empty")
         return _led_to(with_frames["density"], path, "the folder of a run")
     if "noise" in with_frames and "data" in below:
-        note = "a cache with noise: its finer densities, without the velocities, which are in data/"
-        return _led_to(with_frames["noise"], path, note)
+        return _led_to(with_frames["noise"], path, "the folder of a cache with noise, whose velocities are in data/")
     if "data" in with_frames:
         return _led_to(with_frames["data"], path, "the folder of a cache")
     scenes = [folder for name, folder in with_frames.items() if re.fullmatch(r"sim_\d+", name)]

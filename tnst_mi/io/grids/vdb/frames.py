@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,26 @@ def read_vdb_frame(
     )
 
 
+def read_simulation_of_noise(path: Path, run: RunGrid | None, name: str) -> StoredFrame:
+    """Read the frame to which Blender has added noise, at the cells of the noise.
+
+    The transforms of the two files place the lowest corners of voxel (0, 0, 0) at one point, not its centres.
+
+    Args:
+        path: the file of the simulation.
+        run: the grid of the run, whose cells are the voxels of the noise.
+        name: of the frame.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    main = quantities_of(placed(read_vdb(path)), Wanted()).main
+    if run is not None and main is not None:
+        between_centres = np.full(3, 0.5 * (main.main.affine.edge - run.cells.edge))
+        run = replace(run, cells=run.cells.moved(-between_centres))
+    return read_vdb_frame(path, run, name=name)
+
+
 def read_vdb_obstacle(path: Path, name: str, run: RunGrid | None) -> StoredFrame:
     """Read the obstacle of a frame, whose density is in another file; None if there is none.
 
@@ -156,6 +177,7 @@ def run_grid_of(
     boxing: Boxing | None = None,
     fog: bool = False,
     numbers: Mapping[Path, float] | None = None,
+    beside: Sequence[Path] = (),
 ) -> RunGrid | None:
     """The grid on which the files of a sequence are read; None if none has a density or velocity with voxels.
 
@@ -167,17 +189,28 @@ def run_grid_of(
         boxing: which part of the grids is read.
         fog: whether the inside of a level set is its density.
         numbers: of the frames, as far as they are known.
+        beside: files of which velocities alone are read. They have a say only where no density has voxels.
 
     Raises:
         InputError: the grid would be too large, or almost empty.
     """
-    spans = []
+    spans = list(_spans(paths, lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {}))
+    spans_beside = list(_spans(beside, lambda file: replace(quantities_of(file, Wanted()), density=None), {}))
+    if any(span.box is not None for span in spans):
+        return run_grid(spans, boxing, spans_beside)
+    return run_grid(spans_beside, boxing) if any(span.box is not None for span in spans_beside) else None
+
+
+def _spans(
+    paths: Sequence[Path], quantities: Callable[[VdbFile], Quantities], numbers: Mapping[Path, float]
+) -> Iterator[Span]:
+    """What those files span that can be read and have a density or a velocity."""
     for path in paths:
         with contextlib.suppress(InputError), gate(path, "a .vdb file"):
             file = placed(read_vdb(path))
-            span = _span_of(file, quantities_of(file, wanted or Wanted(), fog), (numbers or {}).get(path))
-            spans += [] if span is None else [span]
-    return run_grid(spans, boxing) if any(span.box is not None for span in spans) else None
+            span = _span_of(file, quantities(file), numbers.get(path))
+            if span is not None:
+                yield span
 
 
 def _nothing(box: Box) -> np.ndarray:

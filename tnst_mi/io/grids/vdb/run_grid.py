@@ -59,12 +59,13 @@ class RunGrid:
         return self.drifts.get(name)
 
 
-def run_grid(spans: Sequence[Span], boxing: Boxing | None = None) -> RunGrid:
+def run_grid(spans: Sequence[Span], boxing: Boxing | None = None, beside: Sequence[Span] = ()) -> RunGrid:
     """Choose the grid of a run.
 
     Args:
         spans: what each file spans, in the order of the frames.
         boxing: which part of the grids is read.
+        beside: what the files of velocities alone span.
 
     Raises:
         InputError: no file has an active voxel or tells its domain, or the box is too large or almost empty.
@@ -73,11 +74,12 @@ def run_grid(spans: Sequence[Span], boxing: Boxing | None = None) -> RunGrid:
     cells = _cells_of_most(spans)
     # A single pass over the files: from here on all boxes are in cells of the run.
     boxes = [_in_cells(span.box, span, cells) for span in spans]
-    whole = union(boxes)
+    with_room = [span for span in beside if between(cells, span.scene).whole]
+    whole = union([*boxes, *(_in_cells(span.box, span, cells) for span in with_room)])
     if whole is None:
         raise InputError(f"{spans[0].path}: no active voxel in it, so the size of the grid is unknown")
     smoke = [_in_cells(smoke_box(span.clumps, ignore_stray), span, cells) for span in spans]
-    notes = [*_resampling_notes(spans, cells), *_stray_notes(spans, ignore_stray)]
+    notes = [*_resampling_notes(spans, beside, cells), *_stray_notes(spans, ignore_stray)]
     box, lows = whole, dict[str, np.ndarray]()
     if crop:
         reached = [None if part is None else intersection(grown(part, REACH), whole) for part in smoke]
@@ -174,7 +176,7 @@ def _require_small(grid: RunGrid, spans: Sequence[Span], crop: bool) -> None:
     raise InputError(f"{what}: {', '.join(shown)}; expected at most {LARGEST_BOX}; split the file")
 
 
-def _resampling_notes(spans: Sequence[Span], cells: Affine) -> Iterator[str]:
+def _resampling_notes(spans: Sequence[Span], beside: Sequence[Span], cells: Affine) -> Iterator[str]:
     """What is not read value by value."""
     for span in spans:
         if span.stored is not None:
@@ -205,7 +207,7 @@ def _resampling_notes(spans: Sequence[Span], cells: Affine) -> Iterator[str]:
         if span not in moved and off > EDGE_TOLERANCE:
             yield f"the voxels of {span.path.name} are taken as cubes: their edges differ by {off:.2%}"
             break
-    for span in spans:
+    for span in [*spans, *beside]:
         if span in moved or len(span.velocity) != 1:
             continue
         velocity = span.velocity[0]
