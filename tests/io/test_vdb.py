@@ -227,7 +227,7 @@ def test_all_affine_maps_are_read() -> None:
         ("UniformScaleMap", (0.0,) * 3 + inverses),
         ("TranslationMap", (np.nan, 0.0, 0.0)),
     ):
-        with pytest.raises(InputError, match=r"a\.vdb: voxels with edges of .* flat or placed nowhere"):
+        with pytest.raises(InputError, match=r"a\.vdb: voxels along .* flat or placed nowhere"):
             read(kind, *numbers)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import shutil
 import struct
@@ -31,7 +32,7 @@ def smoke(low: np.ndarray, extents: np.ndarray) -> np.ndarray:
 
 def configuration(first: tuple[int, ...], moved: tuple[int, ...], extents: tuple[int, ...]) -> bytes:
     """Oracle: what Blender 3.4 writes, field by field."""
-    data = struct.pack("<i3i2f", 11, *extents, 0.025, 0.1)  # fields, resolution, dx, dt
+    data = struct.pack("<i3i2f", 11, *extents, 1 / max(WHOLE), 0.1)  # fields, resolution, dx, dt
     data += struct.pack("<9f", *[-1.0] * 3, *[1.0] * 3, *[-1.0] * 3)  # p0, p1, dp0
     data += struct.pack("<3i3f16f", *moved, *[0.0] * 3, *np.eye(4).ravel())  # shift, the object's shift and matrix
     last = np.add(first, extents).tolist()
@@ -181,12 +182,47 @@ def test_the_configuration_of_another_bake_is_none(tmp_path: Path) -> None:
     assert "resampled" in open_frames(data).grid_notes[0]
 
 
+def test_any_changed_bit_of_a_configuration_is_found(tmp_path: Path) -> None:
+    folder = cache(tmp_path)
+    file = tmp_path / "config" / "config_0002.uni"
+    whole = file.read_bytes()
+    expected_of_frame = open_frames(folder / "fluid_data_0002.vdb")[0]
+    for bit in range(0, 8 * len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        file.write_bytes(damaged)
+        # Some say nothing, such as those of the name and date that gzip keeps.
+        with contextlib.suppress(InputError):
+            frame = open_frames(folder / "fluid_data_0002.vdb")[0]
+            assert frame.placement.voxel_size == expected_of_frame.placement.voxel_size
+            assert frame.placement.corner == expected_of_frame.placement.corner
+
+
+def test_frames_with_negative_numbers_have_configurations(tmp_path: Path) -> None:
+    data = cache(tmp_path)
+    for number in range(1, len(PARTS) + 1):
+        for file in (data / f"fluid_data_{number:04d}.vdb", tmp_path / "config" / f"config_{number:04d}.uni"):
+            file.rename(file.with_name(file.name.replace(f"{number:04d}", f"{number - 4:05d}")))
+    require_as_expected(open_frames(data))
+
+
+def test_a_part_may_reach_beyond_its_domain(tmp_path: Path) -> None:
+    """As it does with Add Resolution."""
+    data = cache(tmp_path)
+    extents = PARTS[0][2]
+    part = configuration((-2, 2, -9), (0, 0, 0), extents)
+    (tmp_path / "config" / "config_0001.uni").write_bytes(gzip.compress(part))
+    frame = open_frames(data / "fluid_data_0001.vdb")[0]
+    np.testing.assert_array_equal(frame.density.shape, np.array(extents)[[1, 2, 0]])
+    np.testing.assert_allclose(frame.placement.corner, 0.2 * np.array([-2, 2, -9]))
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
         (b"", r"config_0002\.uni: is empty"),
         (b"no gzip", r"config_0002\.uni: not a configuration of Blender's fluids, truncated, or damaged"),
-        (gzip.compress(b"short"), r"config_0002\.uni: truncated: 5 bytes, expected 172 or more"),
+        (gzip.compress(b"short"), r"config_0002\.uni: truncated: 5 bytes, expected 184 or more"),
         (gzip.compress(bytes(204)), r"config_0002\.uni: damaged: \[0, 0, 0\] cells"),
     ],
     ids=["empty", "other", "short", "zeros"],

@@ -16,6 +16,12 @@ PLACE_TOLERANCE = 1e-2
 #: Edges of voxels count as equal if they differ by less than this share: what a size in single precision is off.
 EDGE_TOLERANCE = 1e-4
 
+# The least volume of a voxel, relative to that of a box with its edges.
+_FLATTEST = 1e-6
+
+# Lengths within which products and ratios of any two maps are finite and not 0.
+_SHORTEST, _LONGEST = 1e-30, 1e30
+
 
 @dataclass(frozen=True, eq=False)
 class Affine:
@@ -66,6 +72,15 @@ class Affine:
         if (edges == edges[0]).all() and (np.count_nonzero(self.matrix, axis=0) == 1).all():
             return float(edges[0])
         return float(np.cbrt(abs(np.linalg.det(self.matrix))))
+
+    @property
+    def places_voxels(self) -> bool:
+        """Whether it is a map that voxels can have: finite, and invertible up to rounding."""
+        numbers = np.append(self.matrix, self.offset)
+        if not (np.isfinite(numbers).all() and np.abs(numbers).max() <= _LONGEST):
+            return False
+        edges = np.linalg.norm(self.matrix, axis=0)
+        return bool(edges.min() >= _SHORTEST and abs(np.linalg.det(self.matrix / edges)) >= _FLATTEST)
 
     def axes(self) -> np.ndarray | None:
         """Which signed axis each axis becomes, as a matrix (3, 3) of −1, 0 and 1; None unless cubes become cubes

@@ -13,6 +13,9 @@ from tnst_mi.geometry.affine import Affine
 #: Lowest and highest voxel (X, Y, Z) of a box, both inclusive.
 Box = tuple[np.ndarray, np.ndarray]
 
+# Coordinates beyond are taken as these: farther apart than any file's voxels, and without overflow in int64.
+_FARTHEST = 2.0**60
+
 # Rounding must not add a layer of cells.
 _ROUNDING = 1e-6
 
@@ -52,7 +55,7 @@ def image(box: Box, map: Affine, reach: float = 0.0) -> Box:
     With a reach of 1 these are the voxels between whose trilinear neighbours the image lies.
     """
     corners = map(np.array([*itertools.product(*zip(box[0] - reach, box[1] + reach, strict=True))]))
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = (np.clip(corner, -_FARTHEST, _FARTHEST) for corner in (corners.min(axis=0), corners.max(axis=0)))
     if map.whole and reach == 0.0:
         return np.rint(low).astype(np.int64), np.rint(high).astype(np.int64)
     return np.floor(low + _ROUNDING).astype(np.int64), np.ceil(high - _ROUNDING).astype(np.int64)

@@ -12,6 +12,7 @@ Source: `MANTA::writeConfiguration` in Blender's `intern/mantaflow/intern/MANTA_
 from __future__ import annotations
 
 import gzip
+import math
 import re
 import struct
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.geometry.affine import Affine
+from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile
 from tnst_mi.io.grids.vdb.programs import BLENDER
 from tnst_mi.io.untrusted import LARGEST_EXTENT
@@ -29,14 +30,21 @@ from tnst_mi.machine.gate import opening
 #: Metadata that our files carry where their transform is untrue: the size of the voxels, and where the first one is.
 VOXEL_SIZE, TRANSLATION = "tnst_mi_voxel_size", "tnst_mi_translation"
 
-# What of a configuration is needed: the resolution of the part, the cells by which the domain object has moved, and
-# the resolution of the whole domain, in which the part begins at a cell.
-_CONFIGURATION = struct.Struct("<4x 3i 44x 3i 76x 3i 3i")
+# What of a configuration is needed: the resolution of the part, the size of a cell in parts of the domain's longest
+# side, the cells by which the domain object has moved, the resolution of the domain, and the first cell of the part in
+# it, and the one after its last.
+_CONFIGURATION = struct.Struct("<4x 3i f 40x 3i 76x 3i 3i 3i")
+
+# Configurations of other versions of Blender may be longer than those known, but not so long.
+_LONGEST_CONFIGURATION = 1 << 16
 
 
 @dataclass(frozen=True)
 class _Part:
-    """The part of a domain that is simulated in a frame, in cells of the simulation (X, Y, Z)."""
+    """The part of a domain that is simulated in a frame, in cells of the simulation (X, Y, Z).
+
+    It may reach beyond the domain, where Blender is allowed to add resolution.
+    """
 
     resolution: np.ndarray
     whole: np.ndarray
@@ -51,9 +59,9 @@ def placed(file: VdbFile) -> VdbFile:
     """
     size, translation = file.metadata.get(VOXEL_SIZE), file.metadata.get(TRANSLATION)
     if isinstance(size, float) and isinstance(translation, tuple):
-        if not (size > 0.0 and np.isfinite([size, *translation]).all()):
-            raise InputError(f"{file.path}: damaged: says that its voxels are {size} large, at {translation}")
         true = Affine.scaling(size, np.array(translation, np.float64))
+        if not (size > 0.0 and true.places_voxels):
+            raise InputError(f"{file.path}: damaged: says that its voxels are {size} large, at {translation}")
         return replace(file, grids=[replace(grid, placed=true) for grid in file.grids])
     if not any(BLENDER in grid.metadata for grid in file.grids):
         return file
@@ -78,7 +86,7 @@ def _in_domain(grid: Grid, part: _Part) -> Grid:
 
 def _part(path: Path) -> _Part | None:
     """The part of the domain that a file of a cache is of; None if nothing tells."""
-    number = re.search(r"_(\d+)$", path.stem)
+    number = re.search(r"_(-?\d+)$", path.stem)
     if number is None:
         return None
     configuration = path.parent.parent / "config" / f"config_{number[1]}.uni"
@@ -86,13 +94,19 @@ def _part(path: Path) -> _Part | None:
         return None
     with opening(configuration, "a configuration of Blender's fluids"):
         with gzip.open(configuration, "rb") as file:
-            data = file.read(_CONFIGURATION.size)
+            # To the end, or the checksum would not be looked at.
+            data = file.read(_LONGEST_CONFIGURATION)
+            if file.read(1):
+                raise InputError(f"{configuration}: has more than {_LONGEST_CONFIGURATION} bytes")
         if len(data) < _CONFIGURATION.size:
             raise InputError(f"{configuration}: truncated: {len(data)} bytes, expected {_CONFIGURATION.size} or more")
-    resolution, moved, whole, first = np.array(_CONFIGURATION.unpack(data), np.int64).reshape(4, 3)
-    if not ((resolution >= 1) & (resolution <= whole) & (whole <= LARGEST_EXTENT)).all():
+    x, y, z, cell, *others = _CONFIGURATION.unpack_from(data)
+    resolution, (moved, whole, first, end) = np.array([x, y, z]), np.array(others, np.int64).reshape(4, 3)
+    plausible = all((1 <= extents).all() and (extents <= LARGEST_EXTENT).all() for extents in (resolution, whole))
+    agree = (end - first == resolution).all() and math.isclose(cell * whole.max(), 1.0, rel_tol=EDGE_TOLERANCE)
+    if not (plausible and agree):
         raise InputError(
-            f"{configuration}: damaged: {resolution.tolist()} cells of a domain of {whole.tolist()}, expected 1 to "
-            f"{LARGEST_EXTENT} each"
+            f"{configuration}: damaged: {resolution.tolist()} cells from {first.tolist()} to {end.tolist()}, of "
+            f"{cell:.4g}, in a domain of {whole.tolist()}; these contradict each other"
         )
     return _Part(resolution, whole, first + moved)

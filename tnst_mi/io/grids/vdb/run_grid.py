@@ -195,7 +195,7 @@ def _resampling_notes(spans: Sequence[Span], beside: Sequence[Span], cells: Affi
         blender = ""
         if first.blender:
             blender = (
-                " (Blender: Adaptive Domain changes them from frame to frame; the config/ of their cache, beside the "
+                " (Blender: Adaptive Domain changes them from frame to frame; the config/ of the same bake, beside the "
                 "folder of the files, would tell where they are)"
             )
         yield (

@@ -40,8 +40,6 @@ _VECTOR = struct.Struct("<3d")
 _MATRIX = struct.Struct("<16d")
 
 _MATRICES = ("AffineMap", "UnitaryMap")
-# The least volume of a voxel, relative to that of a box with its edges.
-_FLATTEST = 1e-6
 
 _SCALES = ("UniformScaleMap", "ScaleMap", "UniformScaleTranslateMap", "ScaleTranslateMap")
 
@@ -114,14 +112,13 @@ def read_transform(cursor: Cursor) -> Affine | str:
             cursor.take(4 * _VECTOR.size)  # the voxel size, and inverses derived from it
     else:
         return kind
-    known = np.isfinite(matrix).all() and np.isfinite(offset).all()
-    edges = np.linalg.norm(matrix, axis=0) if known else np.zeros(3)
-    if not edges.all() or abs(np.linalg.det(matrix / edges)) < _FLATTEST:
+    transform = Affine(matrix, offset)
+    if not transform.places_voxels:
         raise InputError(
-            f"{cursor.path}: voxels with edges of {edges.tolist()}, flat or placed nowhere, expected a map from voxels "
-            "to the scene that can be inverted; export the grid again"
+            f"{cursor.path}: voxels along {matrix.T.tolist()} from {offset.tolist()}, flat or placed nowhere, expected "
+            "a map from voxels to the scene that can be inverted; export the grid again"
         )
-    return Affine(matrix, offset)
+    return transform
 
 
 def written_transform(transform: Affine) -> bytes:
