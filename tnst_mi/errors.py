@@ -15,6 +15,10 @@ class InputError(ValueError):
     """
 
 
+class UnforeseenError(InputError):
+    """A file cannot be used, for a reason that nothing in the code foresees: the fault may be ours."""
+
+
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Errors in what is inside, which does not know its file, begin with the file's name.

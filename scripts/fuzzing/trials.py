@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fuzzing.readers import READERS
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, UnforeseenError
 
 #: Bounds of a read: characters of its message, seconds of processor time, bytes of memory.
 LONGEST_MESSAGE, LONGEST_TIME, MOST_MEMORY = 300, 2.0, 1_000_000_000
@@ -84,6 +84,8 @@ def trial(name: str, content: bytes, folder: Path) -> Trial:
     try:
         with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(shown), _printed(faults):
             READERS[name].read_damaged(content, folder)
+    except UnforeseenError as error:
+        faults["unforeseen"] = str(error)
     except InputError as error:
         refused = True
         faults |= _faults_of_message(str(error))
@@ -110,15 +112,17 @@ def limit_memory(beyond: int) -> None:
 
 @contextlib.contextmanager
 def _printed(faults: dict[str, str]) -> Iterator[None]:
-    """Note it as a fault if libraries that are not written in Python print anything on stderr."""
+    """Note it as a fault if libraries that are not written in Python print anything."""
     with tempfile.TemporaryFile() as file:
-        kept = os.dup(2)
-        os.dup2(file.fileno(), 2)
+        kept = [(stream, os.dup(stream)) for stream in (1, 2)]
+        for stream, _ in kept:
+            os.dup2(file.fileno(), stream)
         try:
             yield
         finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+            for stream, copy in kept:
+                os.dup2(copy, stream)
+                os.close(copy)
             file.seek(0)
             if text := file.read(LONGEST_MESSAGE):
                 faults["output"] = repr(text)

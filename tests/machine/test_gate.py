@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import lzma
 import os
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from tnst_mi.errors import InputError
-from tnst_mi.machine.gate import gate, opening, silenced
+from tnst_mi.errors import InputError, UnforeseenError
+from tnst_mi.machine.gate import decoding, gate, opening, silenced
 
 
 @pytest.mark.parametrize(
@@ -32,7 +35,7 @@ from tnst_mi.machine.gate import gate, opening, silenced
     ],
 )
 def test_one_line(error: Exception, words: str) -> None:
-    with pytest.raises(InputError) as caught, gate(Path("a.npz"), "an npz file"):
+    with pytest.raises(InputError) as caught, decoding(Path("a.npz"), "an npz file"):
         raise error
     message = str(caught.value)
     assert words in message and len(message) <= 300 and message.isprintable()
@@ -46,9 +49,23 @@ def test_interruptions_pass(error: BaseException) -> None:
 
 def test_the_cause_is_kept_for_debugging() -> None:
     cause = lzma.LZMAError("bad")
-    with pytest.raises(InputError) as caught, gate(Path("a.npz"), "an npz file"):
-        raise cause
-    assert caught.value.__cause__ is cause
+    for guard in (gate, decoding):
+        with pytest.raises(InputError) as caught, guard(Path("a.npz"), "an npz file"):
+            raise cause
+        assert caught.value.__cause__ is cause
+
+
+def test_what_our_own_code_raises_is_not_called_damage() -> None:
+    with pytest.raises(UnforeseenError) as caught, gate(Path("a.npz"), "an npz file"):
+        raise IndexError("list index out of range\n" * 100)
+    message = str(caught.value)
+    assert message.startswith("a.npz: cannot be used as an npz file (IndexError: list index") and len(message) <= 300
+    assert "damaged" not in message and "--debug" in message
+
+
+def test_the_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"b\.uni: no such file"), gate(Path("a.npz"), "an npz file"):
+        (tmp_path / "b.uni").read_bytes()
 
 
 def test_a_path_that_is_none(tmp_path: Path) -> None:
@@ -59,5 +76,34 @@ def test_a_path_that_is_none(tmp_path: Path) -> None:
 def test_what_libraries_print_is_dropped(capfd: pytest.CaptureFixture[str]) -> None:
     with silenced():
         os.write(2, b"library: corrupt\n")
-    os.write(2, b"ours\n")
-    assert capfd.readouterr().err == "ours\n"
+        print("library in Python: corrupt")
+        ctypes.CDLL(None).puts(b"library in C: corrupt")
+    os.write(1, b"ours\n")
+    os.write(2, b"ours too\n")
+    assert capfd.readouterr() == ("ours\n", "ours too\n")
+
+
+def test_streams_that_are_closed_or_used_by_several_threads() -> None:
+    """In a process of its own, as it takes the streams away."""
+    script = """
+import os, sys, threading
+from tnst_mi.machine.gate import silenced
+def often():
+    for _ in range(50):
+        with silenced():
+            os.write(2, b"library")
+before = os.readlink("/proc/self/fd/2"), len(os.listdir("/proc/self/fd"))
+threads = [threading.Thread(target=often) for _ in range(4)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+assert (os.readlink("/proc/self/fd/2"), len(os.listdir("/proc/self/fd"))) == before
+os.close(2)
+sys.stderr = None
+with silenced():
+    pass
+assert not os.path.exists("/proc/self/fd/2")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

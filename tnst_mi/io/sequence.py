@@ -145,11 +145,11 @@ class FrameFiles(Sequence[Frame]):
         """
         file = self.files[index]
         name = displayable(file.stem)
-        try:
-            with gate(file, f"a usable {self.suffix} file"):
+        with gate(file, "a frame"):
+            try:
                 return stored.frame(self._given, name, self.numbers[index])
-        except InputError as error:
-            raise InputError(f"{file}: {str(error).removeprefix(f'{name}: ')}") from None
+            except InputError as error:
+                raise InputError(f"{file}: {str(error).removeprefix(f'{name}: ')}") from None
 
     @functools.cached_property
     def _context(self) -> SequenceContext | None:

@@ -17,7 +17,7 @@ from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import MAGIC as RADIANCE
 from tnst_mi.io.pictures.radiance import read_radiance
 from tnst_mi.losses.tone_mapping import tone_mapped
-from tnst_mi.machine.gate import gate, silenced
+from tnst_mi.machine.gate import decoding, silenced
 
 # Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
 PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM", "AVIF", "HEIF")
@@ -91,7 +91,7 @@ def read_image(path: str | Path) -> GreyImage:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such picture file; give the path of a PNG or JPEG picture")
-    with gate(path, "a picture"), silenced():
+    with decoding(path, "a picture"), silenced():
         pixels, full_scale, remarks = _decode(path)
     height, width = pixels.shape[:2]
     if min(height, width) < 2:
@@ -158,7 +158,7 @@ def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32
                 if file.width * file.height > (most := _most_pixels(path, _PIXELS)):
                     raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
                 return _pixels(ImageOps.exif_transpose(file))
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         limit = Image.MAX_IMAGE_PIXELS

@@ -21,7 +21,7 @@ import numpy as np
 import tomlkit
 
 from tnst_mi.errors import InputError
-from tnst_mi.machine.gate import gate
+from tnst_mi.machine.gate import decoding
 from tnst_mi.recipe.flag_values import value_of_flag
 from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
 from tnst_mi.recipe.paths import located, shipped_name
@@ -109,7 +109,7 @@ class Recipe(Reading, Resources, Method, Goals):
                 of range, or a picture or another file that it names does not exist.
         """
         path = expanded(Path(path))
-        with gate(path, "a recipe file"):
+        with decoding(path, "a recipe file"):
             return cls.from_dict(read_recipe_file(path), source=f"{path}: ", folder=path.parent)
 
     @classmethod

@@ -19,19 +19,16 @@ def read_recipe_file(path: Path) -> dict[str, Any]:
     """The keys and values of a recipe file, as TOML has them.
 
     Raises:
-        InputError: the file is missing, too large, in another encoding, or not TOML; with the remedy where it is known.
+        InputError: the file is too large, in another encoding, or not TOML; with the remedy where it is known.
+        OSError: it cannot be read.
     """
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 1 MiB")
+    text = _decoded(path, path.read_bytes())
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 1 MiB")
-        text = _decoded(path, path.read_bytes())
         return tomllib.loads(text)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such recipe file") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML ({error}){_remedy(path, text, str(error))}") from None
-    except (OSError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read as a recipe ({error})") from None
 
 
 def _decoded(path: Path, data: bytes) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import some_of
@@ -45,6 +45,9 @@ class Readable(Iterable[Frame]):
         for index in range(len(self._frames)):
             try:
                 frame = self._frames[index]
+            except UnforeseenError:
+                # It may be our fault: then leaving the frame out would hide it.
+                raise
             except InputError as error:
                 self._bad.append(str(error))
                 continue

@@ -46,7 +46,7 @@ def read_linear(path: Path, most: int) -> np.ndarray:
             raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # the library raises RuntimeError and others on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tnst_mi.errors import InputError
-from tnst_mi.machine.gate import gate
+from tnst_mi.machine.gate import decoding
 from tnst_mi.network.readers.caffemodel import read_caffemodel
 from tnst_mi.network.readers.graphdef import read_graphdef
 from tnst_mi.network.readers.network_weights import MalformedFile, NetworkWeights
@@ -71,7 +71,7 @@ def flavour_of(path: Path) -> str:
 @contextmanager
 def _input_errors(path: Path) -> Iterator[None]:
     """Turn errors in reading a file into one line that names it."""
-    with gate(path, "the weights of a GoogLeNet"):
+    with decoding(path, "the weights of a GoogLeNet"):
         try:
             yield
         except MalformedFile as error:

@@ -96,6 +96,8 @@ def read_pth(path: Path) -> dict[str, Tensor]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about pickle protocols; what matters raises an error
             contents = torch.load(path, map_location="cpu", weights_only=True)
+    except MemoryError:
+        raise
     except Exception as error:  # a malformed pickle can make the unpickler raise almost anything
         raise MalformedFile(
             f"truncated, not a torch state dict, or one that holds more than tensors ({_first_line(error)})"
