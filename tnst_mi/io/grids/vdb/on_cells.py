@@ -89,7 +89,8 @@ def velocity_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
             _spread_to_centres(known)
         if velocity.staggered or grid.metadata.get(_LOCAL) is True:
             axes = grid.affine.axes()
-            directions = grid.affine.matrix / grid.affine.edge if axes is None else axes
+            # Only their directions: the components are in units of the scene, whatever the edges.
+            directions = grid.affine.matrix / grid.affine.edges if axes is None else axes
             values = values @ directions.T.astype(np.float32)
         return values
 
