@@ -9,8 +9,10 @@ the largest difference of a value, and whether active voxels, class and transfor
 
 Then results are held against their sources: the official module makes smoke in voxels of every kind (turned, mirrored,
 rotated, sheared, of unequal edges, of sizes and places that change from frame to frame, far from the origin, in half
-precision, in tiles, with another background), our reader reads them as a run does, our writer writes what it read, and
-the official module samples both files at 1000 points of the scene: where nothing was moved, they must agree to 1e-5.
+precision, in tiles, with another background, of a Blender domain that is adaptive, where the files' transforms are
+untrue), our reader reads them as a run does, our writer writes what it read, and the official module samples both files
+at 1000 points of the scene: where nothing was moved, they must agree to 1e-5. Of the adaptive domain, results on its
+true lattice are held against the smoke in its true place too.
 
 Without the module it says so and checks nothing: it is not on PyPI. Debian has it for its own Python (`apt-get install
 python3-openvdb`), which is run for it; give another one with --python. --keep leaves the official files, compressed,
@@ -22,6 +24,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
+import struct
 import subprocess
 import sys
 import tempfile
@@ -53,8 +56,12 @@ PLACEMENTS: dict[str, tuple[list[list[list[float]]], list[list[float]], str]] = 
     "far_away": ([[[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1e-3]]], [[1e6, 2e5, -3e6]], ""),
     "half": ([[[0.08, 0.06, 0], [-0.06, 0.08, 0], [0, 0, 0.1]]], [[0, 0, 0]], "half"),
     "tiles": ([[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]], [[0, 0, 0]], "tiles"),
+    "blender": ([[[e, 0, 0], [0, e, 0], [0, 0, e]] for e in (3.2 / 24, 3.2 / 27)], [[0, 0, 0]] * 2, "adaptive"),
     "background": ([[[0, 0.1, 0], [0, 0, 0.1], [0.1, 0, 0]]], [[0, 0, 0]], "background"),
 }
+
+#: Of Blender's adaptive domain, 3.2 high: the cells of the whole, those of the part in each frame, and its first cell.
+WHOLE, PARTS, FIRST = (36, 30, 40), ((24, 20, 22), (27, 20, 22)), ((3, 5, 1), (2, 6, 4))
 
 # Widens the box that is compared around the active voxels, so that inactive ones are too.
 _MARGIN = 3
@@ -168,13 +175,19 @@ def placement_agrees(python: str, kind: str, folder: Path) -> bool:
     sources.mkdir()
     ask(python, "place", kind, sources)
     frames = open_frames(sources, given=Conventions(box=Boxing(crop=True)))
+    pairs = [(kind, frame, frames.files[0].parent) for frame in frames]
+    if (sources / "true").is_dir():
+        # A size of voxels that is given makes their true places the transforms of results.
+        edge = frames[0].placement.voxel_size
+        on_lattice = open_frames(sources, given=Conventions(voxel_size=edge, box=Boxing(crop=True)))
+        pairs += [(f"{kind}_true", frame, sources / "true") for frame in on_lattice]
     good = True
-    for frame in frames:
-        save_frames(results / f"{frame.name}.vdb", frame)
-        found = results / f"{frame.name}.txt"
-        ask(python, "sample", sources / f"{frame.name}.vdb", results / f"{frame.name}.vdb", found)
+    for title, frame, source in pairs:
+        result, found = results / title / f"{frame.name}.vdb", results / f"{frame.name}.txt"
+        save_frames(result, frame)
+        ask(python, "sample", source / f"{frame.name}.vdb", result, found)
         difference = float(found.read_text())
-        print(f"{kind:28} {frame.name:12} {'1000 points':>9} {difference:10.3g}  {'; '.join(frames.grid_notes)}")
+        print(f"{title:28} {frame.name:12} {'1000 points':>9} {difference:10.3g}  {'; '.join(frames.grid_notes)}")
         good &= difference <= _AGREE
     return good
 
@@ -283,7 +296,31 @@ def place(openvdb: object, kind: str, folder: Path) -> None:
         grid.saveFloatAsHalf = particular == "half"
         rows = [[*row, 0.0] for row in matrix]
         grid.transform = openvdb.createLinearTransform([*rows, [*translation, 1.0]])
-        openvdb.write(str(folder / f"{kind}_{number:04d}.vdb"), [grid])
+        if particular == "adaptive":
+            place_adaptive(openvdb, smoke, grid, number, folder)
+        else:
+            openvdb.write(str(folder / f"{kind}_{number:04d}.vdb"), [grid])
+
+
+def place_adaptive(openvdb: object, smoke: np.ndarray, grid: object, number: int, folder: Path) -> None:
+    """Write a frame of an adaptive domain as Blender does, with its configuration, and once more in its true place."""
+    part, first, edge = PARTS[number], FIRST[number], 3.2 / max(WHOLE)
+    grid.clear()
+    grid.copyFromArray(np.pad(smoke, [(0, whole - cells) for whole, cells in zip(part, smoke.shape)]))  # noqa: B905
+    grid["file_base_resolution"] = part
+    data = folder / "data"
+    for path in (data, folder / "config", folder / "true"):
+        path.mkdir(exist_ok=True)
+    name = f"fluid_data_{number:04d}.vdb"
+    openvdb.write(str(data / name), [grid])
+    grid.transform = openvdb.createLinearTransform(edge)
+    grid.transform.translate([edge * cell for cell in first])
+    openvdb.write(str(folder / "true" / name), [grid])
+    values = struct.pack("<i3i2f", 11, *part, 1 / max(WHOLE), 0.1) + bytes(36 + 12 + 12 + 64)
+    ends = [low + cells for low, cells in zip(first, part)]  # noqa: B905
+    values += struct.pack("<9i", *WHOLE, *first, *ends) + bytes(20)
+    with gzip.open(folder / "config" / f"config_{number:04d}.uni", "wb") as file:
+        file.write(values)
 
 
 def sampled_difference(openvdb: object, source: str, result: str) -> float:

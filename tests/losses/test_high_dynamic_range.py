@@ -90,7 +90,7 @@ def test_axes_of_radiance_pictures(tmp_path: Path) -> None:
     ("data", "message"),
     [
         (b"#?RADIANCE\n", "not a Radiance picture, truncated, or damaged"),
-        (header(99999, 99999), "has 99999 x 99999 pixels, expected at most 4194304; make it smaller"),
+        (header(99999, 99999), "has 99999 x 99999 pixels, expected at most 8388608; make it smaller"),
         (header(0, 5), "has 5 x 0 pixels"),
         (header(4, 4), "a scanline is truncated"),
         (header(1, 8) + bytes((2, 2, 0, 8, 0)), "a scanline is damaged"),
@@ -129,6 +129,16 @@ def test_exr_and_radiance_agree(tmp_path: Path) -> None:
     exr, hdr = read_image(tmp_path / "a.exr"), read_image(tmp_path / "a.hdr")
     np.testing.assert_array_equal(exr.grey, hdr.grey)
     assert exr.remarks == hdr.remarks == ("has a high dynamic range: tone mapped (Reinhard, log mean 0.18, then sRGB)",)
+
+
+def test_linear_pictures_of_a_display_are_not_tone_mapped(tmp_path: Path) -> None:
+    """A picture saved as PNG and, linear, as OpenEXR is the same to the network."""
+    values = np.arange(256, dtype=np.float64).reshape(16, 16) / 255
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    write_exr(tmp_path / "a.exr", linear.astype(np.float32), {})
+    picture = read_image(tmp_path / "a.exr")
+    np.testing.assert_allclose(picture.grey, values, atol=1e-6)
+    assert "tone mapped" not in picture.remarks[0]
 
 
 def test_grey_exr_layers_and_alpha(tmp_path: Path) -> None:

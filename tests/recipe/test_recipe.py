@@ -218,7 +218,7 @@ def test_a_bad_recipe_is_named(tmp_path: Path, text: str, message: str) -> None:
 
 
 def test_unreadable_recipe_files(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none.toml: no such file"):
+    with pytest.raises(InputError, match=r"none\.toml: no such file"):
         Recipe.from_toml(tmp_path / "none.toml")
     with pytest.raises(InputError, match="cannot be read"):
         Recipe.from_toml(tmp_path)

@@ -16,11 +16,13 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import MAGIC as RADIANCE
 from tnst_mi.io.pictures.radiance import read_radiance
-from tnst_mi.losses.tone_mapping import tone_mapped
+from tnst_mi.losses.tone_mapping import srgb, tone_mapped
 from tnst_mi.machine.gate import decoding, silenced
 
 # Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
 PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM", "AVIF", "HEIF")
+#: All formats that are read.
+READABLE = (*PICTURE_FORMATS, "OpenEXR", "Radiance HDR")
 SIXTEEN_BIT_MODES = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 
 
@@ -31,7 +33,7 @@ _AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc",
 
 #: Pixels of a picture that a file of any size may have, and those for each of its bytes beyond that: for files that
 #: Pillow reads, and for those of high dynamic range, whose pixels take more memory.
-_PIXELS, _LINEAR_PIXELS = (1 << 25, 64), (1 << 22, 4)
+_PIXELS, _LINEAR_PIXELS = (40_000_000, 64), (1 << 23, 4)
 
 #: Standard deviation of grey below which a picture is nearly flat.
 _FLAT = 0.02
@@ -81,8 +83,8 @@ def read_image(path: str | Path) -> GreyImage:
     """Read a picture as grey: the mean of its three 8-bit channels / 255; an alpha channel is kept separately.
 
     Palette, one-bit, grey, colour and CMYK pictures are converted to 8-bit RGB, 16-bit grey ones are divided by 65535.
-    EXIF orientation is applied; only the first frame of an animation is read. OpenEXR and Radiance pictures are tone
-    mapped (`tnst_mi.losses.tone_mapping`).
+    EXIF orientation is applied; only the first frame of an animation is read. OpenEXR and Radiance pictures are linear:
+    with values above 1 they are tone mapped (`tnst_mi.losses.tone_mapping`), otherwise they get the curve of sRGB.
 
     Raises:
         InputError: The file is missing, unreadable, has more pixels than Pillow's limit (`PIL.Image.MAX_IMAGE_PIXELS`)
@@ -143,9 +145,13 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32, tuple[str, ...]]:
         linear = read_linear(path, most) if start.startswith(_OPENEXR) else read_radiance(path, most)
         if not np.isfinite(linear).all():
             raise InputError(f"{path}: {int((~np.isfinite(linear)).sum())} values are not finite; mend the picture")
-        alpha = np.clip(linear[..., 3:], 0.0, 1.0)
-        shown = np.concatenate([tone_mapped(linear[..., :3]), alpha], axis=-1)
-        return shown, np.float32(1), ("has a high dynamic range: tone mapped (Reinhard, log mean 0.18, then sRGB)",)
+        if linear[..., :3].max() > 1.0:
+            shown = tone_mapped(linear[..., :3])
+            remark = "has a high dynamic range: tone mapped (Reinhard, log mean 0.18, then sRGB)"
+        else:
+            shown = srgb(np.maximum(linear[..., :3], 0.0))
+            remark = "is linear, up to 1 at most: taken as that of a display (sRGB)"
+        return np.concatenate([shown, np.clip(linear[..., 3:], 0.0, 1.0)], axis=-1), np.float32(1), (remark,)
     return *_decoded_by_pillow(path, start), ()
 
 
@@ -164,7 +170,7 @@ def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32
         limit = Image.MAX_IMAGE_PIXELS
         raise InputError(f"{path}: the picture has more than {limit} pixels; make it smaller") from None
     except UnidentifiedImageError:
-        raise InputError(f"{path}: not a picture in a known format; use one of {', '.join(PICTURE_FORMATS)}") from None
+        raise InputError(f"{path}: not a picture in a known format; use one of {', '.join(READABLE)}") from None
     except Exception as error:  # Pillow's decoders raise many types on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: unreadable picture ({reason}); save it again as PNG or JPEG") from None
@@ -200,4 +206,6 @@ def _pixels(image: Image.Image) -> tuple[np.ndarray, np.float32]:
         if pixels.min() < 0 or pixels.max() > 65535:
             raise ValueError(f"pixels from {pixels.min()} to {pixels.max()} are not 16-bit")
         return pixels, np.float32(65535)
+    if image.mode in ("1", "L") and not image.has_transparency_data:
+        return np.asarray(image.convert("L")), np.float32(255)  # a third of the memory of three equal channels
     return np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB")), np.float32(255)

@@ -23,15 +23,23 @@ def tone_mapped(linear: np.ndarray) -> np.ndarray:
     Returns:
         (H, W, 3) float32 in [0, 1].
     """
-    linear = np.maximum(linear, 0.0).astype(np.float64)
-    luminance = linear @ _LUMINANCE
+    linear = np.maximum(linear, 0.0, dtype=np.float32)
+    # In double precision: float32 has values whose sum, or whose ratio to the mean, it has not.
+    luminance = linear @ _LUMINANCE.astype(np.float64)
     if not luminance.any():
         return np.zeros(linear.shape, np.float32)
     scale = _MIDDLE_GREY / np.exp(np.log(luminance[luminance > 0]).mean())
-    scaled = luminance * scale
-    factor = scale * (1 + scaled / scaled.max() ** 2) / (1 + scaled)
-    return _srgb(np.clip(linear * factor[..., None], 0.0, 1.0)).astype(np.float32)
+    white = scale * luminance.max()
+    for colours, row in zip(linear, luminance, strict=True):
+        scaled = scale * row
+        factor = scale * (1 + scaled / white**2) / (1 + scaled)
+        colours[...] = np.minimum(colours * factor[:, None], 1.0)
+    return srgb(linear)
 
 
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """The display values (H, W, 3) float32 in [0, 1] of linear ones in [0, 1]."""
+    shown = np.empty(linear.shape, np.float32)
+    for row, colours in zip(shown, linear, strict=True):
+        row[...] = np.where(colours <= 0.0031308, 12.92 * colours, 1.055 * colours ** (1 / 2.4) - 0.055)
+    return shown
