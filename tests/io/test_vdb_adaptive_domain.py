@@ -15,6 +15,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames, save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
+from tnst_mi.io.grids.vdb.frames import describe_vdb
 from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.sequence import FrameFiles
 
@@ -180,6 +181,14 @@ def test_the_configuration_of_another_bake_is_none(tmp_path: Path) -> None:
         with gzip.open(tmp_path / "config" / f"config_{number:04d}.uni", "wb") as file:
             file.write(configuration(first, moved, (*extents[:2], extents[2] + 1)))
     assert "resampled" in open_frames(data).grid_notes[0]
+
+
+def test_info_says_how_results_get_to_the_domain(tmp_path: Path) -> None:
+    data = cache(tmp_path)
+    lines = describe_vdb(data / "fluid_data_0001.vdb")
+    assert lines[-1].endswith("; --origin=-1,-1,-1 --voxel-size=0.2 places results as in its object")
+    shutil.rmtree(tmp_path / "config")
+    assert "domain" not in "".join(describe_vdb(data / "fluid_data_0001.vdb"))
 
 
 def test_any_changed_bit_of_a_configuration_is_found(tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ from tnst_mi.machine.gate import opening
 VOXEL_SIZE, TRANSLATION = "tnst_mi_voxel_size", "tnst_mi_translation"
 
 # What of a configuration is needed: the resolution of the part, the size of a cell in parts of the domain's longest
-# side, the cells by which the domain object has moved, the resolution of the domain, and the first cell of the part in
-# it, and the one after its last.
-_CONFIGURATION = struct.Struct("<4x 3i f 40x 3i 76x 3i 3i 3i")
+# side, the lowest corner of the domain, the cells by which the domain object has moved, the resolution of the domain,
+# and the first cell of the part in it, and the one after its last.
+_CONFIGURATION = struct.Struct("<4x 3i f 4x 3f 24x 3i 76x 3i 3i 3i")
 
 # Configurations of other versions of Blender may be longer than those known, but not so long.
 _LONGEST_CONFIGURATION = 1 << 16
@@ -49,6 +49,7 @@ class _Part:
     resolution: np.ndarray
     whole: np.ndarray
     first: np.ndarray
+    corner: tuple[float, float, float]  # the lowest of the domain, in the scene's units along the object's own axes
 
 
 def placed(file: VdbFile) -> VdbFile:
@@ -67,6 +68,17 @@ def placed(file: VdbFile) -> VdbFile:
         return file
     part = _part(file.path)
     return file if part is None else replace(file, grids=[_in_domain(grid, part) for grid in file.grids])
+
+
+def domain_corner(path: Path) -> tuple[float, float, float] | None:
+    """The lowest corner of the domain of Blender that a file of a cache is of, along the axes of the domain object and
+    from its origin; None if nothing tells.
+
+    Raises:
+        InputError: the configuration beside the file is damaged.
+    """
+    part = _part(path)
+    return None if part is None else part.corner
 
 
 def _in_domain(grid: Grid, part: _Part) -> Grid:
@@ -100,8 +112,9 @@ def _part(path: Path) -> _Part | None:
                 raise InputError(f"{configuration}: has more than {_LONGEST_CONFIGURATION} bytes")
         if len(data) < _CONFIGURATION.size:
             raise InputError(f"{configuration}: truncated: {len(data)} bytes, expected {_CONFIGURATION.size} or more")
-    x, y, z, cell, *others = _CONFIGURATION.unpack_from(data)
-    resolution, (moved, whole, first, end) = np.array([x, y, z]), np.array(others, np.int64).reshape(4, 3)
+    numbers = _CONFIGURATION.unpack_from(data)
+    resolution, cell, (x, y, z) = np.array(numbers[:3]), numbers[3], numbers[4:7]
+    moved, whole, first, end = np.array(numbers[7:], np.int64).reshape(4, 3)
     plausible = all((1 <= extents).all() and (extents <= LARGEST_EXTENT).all() for extents in (resolution, whole))
     agree = (end - first == resolution).all() and math.isclose(cell * whole.max(), 1.0, rel_tol=EDGE_TOLERANCE)
     if not (plausible and agree):
@@ -109,4 +122,4 @@ def _part(path: Path) -> _Part | None:
             f"{configuration}: damaged: {resolution.tolist()} cells from {first.tolist()} to {end.tolist()}, of "
             f"{cell:.4g}, in a domain of {whole.tolist()}; these contradict each other"
         )
-    return _Part(resolution, whole, first + moved)
+    return _Part(resolution, whole, first + moved, (x, y, z))

@@ -19,7 +19,7 @@ from tnst_mi.frame import Note
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
-from tnst_mi.io.grids.vdb.adaptive_domain import placed
+from tnst_mi.io.grids.vdb.adaptive_domain import domain_corner, placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
@@ -156,9 +156,9 @@ def has_density(path: Path, wanted: Wanted) -> bool:
 
 
 def describe_vdb(path: Path) -> list[str]:
-    """The contents of a file, one line per grid."""
-    lines = []
-    for grid in read_vdb(path).grids:
+    """The contents of a file, one line per grid; of a cache of Blender, where its domain begins."""
+    lines, file = [], placed(read_vdb(path))
+    for grid in file.grids:
         words = [type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec]
         words.append(_voxels(grid))
         if grid.kind is not None:
@@ -168,6 +168,13 @@ def describe_vdb(path: Path) -> list[str]:
                 words.append(f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}")
             words += _range(grid)
         lines.append(f"  grid {grid.name!r}: {', '.join(words)}")
+    if any(BLENDER in grid.metadata for grid in file.grids) and (corner := domain_corner(path)):
+        flags = f"--origin={','.join(f'{number:g}' for number in corner)}"
+        if file.grids[0].placed is not None:
+            flags += f" --voxel-size={file.grids[0].affine.edge:g}"
+        lines.append(
+            f"  domain of Blender: it begins at the origin in the cache; {flags} puts results where its object is"
+        )
     return lines
 
 
