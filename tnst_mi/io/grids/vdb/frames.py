@@ -172,9 +172,7 @@ def describe_vdb(path: Path) -> list[str]:
         flags = f"--origin={','.join(f'{number:g}' for number in corner)}"
         if file.grids[0].placed is not None:
             flags += f" --voxel-size={file.grids[0].affine.edge:g}"
-        lines.append(
-            f"  domain of Blender: it begins at the origin in the cache; {flags} puts results where its object is"
-        )
+        lines.append(f"  domain of Blender: at the origin in the cache; {flags} places results as in its object")
     return lines
 
 
