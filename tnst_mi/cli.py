@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import errno
 import importlib
 import io
 import os
@@ -107,6 +108,9 @@ def _code(arguments: list[str]) -> int:
             return _failed(arguments, "out of memory: take smaller frames, or free some memory or raise its limit", 2)
         if isinstance(error, OSError) and error.strerror and error.filename is not None:
             return _failed(arguments, f"{error.filename}: {error.strerror}", 1)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EBADF):
+            # Whatever is a file has its name in the error.
+            return _failed(arguments, f"the output cannot be written ({error.strerror})", 1)
         cause: BaseException = error
         while cause.__cause__ is not None:
             cause = cause.__cause__

@@ -12,13 +12,16 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from moving_smoke import moving_smoke
 
-from tnst_mi.io import atomic
+from tnst_mi.cli import main
+from tnst_mi.io import atomic, save_frames
 
 #: What differs between two runs of the same bits: times, memory, and when and where they ran.
 _OF_THE_OCCASION = ("started", "seconds", "peak_memory_bytes", "timings", "input")
@@ -33,7 +36,7 @@ class Writes:
         seen: called with the number of each write before it, and once more after it.
     """
 
-    def __init__(self, fails: int = 0, error: int = 0, seen: Callable[[int, str], None] | None = None) -> None:
+    def __init__(self, fails: int = 0, error: int = 0, seen: Callable[[int, str], object] | None = None) -> None:
         self._fails, self._error, self._seen = fails, error, seen
         self._order = threading.Lock()
         self.names: list[str] = []
@@ -98,6 +101,49 @@ def plain_pictures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def quick() -> Iterator[None]:
+    """Runs whose plots and videos take no time."""
+    with plain_pictures():
+        yield
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory, tiny_weights: Path) -> list[str]:
+    """The arguments of a run, but for its folder: two frames, a window of 3, two octaves of one iteration."""
+    folder = tmp_path_factory.mktemp("input")
+    save_frames(folder / "smoke", moving_smoke(2))
+    goal = ["--semantic", "inception_3a/3x3:2", "--octaves", "2", "--iterations", "1", "--views", "1"]
+    kept = ["--window", "3", "--coherence", "1", "--lam", "0.5", "--weights", str(tiny_weights)]
+    return ["stylize", str(folder / "smoke"), *goal, *kept, "--out"]
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """A run that nothing disturbed.
+
+    Attributes:
+        results: see `results`.
+        names: of the files that it wrote, in their order.
+        left: a folder with what a process would have left that died at a write, as NUMBER-before and NUMBER-after.
+    """
+
+    results: dict[str, Any]
+    names: list[str]
+    left: Path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(begun: list[str], tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    """The run of `begun`."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    out, left = folder / "out", folder / "left"
+    writes = Writes(seen=lambda number, when: shutil.copytree(out, left / f"{number}-{when}"))
+    with plain_pictures(), writes.counted():
+        assert main([*begun, str(out)]) == 0
+    return Undisturbed(results(out), writes.names, left)
+
+
 def results(out: Path) -> dict[str, Any]:
     """Everything in the folder of a finished run, bit by bit, but for what belongs to the occasion."""
     found: dict[str, Any] = {}
@@ -124,11 +170,6 @@ def unfinished(out: Path) -> list[str]:
             except ValueError:
                 bad.append(path.name)
     return bad
-
-
-def copied(out: Path, to: Path) -> None:
-    """A copy of a folder as it is now; the lock in it is that of a process that is no more."""
-    shutil.copytree(out, to)
 
 
 def _without_occasion(value: Any) -> Any:

@@ -95,7 +95,11 @@ class Run(Iterator[StylizedFrame]):
         """
         return next(self._frames)
 
-    def _stylized(self) -> Iterator[StylizedFrame]:
+    def close(self) -> None:
+        """End the run here, and let others write to its folder; it can be resumed."""
+        self._frames.close()
+
+    def _stylized(self) -> Generator[StylizedFrame, None, None]:
         out = self.prepared.out
         try:
             if out is None:
@@ -109,7 +113,9 @@ class Run(Iterator[StylizedFrame]):
         except OSError as error:
             if out is None or error.errno is None:
                 raise
-            reason = _REASONS.get(error.errno, f"{error.filename or 'a file'} cannot be written ({error.strerror})")
+            reason = _REASONS.get(
+                error.errno, f"{error.filename or 'a file'} cannot be written ({error.strerror}); mend that"
+            )
             raise StoppedError(f"{out}: {reason} and go on with --resume, nothing is lost") from error
         finally:
             self._bar.close()
