@@ -1,6 +1,7 @@
 """The command line: find the command, let tyro read its flags, run it, and turn failures into exit codes.
 
-Exit codes: 0 done, 1 failed, 2 bad input, 3 interrupted. Results go to stdout, progress and errors to stderr.
+Exit codes: 0 done, 1 failed, 2 bad input, 3 interrupted; 141, as of a program that SIGPIPE ends, if the reader of
+stdout has left. Results go to stdout, progress and errors to stderr.
 
 Imports are deferred until they are needed: the overview and unknown commands need none, --help and wrong flags only
 those of `tnst_mi.commands.arguments`.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import errno
 import importlib
 import io
 import os
@@ -22,6 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine.address_space import require_address_space
+from tnst_mi.machine.interrupt import ended_like_ctrl_c
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.resources import VERSION, expanded
 
@@ -44,6 +48,12 @@ COMMANDS = {
     "missing.",
 }
 
+#: Commands that load neither the network nor what compiles kernels.
+_WITHOUT_TORCH = ("info", "convert")
+
+#: The exit code that shells show for a program that SIGPIPE has ended (128 + 13), as it ends git and the coreutils.
+READER_LEFT = 141
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `tnst-mi` with the given arguments (those of the process if None) and return its exit code."""
@@ -54,9 +64,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 stream.reconfigure(errors="replace")  # for consoles without λ and →
     arguments = list(arguments)
     try:
-        code = _run(arguments)
-        sys.stdout.flush()
-        return code
+        with ended_like_ctrl_c():
+            code = _code(arguments)
+    except BrokenPipeError:  # such as `tnst-mi info ... | head`
+        code = READER_LEFT
+    try:
+        if sys.stdout is not None:  # as in a program that is started without one
+            sys.stdout.flush()
+    except OSError as error:
+        assert sys.stdout is not None
+        # Python writes what is left on exit, and would complain once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return READER_LEFT
+        return code or _failed(arguments, f"the output cannot be written ({error.strerror})", 1)
+    return code
+
+
+def _code(arguments: list[str]) -> int:
+    """The exit code of a command, which is run; what goes wrong is said in one line.
+
+    Raises:
+        BrokenPipeError: the reader of stdout or stderr has left.
+    """
+    try:
+        return _run(arguments)
     except SystemExit as stop:  # after --help
         return int(stop.code or 0)
     except KeyboardInterrupt:
@@ -64,16 +96,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(arguments, f"interrupted{kept}", 3)
     except StoppedError as error:
         return _failed(arguments, str(error), 3)
-    except BrokenPipeError:  # such as `tnst-mi info ... | head`
-        # Python flushes stdout once more on exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    except BrokenPipeError:
+        raise
     except Exception as error:
         if any(isinstance(link, KeyboardInterrupt) for link in _chain(error)):
             return _failed(arguments, "interrupted", 3)  # inside a callback of Mitsuba's or Dr.Jit's
         bad_input = next((link for link in _chain(error) if isinstance(link, InputError)), None)
         if bad_input is not None:
             return _failed(arguments, str(bad_input), 2)
+        if any(isinstance(link, MemoryError) for link in _chain(error)):
+            return _failed(arguments, "out of memory: take smaller frames, or free some memory or raise its limit", 2)
+        if isinstance(error, OSError) and error.strerror and error.filename is not None:
+            return _failed(arguments, f"{error.filename}: {error.strerror}", 1)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EBADF):
+            # Whatever is a file has its name in the error.
+            return _failed(arguments, f"the output cannot be written ({error.strerror})", 1)
         cause: BaseException = error
         while cause.__cause__ is not None:
             cause = cause.__cause__
@@ -90,9 +127,11 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _failed(arguments: list[str], message: str, code: int) -> int:
-    if "--debug" in arguments:
-        traceback.print_exc()
-    print("tnst-mi:", one_line(message), file=sys.stderr)
+    # Where stderr cannot be written to either, as on a terminal that has been closed, the code has to do.
+    with contextlib.suppress(OSError):
+        if "--debug" in arguments:
+            traceback.print_exc()
+        print("tnst-mi:", one_line(message), file=sys.stderr)
     return code
 
 
@@ -110,6 +149,7 @@ def _run(arguments: list[str]) -> int:
         hint = f"did you mean {nearest[0]}?" if nearest else f"expected one of {', '.join(COMMANDS)}"
         raise InputError(f"no command {name!r}; {hint} (tnst-mi --help explains them)")
     parsed = _parsed(name, arguments[1:])
+    require_address_space(name in _WITHOUT_TORCH)
     return importlib.import_module(f"tnst_mi.commands.{name}").run(parsed)
 
 

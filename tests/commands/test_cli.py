@@ -6,6 +6,7 @@ import errno
 import importlib
 import inspect
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,7 @@ from command_line import Run, refused, run, smoke
 from jobs import FakeOptimiser, frames, optimiser
 from networks import random_googlenet
 
-from tnst_mi.cli import COMMANDS
+from tnst_mi.cli import COMMANDS, READER_LEFT
 from tnst_mi.commands import doctor
 from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
@@ -233,7 +234,7 @@ def test_a_reader_that_leaves_early_is_no_failure(tmp_path: Path) -> None:
         process.stdout.close()
         process.stdin.close()
         assert process.stderr.read() == b""
-    assert process.returncode == 1
+    assert process.returncode == READER_LEFT == 128 + signal.SIGPIPE
 
 
 def test_only_stylize_offers_to_resume(run: Run, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,10 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tnst_mi.errors import InputError
 from tnst_mi.machine.host_copy import HostCopy
 from tnst_mi.optimisation.items.device_store import DeviceStore
-from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore
+from tnst_mi.optimisation.items.store import Arrays, DamagedItemError, FolderStore, MemoryStore
 
 
 class Watched(MemoryStore):
@@ -38,7 +37,7 @@ class Watched(MemoryStore):
         self.reads.update((group, frame, name) for name in found)
         return found
 
-    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
         assert self.open.wait(10)
         if self.full:
             raise OSError("no space left")
@@ -201,7 +200,7 @@ def store_value(items: DeviceStore, _: object) -> float:
     return float(items._load(("fields.0", 0, ["step"]))["step"][0, 0, 0])
 
 
-def test_damaged_items_are_named_when_they_are_read_ahead(tmp_path: Path) -> None:
+def test_damaged_items_are_found_when_they_are_read_ahead(tmp_path: Path) -> None:
     store = FolderStore(tmp_path)
     for frame in range(2):
         store.write("step.0", frame, 1, {"step": np.zeros(3, np.float16)})
@@ -210,7 +209,7 @@ def test_damaged_items_are_named_when_they_are_read_ahead(tmp_path: Path) -> Non
     with closing(DeviceStore(store, 1280)) as items:
         results = items.read_each([[("step.0", frame, ["step"])] for frame in range(2)])
         next(results)
-        with pytest.raises(InputError, match=r"000001\.000001\.safetensors: damaged"):
+        with pytest.raises(DamagedItemError, match=r"000001\.000001\.safetensors: damaged"):
             next(results)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tnst_mi.errors import InputError
-from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
+from tnst_mi.optimisation.items.store import DamagedItemError, FolderStore, MemoryStore, Store
 
 
 @pytest.fixture(params=["memory", "folder"])
@@ -82,14 +82,94 @@ def test_what_a_killed_run_leaves_does_no_harm(tmp_path: Path) -> None:
     assert not unfinished.exists() and len(list(tmp_path.glob("*/*"))) == 1
 
 
-@pytest.mark.parametrize("damage", [b"", b"\xff" * 100, None])
-def test_damaged_items_are_named(damage: bytes | None, tmp_path: Path) -> None:
+def an_item(folder: Path, group: str = "fields.0", frame: int = 1, generation: int = 4) -> Path:
+    return folder / group / f"{frame:06d}.{generation:06d}.safetensors"
+
+
+def flipped(path: Path) -> None:
+    """One bit of the contents of the last array."""
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(b"\xff" * 100),
+        lambda path: path.write_bytes(path.read_bytes()[:-5]),
+        lambda path: path.write_bytes(bytes(path.stat().st_size)),
+        lambda path: path.unlink(),
+        flipped,
+    ],
+    ids=["empty", "other", "truncated", "zeros", "removed", "flipped"],
+)
+def test_damaged_items_are_found(damage: Callable[[Path], object], tmp_path: Path) -> None:
     store = FolderStore(tmp_path)
     store.write("fields.0", 1, 4, arrays(3))
-    path = tmp_path / "fields.0" / "000001.000004.safetensors"
-    path.write_bytes(path.read_bytes()[:-5] if damage is None else damage)
-    with pytest.raises(InputError, match=r"000001\.000004\.safetensors: damaged .* start anew with --overwrite"):
+    damage(an_item(tmp_path))
+    with pytest.raises(DamagedItemError, match=r"000001\.000004\.safetensors: damaged .*; --resume makes anew") as told:
         store.read("fields.0", 1)
-    (tmp_path / "numbers.json").write_bytes(b"{")
-    with pytest.raises(InputError, match=r"numbers\.json: damaged"):
-        store.numbers("scales.0")
+    assert (told.value.group, told.value.frame) == ("fields.0", 1)
+
+
+def test_items_in_the_place_of_others_are_found(tmp_path: Path) -> None:
+    """Of another frame, group, generation or run, each whole in itself."""
+    store = FolderStore(tmp_path / "a", run="a")
+    for group, frame, generation in (("fields.0", 1, 4), ("fields.0", 2, 4), ("fields.1", 1, 4), ("fields.0", 3, 5)):
+        store.write(group, frame, generation, arrays(3))
+    other = FolderStore(tmp_path / "b", run="b")
+    other.write("fields.0", 1, 4, arrays(3))
+    whole = an_item(tmp_path / "a").read_bytes()
+    for path in (
+        *(
+            an_item(tmp_path / "a", frame=2),
+            an_item(tmp_path / "a", "fields.1"),
+            an_item(tmp_path / "a", "fields.0", 3, 5),
+        ),
+        an_item(tmp_path / "b"),
+    ):
+        an_item(tmp_path / "a").write_bytes(path.read_bytes())
+        with pytest.raises(DamagedItemError, match=r"the checksum of .* is another"):
+            store.read("fields.0", 1)
+    an_item(tmp_path / "a").write_bytes(whole)
+    assert store.read("fields.0", 1)["phi"][0, 0] == 3
+
+
+def test_damaged_numbers_are_found(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path)
+    store.write_numbers("scales.0", {"style": 2.0})
+    text = (tmp_path / "numbers.json").read_text()
+    for damaged in ("", "{", "[]", "7", "{}", text.replace("2.0", "2.5")):
+        (tmp_path / "numbers.json").write_text(damaged)
+        with pytest.raises(DamagedItemError, match=r"numbers\.json: damaged"):
+            store.numbers("scales.0")
+    (tmp_path / "numbers.json").write_text(text)
+    assert store.numbers("scales.0") == {"style": 2.0} and store.numbers("scales.1") is None
+
+
+def test_items_and_groups_are_removed(store: Store) -> None:
+    for group in ("fields.0", "step.0"):
+        for frame in (0, 1):
+            store.write(group, frame, 1, arrays(frame))
+    store.write_numbers("scales.0", {"style": 2.0})
+    store.discard("step.0", 1)
+    store.discard("step.0", 7)
+    assert [store.generation("step.0", frame) for frame in (0, 1)] == [1, -1]
+    store.clear()
+    assert store.generation("fields.0", 0) == store.generation("step.0", 0) == -1 and store.numbers("scales.0") is None
+
+
+def test_a_removal_that_was_killed_is_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No part of the group is left for those who come later."""
+    store = FolderStore(tmp_path)
+    for frame in (0, 1):
+        store.write("fields.0", frame, 1, arrays(frame))
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.rmtree", lambda path: (_ for _ in ()).throw(OSError("killed")))
+        with pytest.raises(OSError, match="killed"):
+            store.remove("fields.0")
+    again = FolderStore(tmp_path)
+    assert again.generation("fields.0", 0) == again.generation("fields.0", 1) == -1
+    assert list(tmp_path.iterdir()) == []

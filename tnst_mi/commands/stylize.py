@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +58,10 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
 def reported(frames: Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:
     """Iterate over a run, which writes its results, and report every frame on stdout; 3 if it was interrupted."""
     out, record = frames.prepared.out, frames.record
-    for frame in frames:
-        # tqdm.write keeps the lines apart from the progress bar.
-        tqdm.write(summary(frame), file=sys.stdout)
+    with closing(frames):
+        for frame in frames:
+            # tqdm.write keeps the lines apart from the progress bar.
+            tqdm.write(summary(frame), file=sys.stdout)
     if record["frames"]:
         print(f"results   {out}")
     if "sequence" in record:

@@ -1,4 +1,8 @@
-"""Atomic writes: a file appears complete or not at all."""
+"""Atomic writes: a file appears complete or not at all, and stays once it has appeared.
+
+Everything that the package writes passes through here: a process that is killed leaves whole files and unfinished ones
+of hidden names, and a machine that loses its power has what was written before it.
+"""
 
 from __future__ import annotations
 
@@ -7,38 +11,141 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-#: With fewer free bytes, a disk counts as full.
-_ROOM = 1 << 20
+#: Bytes written to find out why a library could not write.
+_PROBE = 1 << 20
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
+def written_whole(path: Path, durable: bool = True) -> Iterator[Path]:
     """Yield the path of a temporary file beside `path`, renamed to `path` if the block ends without an exception.
 
-    The temporary file keeps the extension, from which some writers infer the format. Missing folders are created. This
-    is safe against a killed process, not against a machine crash: the file system may commit the new name before the
-    contents.
+    The temporary file keeps the extension, from which some writers infer the format. Missing folders are created.
+
+    Args:
+        path: the file.
+        durable: whether it has to be on the disk, and not only on its way there, when the block ends. A file that is
+            not is safe against a killed process, but not against a loss of power, after which it may be empty.
+
+    Raises:
+        OSError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield temporary
-        os.replace(temporary, path)
+        _publish(temporary, path, durable)
+    except OSError as error:
+        # Who reads of it looks for the file, not for the unfinished one.
+        if error.filename in (None, str(temporary)):
+            error.filename, error.filename2 = str(path), None
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        # Where even that fails, the failure to write is what to tell.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def append(path: Path, text: str) -> None:
+    """Add a text to the end of a file, which `sync` makes durable; of a text that does not fit, a part may be added.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    make_folder(path.parent)
+    _add(path, text)
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder and those above it, durably, unless they exist.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+    if folder.is_dir():
+        return
+    make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    sync(folder.parent)
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove a folder with everything in it, if it is there, in one step: no killed process leaves a part of it.
+
+    Raises:
+        OSError: it cannot be removed.
+    """
+    # Names that begin with a dot are those of what is unfinished.
+    removed = folder.with_name(f".{folder.name}.{os.getpid()}.removed")
+    try:
+        os.replace(folder, removed)
+    except FileNotFoundError:
+        return
+    sync(folder.parent)
+    shutil.rmtree(removed)
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the temporary files that a killed process left in a folder."""
+    """Remove the temporary files, and the folders being removed, that a killed process left in a folder."""
     for path in folder.iterdir() if folder.is_dir() else ():
-        if re.fullmatch(r"\..+\.\d+\.\w+", path.name) and path.is_file():
+        if not re.fullmatch(r"\..+\.\d+\.\w+", path.name):
+            continue
+        if path.is_file():
             path.unlink(missing_ok=True)
+        elif path.suffix == ".removed":
+            shutil.rmtree(path)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk.
+
+    Raises:
+        OSError: the disk failed.
+    """
+    folder = path.is_dir()
+    if folder and os.name != "posix":
+        return  # Windows has no such thing for folders
+    descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        # Some network file systems refuse it for folders, whose names they keep by themselves.
+        if not (folder and error.errno in (errno.EINVAL, errno.ENOTSUP)):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def write_failure(path: Path, reason: str) -> OSError:
-    """The error for a library that reports only that writing failed: ENOSPC if the disk is full, else EIO."""
-    full = shutil.disk_usage(path.parent).free < _ROOM
-    return OSError(errno.ENOSPC if full else errno.EIO, reason, str(path))
+    """The error for a library that reports only that it could not write a file: what the system says to another try.
+
+    That is a full disk, a quota that is used up, a folder that cannot be written to; or EIO if the try succeeds.
+    """
+    probe = path.with_name(f".probe.{os.getpid()}.tmp")
+    try:
+        with probe.open("wb") as file:
+            file.write(bytes(_PROBE))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        return OSError(error.errno, reason, str(path))
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+    return OSError(errno.EIO, reason, str(path))
+
+
+def _publish(temporary: Path, path: Path, durable: bool) -> None:
+    """Give a finished file its name; its contents must be on the disk before its name is."""
+    if durable:
+        sync(temporary)
+    os.replace(temporary, path)
+    if durable:
+        sync(path.parent)
+
+
+def _add(path: Path, text: str) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(text)

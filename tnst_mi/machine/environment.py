@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import psutil
 
+from tnst_mi.machine import address_space
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.llvm import llvm_library
 from tnst_mi.resources import VERSION
@@ -104,8 +105,11 @@ def resident_memory() -> int:
 
 
 def free_memory() -> int:
-    """The memory that this process can still use without swapping, in bytes; containers and jobs may have a limit."""
-    return min([psutil.virtual_memory().available, *_left_by_limits(Path("/"))])
+    """The memory that this process can still use without swapping, in bytes; it or its container may have a limit."""
+    left = [psutil.virtual_memory().available, *_left_by_limits(Path("/"))]
+    if (most := address_space.limit()) is not None:
+        left.append(max(0, most - psutil.Process().memory_info().vms))
+    return min(left)
 
 
 def _left_by_limits(root: Path) -> list[int]:

@@ -11,6 +11,7 @@ from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.state import Items
+from tnst_mi.optimisation.items.store import DamagedItemError
 from tnst_mi.optimisation.plan import FramePlan, Plan
 
 #: Yields the given frames one by one; a run may end in between.
@@ -32,7 +33,8 @@ def levels_left(plan: Plan, store: DeviceStore) -> range:
 
 
 def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore, each: Each) -> Items:
-    """The items of an octave, once every frame has entered it; those of earlier octaves are removed."""
+    """The items of an octave, once every frame has entered it; those of earlier octaves are removed, but
+    for the fields of the last one."""
     # Memory blocks of the previous octave are too small for this one.
     release_memory()
     items, windowed = Items(plan, level, store), plan.window > 1
@@ -42,8 +44,11 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore,
         items.enter_inputs(frame, frames[frame.index])
     for frame in each(plan.alive):
         items.enter_fields(frame, earlier[-1] if earlier else None)
+    if windowed and plan.alive:
+        items.require_in_step()
     for octave in earlier:
-        octave.forget()
+        # Should an item of this octave be damaged, it can be begun again: see `items.mending`.
+        octave.forget(keep_fields=octave is earlier[-1])
     for frame in each(plan.alive if windowed and plan.recipe.window_average == "smoke" else ()):
         items.enter_gain(frame)
     return items
@@ -53,9 +58,14 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore,
     """The problem of an octave, its terms scaled by the RMS of their image gradients, pooled over the sequence.
 
     Without loss scaling, all scales are 1.
+
+    Raises:
+        DamagedItemError: the scales with which the octave began have got lost.
     """
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
     scales = store.backing.numbers(name)
+    if scales is None and any(items.iterations_done(frame) > 0 for frame in plan.alive):
+        raise DamagedItemError(name, "they have got lost")
     if scales is None and plan.recipe.loss_scaling == "none":
         scales = problem.loss.scales
         store.backing.write_numbers(name, scales)

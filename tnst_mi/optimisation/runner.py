@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -15,8 +16,9 @@ from tnst_mi.optimisation.algorithm import T, algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.mending import Mending
 from tnst_mi.optimisation.items.state import Current, Items
-from tnst_mi.optimisation.items.store import Store
+from tnst_mi.optimisation.items.store import DamagedItemError, Store
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
@@ -64,8 +66,10 @@ class SequenceOptimisation:
             finished: indices of frames that need not be yielded any more.
 
         Raises:
-            InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame or the store is
-                damaged, or a loss is not finite.
+            InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame is damaged, or a
+                loss is not finite.
+            DamagedItemError: items of the store are damaged again after they were made anew.
+            OSError: the store cannot be written.
         """
         plan, self._on_iteration, self._finished = self._plan, on_iteration, frozenset(finished)
         self._items, self.interrupted = None, False
@@ -77,13 +81,7 @@ class SequenceOptimisation:
             closing(DeviceStore(self._store, self._cache_bytes)) as store,
         ):
             try:
-                done = algorithm_1(plan, self._frames, self._network, store, self)
-                for frame in wanted:
-                    self._stop_here()
-                    items, problem = (None, None) if frame.still else next((i, p) for f, i, p in done if f is frame)
-                    # The result may share memory with items that are being written.
-                    store.finish()
-                    yield frame.index, self._result(frame, items, problem)
+                yield from self._results(wanted, store)
             except KeyboardInterrupt:
                 self.interrupted = True
                 if self._items is not None:
@@ -93,6 +91,28 @@ class SequenceOptimisation:
                         self._report(self._items)
             if self.interrupted and len(plan.frames) == 1:
                 yield 0, replace(self._as_far_as_it_got(plan.frames[0], store), interrupted=True)
+
+    def _results(self, wanted: Sequence[FramePlan], store: DeviceStore) -> Iterator[tuple[int, Stylized]]:
+        """The results of the wanted frames; where an item of the working state is damaged, what it takes is redone."""
+        plan, mending = self._plan, Mending(self._plan, store)
+        waiting = deque(wanted)
+        while waiting:
+            try:
+                done = algorithm_1(plan, self._frames, self._network, store, self)
+                while waiting:
+                    self._stop_here()
+                    frame = waiting[0]
+                    items, problem = (None, None) if frame.still else next((i, p) for f, i, p in done if f is frame)
+                    # The result may share memory with items that are being written.
+                    store.finish()
+                    result = self._result(frame, items, problem)
+                    waiting.popleft()
+                    self._finished |= {frame.index}
+                    yield frame.index, result
+            except DamagedItemError as damage:
+                # What is only in memory follows from items that may have to go.
+                self._items = None
+                mending.mend(damage)
 
     # ---------------------------------------------------------------- turns
 

@@ -59,7 +59,9 @@ def stylize(
         progress: show a progress bar on stderr.
 
     Raises:
-        InputError: the frames, the recipe, the weights or `out` cannot be used; nothing is written in that case.
+        InputError: the frames, the recipe, the weights or `out` cannot be used, and nothing is written; or a frame has
+            changed since the run began.
+        StoppedError: nothing more can be written to `out`; the run can be resumed there.
 
     Example:
         >>> import numpy as np, tnst_mi

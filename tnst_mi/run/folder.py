@@ -6,16 +6,16 @@
     recipe.toml          the recipe as run              run.json             the record of the run
     metrics.jsonl        one line per iteration
 
-Every file is written atomically; a frame counts as finished once run.json, which is written last, lists it as complete.
+Every file is written atomically and durably; a frame counts as finished once run.json, which is written last, lists it
+as complete.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,13 @@ from matplotlib.figure import Figure
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.atomic import remove_unfinished, written_whole
+from tnst_mi.io.atomic import remove_folder, remove_unfinished, written_whole
 from tnst_mi.io.files.companions import OBSTACLE, companion
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
+from tnst_mi.machine.lock import LOCK
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
@@ -160,11 +161,25 @@ def resumable_run(
 
 
 class RunFolder:
-    """Writes the results of a run."""
+    """Writes the results of a run.
 
-    def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False, suffix: str = FORMATS[0]) -> None:
-        """Prepare the folder, removing the results of an earlier run if they are to be overwritten."""
-        self.out, self.work, self._suffix = out, out / _WORK, suffix
+    Args:
+        out: the folder.
+        recipe: of the run.
+        overwrite: whether the results of an earlier run are removed first.
+        suffix: file suffix of the results.
+        may_write: called before anything is written; raises if that must not happen any more.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        recipe: Recipe,
+        overwrite: bool = False,
+        suffix: str = FORMATS[0],
+        may_write: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.out, self.work, self._suffix, self._may_write = out, out / _WORK, suffix, may_write
         if overwrite:
             _remove_results(out, frame_names(out))
         for folder in (out, *(out / name for name in _FOLDERS)):
@@ -174,12 +189,14 @@ class RunFolder:
 
     def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
         """Write a frame's stylized density with its obstacle, and the velocity that made it, with its placement."""
+        self._may_write()
         file, place = f"{source.name}{self._suffix}", source.placement
         write_frame(self.out / "density" / file, density, obstacle=source.obstacle, placement=place)
         write_frame(self.out / "velocity" / file, None, velocity, placement=place)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, with equal exposure; `attributes` go into the EXR headers."""
+        self._may_write()
         images = self.out / "images"
         for suffix, image in (("before", before), ("after", after)):
             write_png(images / f"{name}_{suffix}.png", image)
@@ -188,6 +205,7 @@ class RunFolder:
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
         """Add a frame's iterations to metrics.jsonl, replacing its earlier lines, and plot its loss."""
+        self._may_write()
         path = self.out / "metrics.jsonl"
         lines = path.read_text("utf-8").splitlines() if path.exists() else []
         lines = [line for line in lines if json.loads(line)["frame"] != name]
@@ -199,6 +217,7 @@ class RunFolder:
 
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
         """Write the preview, contact sheet and plots of all frames, whose pictures have been written already."""
+        self._may_write()
         images, records, sequence = self.out / "images", run["frames"], run["sequence"]
         names = [record["name"] for record in records]
 
@@ -218,10 +237,12 @@ class RunFolder:
 
     def remove_work(self) -> None:
         """Remove the working state of a finished run."""
-        shutil.rmtree(self.work, ignore_errors=True)
+        self._may_write()
+        remove_folder(self.work)
 
     def write_run(self, run: dict[str, Any]) -> None:
         """Write run.json."""
+        self._may_write()
         with written_whole(self.out / "run.json") as temporary:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
 
@@ -247,7 +268,7 @@ def _occupied(out: Path) -> bool:
 def _just_begun(out: Path) -> bool:
     """Whether a run was killed here before it wrote its first run.json, or after it removed an earlier one."""
     return all(
-        path.name == "recipe.toml"
+        path.name in ("recipe.toml", LOCK)
         or path.name.startswith((".recipe.", ".run."))
         or (path.name in _FOLDERS and path.is_dir() and not any(path.iterdir()))
         for path in out.iterdir()
@@ -255,8 +276,10 @@ def _just_begun(out: Path) -> bool:
 
 
 def _results_of(out: Path, name: str, suffix: str) -> bool:
-    """Whether the arrays of a frame exist."""
-    return is_file_name(name) and all((out / kind / f"{name}{suffix}").is_file() for kind in ("density", "velocity"))
+    """Whether the arrays of a frame exist, and the pictures of which those of the whole run are made."""
+    files = [*(f"{kind}/{name}{suffix}" for kind in ("density", "velocity"))]
+    files += [f"images/{name}_{state}.exr" for state in ("before", "after")]
+    return is_file_name(name) and all((out / file).is_file() for file in files)
 
 
 def _remove_results(out: Path, names: Iterable[str]) -> None:
@@ -267,7 +290,7 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
             path.unlink()
     if (out / _WORK).is_dir() and not (out / _WORK).is_symlink():
         # An error here must end the run: the state left behind would be that of another run.
-        shutil.rmtree(out / _WORK)
+        remove_folder(out / _WORK)
     for name in _MARKS:
         (out / name).unlink(missing_ok=True)
     for folder in _FOLDERS:

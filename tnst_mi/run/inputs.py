@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -89,6 +90,51 @@ class ScaledFrames(Sequence[Frame]):
         if frame.velocity is not None:
             velocity = scaled(frame.velocity, self._velocity_factor)
         return replace(frame, density=scaled(frame.density, self._factor), velocity=velocity)
+
+
+class UnchangedFrames(Sequence[Frame]):
+    """Frames that are checked on access to be those that were measured: files can change while a run reads them again.
+
+    Args:
+        frames: the frames.
+        digests: their SHA-256, see `frame_digest`, in their order.
+    """
+
+    def __init__(self, frames: Sequence[Frame], digests: Sequence[str]) -> None:
+        self._frames, self._digests = frames, digests
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        """A frame, or several.
+
+        Raises:
+            InputError: it is not what it was.
+        """
+        if isinstance(index, slice):
+            return UnchangedFrames(self._frames[index], self._digests[index])
+        frame = self._frames[index]
+        if frame_digest(frame) != self._digests[index]:
+            raise InputError(
+                f"{frame.name}: has changed since the run began; restore it and go on with --resume, or begin anew "
+                "with --overwrite"
+            )
+        return frame
+
+
+def frame_digest(frame: Frame) -> str:
+    """The SHA-256 of a frame's arrays."""
+    digest = hashlib.sha256(frame.density.data)
+    for array in (frame.velocity, frame.obstacle):
+        if array is not None:
+            digest.update(array.data)
+    return digest.hexdigest()
 
 
 def reference_density(frames: Iterable[Frame]) -> ReferenceDensity:

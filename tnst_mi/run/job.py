@@ -14,8 +14,10 @@ from typing import Any, Protocol
 from tnst_mi.errors import StoppedError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
+from tnst_mi.io.atomic import make_folder
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
 from tnst_mi.machine import environment
+from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
@@ -27,12 +29,15 @@ from tnst_mi.run.announcement import announcement
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
-from tnst_mi.run.record import frame_record, sequence_record
+from tnst_mi.run.record import frame_record, run_identity, sequence_record
 from tnst_mi.run.stored_arrays import StoredArrays
 from tnst_mi.run.time_left import octave_sizes
 
-#: A full disk, or an exhausted quota.
-_NO_ROOM = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+#: What else than the system's own words is said of why something could not be written.
+_REASONS = {
+    errno.ENOSPC: "the disk is full; free some space",
+    getattr(errno, "EDQUOT", errno.ENOSPC): "the quota of its disk is used up; free some space",
+}
 
 
 class Optimisation(Protocol):
@@ -84,41 +89,56 @@ class Run(Iterator[StylizedFrame]):
         """The next frame.
 
         Raises:
-            InputError: a frame or the working state has been damaged since the run began.
-            StoppedError: the disk is full; the run can be resumed.
+            InputError: a frame has changed or been damaged since the run began, or another run writes to the folder.
+            StoppedError: nothing can be written any more, for instance because the disk is full; the run can be
+                resumed.
         """
         return next(self._frames)
 
-    def _stylized(self) -> Iterator[StylizedFrame]:
-        prepared = self.prepared
-        finished = {record["name"] for record in self.record["frames"]}
-        if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):
-            self.record["status"] = "done"
-            if prepared.out is not None:
-                # The earlier run may have been killed before it cleaned up.
-                folder = RunFolder(prepared.out, prepared.recipe, suffix=prepared.suffix)
-                folder.write_run(self.record)
-                folder.remove_work()
-            return
+    def close(self) -> None:
+        """End the run here, and let others write to its folder; it can be resumed."""
+        self._frames.close()
+
+    def _stylized(self) -> Generator[StylizedFrame, None, None]:
+        out = self.prepared.out
         try:
-            yield from self._stylized_but(finished)
+            if out is None:
+                yield from self._stylized_into(None)
+                return
+            make_folder(out)
+            with locked(out) as lock:
+                yield from self._stylized_into(lock)
+        except BrokenPipeError:
+            raise  # the reader of what is said has left
         except OSError as error:
-            if error.errno not in _NO_ROOM:
+            if out is None or error.errno is None:
                 raise
-            raise StoppedError(
-                f"{prepared.out}: the disk is full; free some space and go on with --resume, nothing is lost"
-            ) from error
+            reason = _REASONS.get(
+                error.errno, f"{error.filename or 'a file'} cannot be written ({error.strerror}); mend that"
+            )
+            raise StoppedError(f"{out}: {reason} and go on with --resume, nothing is lost") from error
         finally:
             self._bar.close()
 
-    def _stylized_but(self, finished: Collection[str]) -> Iterator[StylizedFrame]:
+    def _stylized_into(self, lock: FolderLock | None) -> Iterator[StylizedFrame]:
+        """The frames that are left, written to the run's folder if it has one, which is locked."""
         prepared, started = self.prepared, time.perf_counter() - self.record.get("seconds", 0.0)
+        finished = {record["name"] for record in self.record["frames"]}
         folder: RunFolder | None = None
         store: Store = MemoryStore()
-        if prepared.out is not None:
-            folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix)
+        if prepared.out is not None and lock is not None:
+            may_write = lock.require_held
+            folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix, may_write)
+            store = FolderStore(folder.work, run_identity(prepared.recipe, self.record), may_write, self._bar.say)
+        if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):
+            self.record["status"] = "done"
+            if folder is not None:
+                # The earlier run may have been killed before it cleaned up.
+                folder.write_run(self.record)
+                folder.remove_work()
+            return
+        if folder is not None:
             folder.write_run(self.record)
-            store = FolderStore(folder.work)
         for line in announcement(prepared):
             self._bar.say(line)
         if prepared.network.fallback:
@@ -127,7 +147,7 @@ class Run(Iterator[StylizedFrame]):
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
-                source = prepared.frames[index]
+                source = prepared.unchanged[index]
                 record = frame_record(source, prepared.plan.frames[index], stylized)
                 frame = StylizedFrame(source, stylized, record)
                 self.record["frames"].append(record)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import is_file_name
+from tnst_mi.run.inputs import frame_digest
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,9 @@ def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
     """
     measures, reference = [], ReferenceDensity()
     for frame in checked_shapes(frames):
-        digest = hashlib.sha256(frame.density.data)
-        for array in (frame.velocity, frame.obstacle):
-            if array is not None:
-                digest.update(array.data)
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        measures.append(Measure(frame.name, frame.number, frame.mass, densest, digest.hexdigest(), moves))
+        measures.append(Measure(frame.name, frame.number, frame.mass, densest, frame_digest(frame), moves))
     names = [measure.name for measure in measures]
     for name in names:
         if not is_file_name(name):

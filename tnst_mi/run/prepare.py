@@ -22,6 +22,7 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_space, require_writable
+from tnst_mi.machine.lock import require_unlocked
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
@@ -31,7 +32,7 @@ from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
-from tnst_mi.run.inputs import Frames, ScaledFrames, sequence_of
+from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames, sequence_of
 from tnst_mi.run.measure import (
     Measure,
     digests,
@@ -102,9 +103,14 @@ class Prepared:
     record: Mapping[str, Any] = field(repr=False)
 
     @property
+    def unchanged(self) -> Sequence[Frame]:
+        """The frames, each of them checked on access to be what it was when it was measured."""
+        return UnchangedFrames(self.frames, [measure.sha256 for measure in self.measures])
+
+    @property
     def moving(self) -> Sequence[Frame]:
-        """The frames with velocities that lead from each to the next, which may not be the next of the simulation."""
-        return self.frames if self.step == 1 else ScaledFrames(self.frames, velocity_factor=self.step)
+        """The same with velocities that lead from each to the next, which may not be the next of the simulation."""
+        return self.unchanged if self.step == 1 else ScaledFrames(self.unchanged, velocity_factor=self.step)
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -147,7 +153,7 @@ def prepare(
         progress: show a progress bar on stderr while frames are read.
 
     Raises:
-        InputError: something cannot be used.
+        InputError: something cannot be used, or another run writes to `out`.
     """
     if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
         raise InputError(
@@ -161,6 +167,7 @@ def prepare(
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
     if out is not None:
+        require_unlocked(out)
         require_writable(out, source, None if resume or overwrite else _remedy(out))
         if overwrite:
             frame_names(out)  # refuses anything but a run
@@ -201,7 +208,8 @@ def prepare(
     if progress and recipe.integrator != "emission_absorption":
         tqdm.write("measuring how bright the frames are path traced …", file=sys.stderr)
     watch = partial(_watched, doing="measuring", shown=progress)
-    bright = brightness(sequence, recipes, levels, sizes, density_scale, watch)
+    unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
+    bright = brightness(unchanged, recipes, levels, sizes, density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
     record: dict[str, Any] = {

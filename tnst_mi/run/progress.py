@@ -1,8 +1,13 @@
-"""The progress bar of a run, with the time left by `tnst_mi.run.time_left`."""
+"""The progress bar of a run, with the time left by `tnst_mi.run.time_left`.
+
+tqdm goes by the wall clock: set back, it would count negative times, and not draw for as long. So times are measured
+here, and what is drawn when.
+"""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 
 from tqdm import tqdm
@@ -10,6 +15,9 @@ from tqdm import tqdm
 from tnst_mi.machine.terminal import printable
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.time_left import OctaveSize, TimeLeft
+
+#: Seconds after which the bar is drawn again.
+_REDRAWN = 0.1
 
 
 class ProgressBar:
@@ -19,6 +27,7 @@ class ProgressBar:
         """Prepare the bar of one run, with octaves of some sizes."""
         self._shown, self._time_left = shown, TimeLeft(octaves)
         self._bar: tqdm | None = None
+        self._begun = self._drawn = time.perf_counter()
 
     def advance(self, progress: Progress) -> None:
         """Show one more iteration."""
@@ -28,14 +37,20 @@ class ProgressBar:
             self._bar = tqdm(
                 total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
             )
+            self._begun = time.perf_counter()
+        now = time.perf_counter()
         left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))
-        self._bar.bar_format = f"{{l_bar}}{{bar}}| {{n_fmt}}/{{total_fmt}} [{{elapsed}}<{left}{{postfix}}]"
+        elapsed = tqdm.format_interval(now - self._begun)
+        self._bar.bar_format = f"{{l_bar}}{{bar}}| {{n_fmt}}/{{total_fmt}} [{elapsed}<{left}{{postfix}}]"
         self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
             refresh=False,
         )
-        self._bar.update()
+        self._bar.n += 1
+        if now - self._drawn >= _REDRAWN or progress.done == progress.total:
+            self._bar.refresh()
+            self._drawn = now
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""

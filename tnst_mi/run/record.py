@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +42,17 @@ def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str,
         "losses": _losses_by_octave(stylized.history),
         "timings": stylized.timings,
     }
+
+
+def run_identity(recipe: Recipe, run: Mapping[str, Any]) -> str:
+    """What identifies a run: the SHA-256 of everything that the bits of its working state depend on.
+
+    Args:
+        recipe: the recipe of the run.
+        run: the contents of run.json.
+    """
+    decisive = replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"]
+    return hashlib.sha256(json.dumps(decisive).encode("utf-8")).hexdigest()
 
 
 def sequence_record(

@@ -50,6 +50,7 @@ class Video:
 
         Raises:
             InputError: the picture differs in size from the first.
+            OSError: the encoder has ended, for instance because of a full disk.
         """
         rows, columns = image.shape[:2]
         pixels = eight_bits(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))
@@ -60,7 +61,11 @@ class Video:
         if (rows, columns) != self._shape:
             first = f"{self._shape[1]} x {self._shape[0]}"
             raise InputError(f"video: a picture of {columns} x {rows} pixels after ones of {first}, expected one size")
-        self._encoder.send(np.ascontiguousarray(pixels))
+        try:
+            self._encoder.send(np.ascontiguousarray(pixels))
+        except OSError as error:
+            self._encoder = None
+            raise write_failure(self._path, "ffmpeg has ended early") from error
         self._count += 1
 
     def _started(self, columns: int, rows: int) -> Any:

@@ -64,7 +64,7 @@ class DeviceStore:
         """The named tensors of an item, in single precision.
 
         Raises:
-            InputError: the item's file is damaged.
+            DamagedItemError: the item is not what was written.
         """
         return next(self.read_each([[(group, frame, names)]]))[0]
 
@@ -120,11 +120,18 @@ class DeviceStore:
 
     # ---------------------------------------------------------------- writing
 
-    def write(self, group: str, frame: int, generation: int, arrays: Mapping[str, mi.TensorXf | mi.TensorXf16]) -> None:
+    def write(
+        self,
+        group: str,
+        frame: int,
+        generation: int,
+        arrays: Mapping[str, mi.TensorXf | mi.TensorXf16],
+        durable: bool = False,
+    ) -> None:
         """Write an item, replacing its earlier generation.
 
         Args:
-            group, frame, generation: of the item; see `Store`.
+            group, frame, generation, durable: see `Store`.
             arrays: by name, in the precision in which they are to be stored.
 
         Raises:
@@ -136,16 +143,17 @@ class DeviceStore:
         host = {name: HostCopy(array.torch()) for name, array in arrays.items()}
         while len(self._writes) >= _WAITING:
             self._finish_oldest()
-        write = self._writer.submit(self._write, group, frame, generation, host)
+        write = self._writer.submit(self._write, group, frame, generation, host, durable)
         self._writes.append(((group, frame), write))
         self._written[group, frame] = generation
 
-    def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, HostCopy]) -> None:
+    def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, HostCopy], durable: bool) -> None:
         if self._failure is not None:
             # What follows an item must not be there without it.
             raise self._failure
         try:
-            self.backing.write(group, frame, generation, {name: copy.numpy() for name, copy in arrays.items()})
+            on_host = {name: copy.numpy() for name, copy in arrays.items()}
+            self.backing.write(group, frame, generation, on_host, durable)
         except BaseException as error:
             self._failure = error
             raise
@@ -163,6 +171,20 @@ class DeviceStore:
         """
         while self._writes:
             self._finish_oldest()
+
+    def discard(self, group: str, frame: int) -> None:
+        """Remove an item, once the store has everything that was written."""
+        self.finish()
+        self._forget(lambda key: key[:2] == (group, frame))
+        self._written.pop((group, frame), None)
+        self.backing.discard(group, frame)
+
+    def clear(self) -> None:
+        """Remove all items and numbers, once the store has everything that was written."""
+        self.finish()
+        self._forget(lambda _: True)
+        self._written = {}
+        self.backing.clear()
 
     def remove(self, group: str) -> None:
         """Remove all items of a group, if there are any, once the store has everything that was written."""

@@ -24,6 +24,7 @@ from tnst_mi.fields.resampling import resample_density, resample_mask, resample_
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.device_store import DeviceStore, Request
 from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
+from tnst_mi.optimisation.items.store import DamagedItemError
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
@@ -100,6 +101,19 @@ class Items:
             found = self._store.generation(self._group("step"), frame.index)
         return max(found, self.iterations_done(frame))
 
+    def require_in_step(self) -> None:
+        """Check that no frame of a window is further behind the others than a run that was killed can leave one.
+
+        Raises:
+            DamagedItemError: the fields of one have got lost, so that it would follow steps of later iterations.
+        """
+        alive, steps = self.plan.alive, self._group("step")
+        last = min(alive, key=self.iterations_done)
+        most = self.iterations_done(last) + 1
+        furthest = max(max(self.iterations_done(f), self._store.generation(steps, f.index)) for f in alive)
+        if furthest > most:
+            raise DamagedItemError(f"fields of {last.name}", "they have got lost", self._group("fields"), last.index)
+
     def outcomes(self) -> Iterator[Outcome]:
         """The outcomes of own steps that have been read and not yet taken from here."""
         while self._outcomes:
@@ -146,10 +160,11 @@ class Items:
         gain = mi.TensorXf16(averaging_gain(mask, total, weights[0]))
         self._store.write(self._group("gain"), frame.index, 0, {"gain": gain})
 
-    def forget(self) -> None:
-        """Remove the items of this octave once it is done."""
+    def forget(self, keep_fields: bool) -> None:
+        """Remove the items of this octave once it is done, or all but the fields, from which the next one began."""
         for kind in _GROUPS:
-            self._store.remove(self._group(kind))
+            if not (keep_fields and kind == "fields"):
+                self._store.remove(self._group(kind))
 
     # ---------------------------------------------------------------- reading
 
@@ -292,5 +307,7 @@ class Items:
 
     def _write_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         self.settle()
-        self._store.write(self._group("fields"), frame.index, done, fields)
+        # What an octave begins and ends with. In between, a window replaces its items too fast for a disk to follow.
+        checkpoint = self._alone or done in (0, self.plan.recipe.iterations)
+        self._store.write(self._group("fields"), frame.index, done, fields, checkpoint)
         self._written = time.perf_counter()

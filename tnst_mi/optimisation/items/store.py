@@ -5,15 +5,18 @@ depends only on other items; so the items that a killed run leaves are a valid s
 computing what is missing. On disk an item is one safetensors file, read without pickle and with its sizes checked:
 
     GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl
+
+It holds a checksum of each array together with the item's name and the run that it belongs to. So an item that is
+truncated, that has lost its contents with the power, or that has another's name is found when it is read.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import shutil
+import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +24,25 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from tnst_mi.errors import InputError
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.errors import StoppedError
+from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
 
 _ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
+
+
+class DamagedItemError(StoppedError):
+    """An item is not what was written; a run makes it anew when it finds it.
+
+    Attributes:
+        group, frame: of the item; the group is None if it is the numbers.
+    """
+
+    def __init__(self, item: object, reason: object, group: str | None = None, frame: int = 0) -> None:
+        super().__init__(f"{item}: damaged ({reason}); --resume makes anew what is lost")
+        self.group, self.frame = group, frame
 
 
 class Store(ABC):
@@ -42,20 +57,42 @@ class Store(ABC):
         """The arrays of an item, or only the named ones, as they were written.
 
         Raises:
-            InputError: the item's file is damaged.
+            DamagedItemError: the item is not what was written.
         """
 
     @abstractmethod
-    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
-        """Write an item, replacing its earlier generation."""
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
+        """Write an item, replacing its earlier generation.
+
+        Args:
+            group, frame, generation: of the item.
+            arrays: by name.
+            durable: whether it has to outlast a loss of power, with the log so far.
+        """
+
+    @abstractmethod
+    def discard(self, group: str, frame: int) -> None:
+        """Remove an item."""
 
     @abstractmethod
     def remove(self, group: str) -> None:
-        """Remove all items of a group, if there are any."""
+        """Remove all items of a group, if there are any, in one step."""
+
+    @abstractmethod
+    def clear(self) -> None:
+        """Remove all items and numbers, so that the run begins anew; the log stays."""
+
+    @abstractmethod
+    def note(self, remark: str) -> None:
+        """Say something to the user."""
 
     @abstractmethod
     def numbers(self, name: str) -> dict[str, float] | None:
-        """A set of named numbers, or None if it has not been written."""
+        """A set of named numbers, or None if it has not been written.
+
+        Raises:
+            DamagedItemError: the numbers are not what was written.
+        """
 
     @abstractmethod
     def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
@@ -87,9 +124,20 @@ class MemoryStore(Store):
         item = self._items[group, frame][1]
         return {name: array for name, array in item.items() if names is None or name in names}
 
-    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
         """See `Store`."""
         self._items[group, frame] = generation, arrays
+
+    def discard(self, group: str, frame: int) -> None:
+        """See `Store`."""
+        self._items.pop((group, frame), None)
+
+    def clear(self) -> None:
+        """See `Store`."""
+        self._items, self._numbers = {}, {}
+
+    def note(self, remark: str) -> None:
+        """See `Store`; items in memory are not damaged, so there is nothing to say."""
 
     def remove(self, group: str) -> None:
         """See `Store`."""
@@ -117,11 +165,21 @@ class FolderStore(Store):
 
     Args:
         folder: the folder that holds the state; it is created if it does not exist.
+        run: identifies the run that the state belongs to: items of another one count as damaged.
+        may_write: called before anything is written or removed; raises if that must not happen any more.
+        say: how to say something to the user.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(
+        self,
+        folder: Path,
+        run: str = "",
+        may_write: Callable[[], None] = lambda: None,
+        say: Callable[[str], None] = lambda remark: None,
+    ) -> None:
+        self.folder, self._run, self._may_write, self._say = folder, run, may_write, say
         self._generations: dict[tuple[str, int], int] = {}
+        remove_unfinished(folder)
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
@@ -139,23 +197,52 @@ class FolderStore(Store):
         path = self._path(group, frame, self.generation(group, frame))
         try:
             with safe_open(path, framework="numpy") as item:
-                return {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
+                written = item.metadata() or {}
+                found = {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
         except (SafetensorError, OSError, ValueError) as error:
-            raise InputError(
-                f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
-            ) from None
+            raise DamagedItemError(path, error, group, frame) from None
+        if names is not None and set(names) - set(found):
+            raise DamagedItemError(path, "arrays are missing", group, frame)
+        for name, array in found.items():
+            if written.get(name) != self._checksum(path, name, array):
+                raise DamagedItemError(path, f"the checksum of {name} is another", group, frame)
+        return found
 
-    def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
+    def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
         """See `Store`."""
-        with written_whole(self._path(group, frame, generation)) as temporary:
+        self._may_write()
+        path = self._path(group, frame, generation)
+        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        checksums = {name: self._checksum(path, name, array) for name, array in arrays.items()}
+        if durable and self._log.exists():
+            sync(self._log)
+        with written_whole(path, durable) as temporary:
             # Written here rather than by the library, whose error does not show that the disk is full.
-            temporary.write_bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
+            temporary.write_bytes(save(arrays, checksums))
         self._take(group, frame, generation)
+
+    def discard(self, group: str, frame: int) -> None:
+        """See `Store`."""
+        self._may_write()
+        generation = self._generations.pop((group, frame), None)
+        if generation is not None:
+            self._path(group, frame, generation).unlink(missing_ok=True)
 
     def remove(self, group: str) -> None:
         """See `Store`."""
-        shutil.rmtree(self.folder / group, ignore_errors=True)
+        self._may_write()
+        remove_folder(self.folder / group)
         self._generations = {key: value for key, value in self._generations.items() if key[0] != group}
+
+    def clear(self) -> None:
+        """See `Store`."""
+        for group in {group for group, _ in self._generations}:
+            self.remove(group)
+        self._numbers.unlink(missing_ok=True)
+
+    def note(self, remark: str) -> None:
+        """See `Store`."""
+        self._say(f"note: {self.folder}: {remark}")
 
     def numbers(self, name: str) -> dict[str, float] | None:
         """See `Store`."""
@@ -163,20 +250,22 @@ class FolderStore(Store):
 
     def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
         """See `Store`."""
+        self._may_write()
         everything = self._all_numbers() | {name: numbers}
-        with written_whole(self.folder / "numbers.json") as temporary:
-            temporary.write_text(json.dumps(everything, indent=1), "utf-8")
+        with written_whole(self._numbers) as temporary:
+            temporary.write_text(
+                json.dumps(everything | {"checksum": self._checksum_of(everything)}, indent=1), "utf-8"
+            )
 
     def log(self, entry: dict[str, Any]) -> None:
         """See `Store`."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
-            # The line break comes first, so that a line that a killed run left incomplete stays separate.
-            file.write("\n" + json.dumps(entry))
+        self._may_write()
+        # The line break comes first, so that a line that a killed run left incomplete stays separate.
+        append(self._log, "\n" + json.dumps(entry))
 
     def entries(self) -> list[dict[str, Any]]:
         """See `Store`."""
-        path = self.folder / "metrics.jsonl"
+        path = self._log
         entries = []
         for line in path.read_text("utf-8").splitlines() if path.exists() else []:
             try:
@@ -185,12 +274,33 @@ class FolderStore(Store):
                 continue  # incomplete since the run was killed; its iteration is repeated
         return entries
 
+    @property
+    def _numbers(self) -> Path:
+        return self.folder / "numbers.json"
+
+    @property
+    def _log(self) -> Path:
+        return self.folder / "metrics.jsonl"
+
     def _all_numbers(self) -> dict[str, dict[str, float]]:
-        path = self.folder / "numbers.json"
         try:
-            return json.loads(path.read_text("utf-8")) if path.exists() else {}
-        except ValueError:
-            raise InputError(f"{path}: damaged; the run cannot be resumed, start anew with --overwrite") from None
+            everything = dict(json.loads(self._numbers.read_text("utf-8"))) if self._numbers.exists() else None
+        except (OSError, ValueError, TypeError) as error:
+            raise DamagedItemError(self._numbers, error) from None
+        if everything is None:
+            return {}
+        if everything.pop("checksum", None) != self._checksum_of(everything):
+            raise DamagedItemError(self._numbers, "the checksum is another")
+        return everything
+
+    def _checksum(self, path: Path, name: str, array: np.ndarray) -> str:
+        """The checksum of an array (CRC-32), with what must not be another's: its run, its item, its name and form."""
+        form = json.dumps([self._run, path.parent.name, path.name, name, array.dtype.str, array.shape])
+        return f"{zlib.crc32(array.data, zlib.crc32(form.encode('utf-8'))):08x}"
+
+    def _checksum_of(self, numbers: dict[str, dict[str, float]]) -> str:
+        form = json.dumps([self._run, numbers], sort_keys=True)
+        return f"{zlib.crc32(form.encode('utf-8')):08x}"
 
     def _path(self, group: str, frame: int, generation: int) -> Path:
         return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"

@@ -1,0 +1,273 @@
+"""How a run ends that something outside of it ends, or changes under its hands."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Run as RunCommand
+from command_line import refused, run, smoke, tiny_weights
+from faults import Undisturbed, begun, quick, results, undisturbed
+from jobs import FakeOptimiser, frames, optimiser
+
+from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.io import atomic, save_frames
+from tnst_mi.machine.lock import LOCK
+from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
+
+__all__ = ["begun", "optimiser", "quick", "run", "smoke", "tiny_weights", "undisturbed"]
+
+RECIPE = Recipe(style=("spirals",), gamma=0.3, octaves=1, iterations=1)
+
+
+def one_frame_done(out: Path) -> Run:
+    """A run that goes on."""
+    job = Run(prepare(frames(0.2, 0.4), RECIPE, out), progress=False)
+    assert next(job).record["name"] == "f_07"
+    return job
+
+
+def resumed(out: Path) -> dict[str, object]:
+    """The results of a run that is continued to its end."""
+    list(Run(prepare(frames(0.2, 0.4), RECIPE, out, resume=True), progress=False))
+    return results(out)
+
+
+@pytest.fixture
+def expected(optimiser: FakeOptimiser, tmp_path: Path) -> dict[str, object]:
+    """The results of a run that nothing disturbs."""
+    return resumed(tmp_path / "expected")
+
+
+# --- Signals ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_that_end_programs_end_a_run_after_its_step(
+    number: signal.Signals,
+    run: RunCommand,
+    begun: list[str],
+    undisturbed: Undisturbed,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out, gradient, calls = tmp_path / "out", OctaveProblem.gradient, []
+
+    def signalled(*arguments: object) -> Evaluation:
+        calls.append(arguments)
+        if len(calls) == 3:  # the first frame's step in the second octave
+            signal.raise_signal(number)
+        return gradient(*arguments)
+
+    before = signal.getsignal(number)
+    monkeypatch.setattr(OctaveProblem, "gradient", signalled)
+    ran = run(*begun, out)
+    assert ran.code == 3 and len(calls) == 3
+    assert ran.errors[-1] == f"tnst-mi: interrupted; --resume continues the run in {out} where it stopped"
+    assert signal.getsignal(number) is before and not (out / LOCK).exists()
+    # The step that was being found is not found again: there is one for each frame and octave.
+    assert run(*begun, out, "--resume").code == 0 and len(calls) == 4
+    assert results(out) == undisturbed.results
+
+
+def test_signals_that_are_ignored_stay_so(
+    run: RunCommand, begun: list[str], undisturbed: Undisturbed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """nohup ignores SIGHUP, so that a run goes on when its terminal closes."""
+    gradient = OctaveProblem.gradient
+
+    def hung_up(*arguments: object) -> Evaluation:
+        signal.raise_signal(signal.SIGHUP)
+        return gradient(*arguments)
+
+    monkeypatch.setattr(OctaveProblem, "gradient", hung_up)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert run(*begun, tmp_path / "out").code == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert results(tmp_path / "out") == undisturbed.results
+
+
+# --- The folder of the results ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("what", ["moved", "removed", "replaced"])
+def test_a_folder_that_goes_ends_the_run(what: str, expected: dict[str, object], tmp_path: Path) -> None:
+    """Nothing is written where the folder was; one that comes back is continued."""
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    job = one_frame_done(out)
+    out.rename(elsewhere)
+    if what == "replaced":
+        out.mkdir()
+    with pytest.raises(StoppedError, match=r"has been moved, removed or replaced during its run.* bring it back"):
+        next(job)
+    assert list(out.iterdir()) == [] if what == "replaced" else not out.exists()
+    if what != "removed":
+        if what == "replaced":
+            out.rmdir()
+        elsewhere.rename(out)
+    assert resumed(out) == expected
+
+
+def test_a_folder_that_becomes_read_only_ends_the_run(
+    expected: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    job = one_frame_done(out)
+
+    def read_only(*_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(atomic, "_publish", read_only)
+        with pytest.raises(
+            StoppedError, match=r"f_08\.npz cannot be written \(Read-only file system\).* --resume"
+        ) as told:
+            next(job)
+    assert str(told.value).startswith(f"{out}: ")
+    assert resumed(out) == expected
+
+
+def test_a_second_run_into_a_folder_is_refused(
+    optimiser: FakeOptimiser, expected: dict[str, object], run: RunCommand, smoke: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    late = Run(prepare(frames(0.2, 0.4), RECIPE, out), progress=False)
+    job = one_frame_done(out)
+    told = rf"out: another run is writing there \(process {os.getpid()} on {platform.node()}\); wait for its end"
+    for flags in ([], ["--resume"], ["--overwrite"]):
+        refused(run, out, ["stylize", smoke, "--out", out, "--tag", "x", *flags], told)
+    with pytest.raises(InputError, match=told):
+        next(late)
+    list(job)
+    assert results(out) == expected
+
+
+# --- The input --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("what", ["changed", "removed"])
+def test_an_input_that_changes_is_not_mixed_into_the_results(
+    what: str, optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    save_frames(tmp_path / "smoke", frames(0.2, 0.4))
+    path, other = tmp_path / "smoke" / "f_08.npz", tmp_path / "other.npz"
+    save_frames(other, frames(0.4, 0.3)[1])
+    out = tmp_path / "out"
+    job = Run(prepare(tmp_path / "smoke", RECIPE, out), progress=False)
+    next(job)
+    whole = path.read_bytes()
+    if what == "changed":
+        path.write_bytes(other.read_bytes())
+        told = "f_08: has changed since the run began; restore it and go on with --resume"
+    else:
+        path.unlink()
+        told = r"f_08\.npz: no such file"
+    with pytest.raises(InputError, match=told):
+        next(job)
+    assert "f_08" not in {path.stem for path in (out / "density").iterdir()}
+    with pytest.raises(InputError, match=r"its run had another f_08|only its run has a frame f_08"):
+        prepare(tmp_path / "smoke", RECIPE, out, resume=True)
+    path.write_bytes(whole)
+    list(Run(prepare(tmp_path / "smoke", RECIPE, out, resume=True), progress=False))
+    with np.load(out / "density" / "f_08.npz") as file:
+        np.testing.assert_array_equal(file["density"], 2 * frames(0.2, 0.4)[1].density)
+
+
+def test_an_input_that_changes_while_it_is_measured_is_noticed(
+    tmp_path: Path, optimiser: FakeOptimiser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the reading for its identity and that for its brightness."""
+    (frame,) = frames(0.2)
+    exposed = "tnst_mi.run.prepare.brightness"
+
+    def changed(given: list[object], *_: object) -> object:
+        frame.density.setflags(write=True)
+        frame.density[0] = 0.7
+        return given[0]
+
+    monkeypatch.setattr(exposed, changed)
+    with pytest.raises(InputError, match="f_07: has changed since the run began"):
+        prepare(frame, RECIPE, tmp_path / "out")
+
+
+def test_results_that_are_lost_are_made_again(expected: dict[str, object], tmp_path: Path) -> None:
+    """Of a run that has not ended: its arrays, and the pictures of which the contact sheet is made."""
+    out = tmp_path / "out"
+    one_frame_done(out).close()
+    for name in ("density/f_07.npz", "images/f_07_before.exr"):
+        (out / name).unlink()
+        made = resumed(out)
+        # A frame that is made again is logged after the others.
+        made["metrics.jsonl"] = sorted(made["metrics.jsonl"], key=lambda line: line["frame"])
+        assert made == expected
+        (out / "run.json").write_text((out / "run.json").read_text().replace('"done"', '"running"'))
+
+
+# --- The clock, the output, the surroundings --------------------------------------------------------------
+
+
+def test_a_clock_that_is_set_back_changes_nothing(
+    expected: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By an hour at every reading; files have times in the future."""
+    out, now = tmp_path / "out", [time.time()]
+
+    def backwards() -> float:
+        now[0] -= 3600
+        return now[0]
+
+    one_frame_done(out).close()
+    for path in out.rglob("*"):
+        os.utime(path, (4e9, 4e9))
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "time", backwards)
+        patch.setattr("tqdm.std.time", backwards)
+        list(Run(prepare(frames(0.2, 0.4), RECIPE, out, resume=True)))
+    assert results(out) == expected
+    bar = capsys.readouterr().err
+    assert "[00:00<00:00" in bar and not re.search(r"[\[<]-", bar)
+
+
+def a_command(arguments: str) -> list[str]:
+    return ["sh", "-c", f'exec "$0" -m tnst_mi {arguments}', sys.executable]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize(
+    ("redirection", "code", "told"),
+    [
+        (">/dev/full", 1, "tnst-mi: the output cannot be written (No space left on device)\n"),
+        (">&-", 0, ""),
+        ("nowhere 2>/dev/full", 2, ""),
+    ],
+)
+def test_an_output_that_cannot_be_written(redirection: str, code: int, told: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", density=np.ones((2, 2, 2)))
+    command = a_command(f"info {tmp_path / 'a.npz'} {redirection}")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, told)
+
+
+def test_nowhere_to_keep_caches_and_temporary_files_is_no_failure(tmp_path: Path) -> None:
+    """Dr.Jit's kernels cannot be kept then, which it says."""
+    np.savez(tmp_path / "a.npz", density=np.full((4, 6, 5), 0.5, np.float32))
+    nowhere = {name: "/proc/nowhere" for name in ("HOME", "TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME")}
+    command = a_command(f"render {tmp_path / 'a.npz'} --out {tmp_path / 'out'}")
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | nowhere)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".exr", ".png"]
+    assert "Traceback" not in done.stderr
