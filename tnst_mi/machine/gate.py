@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,14 @@ from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line
 
 _STANDARD_ERROR = 2
+
+#: Of the process, whose stderr is one: a thread would otherwise keep what another has put in its place.
+_SILENCING = threading.Lock()
+if hasattr(os, "register_at_fork"):
+    # No child begins its life while it is taken by a thread that the child does not have.
+    os.register_at_fork(
+        before=_SILENCING.acquire, after_in_parent=_SILENCING.release, after_in_child=_SILENCING.release
+    )
 
 
 @contextmanager
@@ -70,19 +79,20 @@ def opening(path: Path, kind: str) -> Iterator[None]:
 def silenced() -> Iterator[None]:
     """Drop what libraries that are not written in Python print on stderr about a damaged file."""
     sys.stderr.flush()
-    try:
-        kept = os.dup(_STANDARD_ERROR)
-    except OSError:  # there is none, as in a program without a console
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, _STANDARD_ERROR)
-        yield
-    finally:
-        os.dup2(kept, _STANDARD_ERROR)
-        os.close(kept)
-        os.close(nowhere)
+    with _SILENCING:
+        try:
+            kept = os.dup(_STANDARD_ERROR)
+        except OSError:  # there is none, as in a program without a console
+            yield
+            return
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, _STANDARD_ERROR)
+            yield
+        finally:
+            os.dup2(kept, _STANDARD_ERROR)
+            os.close(kept)
+            os.close(nowhere)
 
 
 def _damaged(path: Path, kind: str, error: Exception) -> InputError:

@@ -6,7 +6,8 @@
     recipe.toml          the recipe as run              run.json             the record of the run
     metrics.jsonl        one line per iteration
 
-Every file is written atomically; a frame counts as finished once run.json, which is written last, lists it as complete.
+Every file is written atomically, but for metrics.jsonl, which grows with each frame. A frame counts as finished once
+run.json, which is written last, lists it as complete.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -162,15 +163,33 @@ def resumable_run(
 class RunFolder:
     """Writes the results of a run."""
 
-    def __init__(self, out: Path, recipe: Recipe, overwrite: bool = False, suffix: str = FORMATS[0]) -> None:
-        """Prepare the folder, removing the results of an earlier run if they are to be overwritten."""
+    def __init__(
+        self,
+        out: Path,
+        recipe: Recipe,
+        overwrite: bool = False,
+        suffix: str = FORMATS[0],
+        finished: Collection[str] = (),
+    ) -> None:
+        """Prepare the folder.
+
+        Args:
+            out: the folder.
+            recipe: of the run.
+            overwrite: remove the results of an earlier run.
+            suffix: file suffix of the results.
+            finished: names of the frames that an earlier run has finished, whose iterations metrics.jsonl keeps.
+        """
         self.out, self.work, self._suffix = out, out / _WORK, suffix
+        self._metrics = out / "metrics.jsonl"
         if overwrite:
             _remove_results(out, frame_names(out))
         for folder in (out, *(out / name for name in _FOLDERS)):
             remove_unfinished(folder)
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
+        if self._metrics.exists():
+            self._keep_metrics(finished)
 
     def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
         """Write a frame's stylized density with its obstacle, and the velocity that made it, with its placement."""
@@ -187,15 +206,25 @@ class RunFolder:
         write_png(images / f"{name}_comparison.png", side_by_side(before, after))
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
-        """Add a frame's iterations to metrics.jsonl, replacing its earlier lines, and plot its loss."""
-        path = self.out / "metrics.jsonl"
-        lines = path.read_text("utf-8").splitlines() if path.exists() else []
-        lines = [line for line in lines if json.loads(line)["frame"] != name]
-        lines += [json.dumps({"frame": name, **entry}) for entry in history]
-        with written_whole(path) as temporary:
-            temporary.write_text("".join(line + "\n" for line in lines), "utf-8")
+        """Add a frame's iterations to metrics.jsonl, and plot its loss.
+
+        They are appended, so that a frame costs the same however many there were before it. What a killed run leaves of
+        them is removed when the run goes on, since run.json does not list their frame yet.
+        """
+        with self._metrics.open("a", encoding="utf-8") as file:
+            file.writelines(json.dumps({"frame": name, **entry}) + "\n" for entry in history)
         if history:
             plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
+
+    def _keep_metrics(self, finished: Collection[str]) -> None:
+        """Remove the iterations of other frames from metrics.jsonl, and a last line that is incomplete."""
+        kept = []
+        for line in self._metrics.read_text("utf-8").splitlines():
+            with contextlib.suppress(*_DAMAGE):
+                if json.loads(line)["frame"] in finished:
+                    kept.append(line)
+        with written_whole(self._metrics) as temporary:
+            temporary.write_text("".join(line + "\n" for line in kept), "utf-8")
 
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
         """Write the preview, contact sheet and plots of all frames, whose pictures have been written already."""

@@ -96,7 +96,7 @@ class Run(Iterator[StylizedFrame]):
             self.record["status"] = "done"
             if prepared.out is not None:
                 # The earlier run may have been killed before it cleaned up.
-                folder = RunFolder(prepared.out, prepared.recipe, suffix=prepared.suffix)
+                folder = RunFolder(prepared.out, prepared.recipe, suffix=prepared.suffix, finished=finished)
                 folder.write_run(self.record)
                 folder.remove_work()
             return
@@ -116,7 +116,7 @@ class Run(Iterator[StylizedFrame]):
         folder: RunFolder | None = None
         store: Store = MemoryStore()
         if prepared.out is not None:
-            folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix)
+            folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix, finished)
             folder.write_run(self.record)
             store = FolderStore(folder.work)
         for line in announcement(prepared):
@@ -166,7 +166,8 @@ class Run(Iterator[StylizedFrame]):
         """Write the results for all frames together, and clean up."""
         prepared = self.prepared
         names = [measure.name for measure in prepared.measures]
-        self.record["frames"].sort(key=lambda record: names.index(record["name"]))
+        place = {name: index for index, name in enumerate(names)}
+        self.record["frames"].sort(key=lambda record: place[record["name"]])
         if len(names) > 1:
             densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]

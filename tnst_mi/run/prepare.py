@@ -110,7 +110,8 @@ class Prepared:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
         if len(names) == len(self.frames):
             return self.frames
-        return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in names]
+        chosen = set(names)
+        return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in chosen]
 
 
 def load_network(recipe: Recipe) -> Network:

@@ -63,11 +63,24 @@ class Store(ABC):
 
     @abstractmethod
     def log(self, entry: dict[str, Any]) -> None:
-        """Add an entry to the log."""
+        """Add an entry to the log; its "frame" is the name of the frame that it is about."""
 
     @abstractmethod
-    def entries(self) -> list[dict[str, Any]]:
-        """The log so far."""
+    def entries(self, frame: str) -> list[dict[str, Any]]:
+        """The log of a frame so far."""
+
+
+class _Log:
+    """Entries by the frame that they are about: those of one are found without looking at the others."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, list[dict[str, Any]]] = {}
+
+    def add(self, entry: dict[str, Any]) -> None:
+        self._of.setdefault(entry["frame"], []).append(entry)
+
+    def of(self, frame: str) -> list[dict[str, Any]]:
+        return self._of.get(frame, [])
 
 
 class MemoryStore(Store):
@@ -76,7 +89,7 @@ class MemoryStore(Store):
     def __init__(self) -> None:
         self._items: dict[tuple[str, int], tuple[int, Arrays]] = {}
         self._numbers: dict[str, dict[str, float]] = {}
-        self._log: list[dict[str, Any]] = []
+        self._log = _Log()
 
     def generation(self, group: str, frame: int) -> int:
         """See `Store`."""
@@ -105,11 +118,11 @@ class MemoryStore(Store):
 
     def log(self, entry: dict[str, Any]) -> None:
         """See `Store`."""
-        self._log.append(entry)
+        self._log.add(entry)
 
-    def entries(self) -> list[dict[str, Any]]:
+    def entries(self, frame: str) -> list[dict[str, Any]]:
         """See `Store`."""
-        return self._log
+        return self._log.of(frame)
 
 
 class FolderStore(Store):
@@ -122,6 +135,7 @@ class FolderStore(Store):
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._generations: dict[tuple[str, int], int] = {}
+        self._log: _Log | None = None
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
@@ -173,17 +187,23 @@ class FolderStore(Store):
         with (self.folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
             # The line break comes first, so that a line that a killed run left incomplete stays separate.
             file.write("\n" + json.dumps(entry))
+        if self._log is not None:
+            self._log.add(entry)
 
-    def entries(self) -> list[dict[str, Any]]:
-        """See `Store`."""
-        path = self.folder / "metrics.jsonl"
-        entries = []
+    def entries(self, frame: str) -> list[dict[str, Any]]:
+        """See `Store`; the file is read once, and what is logged from then on is kept."""
+        if self._log is None:
+            self._log = self._read_log()
+        return self._log.of(frame)
+
+    def _read_log(self) -> _Log:
+        path, log = self.folder / "metrics.jsonl", _Log()
         for line in path.read_text("utf-8").splitlines() if path.exists() else []:
             try:
-                entries.append(json.loads(line))
-            except ValueError:
+                log.add(json.loads(line))
+            except (ValueError, TypeError, KeyError):
                 continue  # incomplete since the run was killed; its iteration is repeated
-        return entries
+        return log
 
     def _all_numbers(self) -> dict[str, dict[str, float]]:
         path = self.folder / "numbers.json"
