@@ -46,14 +46,20 @@ RECIPE = {"style": ["spirals"], "octaves": 2, "iterations": 3, "views": 2, "weig
 Values = dict[str, float]
 
 
+def kernels() -> int:
+    """How many kernels Dr.Jit has compiled, or loaded from its cache on disk, in this process."""
+    # Its history of kernels would tell, but takes gigabytes in a long run.
+    found = re.search(r"(\d+) soft, (\d+) hard misses", dr.whos(as_string=True))
+    assert found is not None
+    return int(found[1]) + int(found[2])
+
+
 class Meter:
     """Takes the values, each time those since the last."""
 
     def __init__(self) -> None:
         self._process = psutil.Process()
-        dr.set_flag(dr.JitFlag.KernelHistory, True)
-        dr.kernel_history_clear()
-        self._at, self._read = time.perf_counter(), self._bytes_read()
+        self._at, self._read, self._kernels = time.perf_counter(), self._bytes_read(), kernels()
 
     def _bytes_read(self) -> int:
         return self._process.io_counters().read_chars
@@ -62,17 +68,16 @@ class Meter:
         """The values now; taking them counts for nothing."""
         seconds, read = time.perf_counter() - self._at, self._bytes_read() - self._read
         gc.collect()
-        launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
         found = {
             "memory": self._process.memory_info().rss / 1e6,
             "threads": self._process.num_threads(),
             "files": self._process.num_fds(),
             "variables": len(re.findall(r"^ *\d+ ", dr.whos(as_string=True), re.MULTILINE)),
-            "kernels": sum(not kernel["cache_hit"] for kernel in launched),
+            "kernels": kernels() - self._kernels,
             "seconds": seconds,
             "read": read / 1e6,
         }
-        self._at, self._read = time.perf_counter(), self._bytes_read()
+        self._at, self._read, self._kernels = time.perf_counter(), self._bytes_read(), kernels()
         return found
 
 
