@@ -1,8 +1,9 @@
 """Transport-based neural style transfer for smoke, on Mitsuba 3, Dr.Jit and PyTorch.
 
-`activate()` selects the Mitsuba variant; every public function calls it if none is active. Importing the package
-imports Mitsuba but no other large dependency: a callback registers the plugins `emission_absorption` and
-`orthographic_views` for each variant as it becomes active, and the public names are imported on first use.
+`activate()` selects the Mitsuba variant; every public function calls it if none is active, and puts back one that it
+cannot work in. Importing the package imports Mitsuba but no other large dependency: a callback registers the plugins
+`emission_absorption` and `orthographic_views` for each variant as it becomes active, and the public names are imported
+on first use.
 """
 
 from __future__ import annotations
@@ -89,6 +90,7 @@ def _prepare() -> None:
     if "drjit" in sys.modules:
         importlib.import_module("tnst_mi.machine.loaded_llvm").replace_unusable_llvm()
     mi = importlib.import_module("mitsuba")
+    importlib.import_module("tnst_mi.machine.forks").prepare_for_forks()
     mi.detail.add_variant_callback(_register_plugins)
     if mi.variant() is not None:
         _register_plugins(None, mi.variant())

@@ -183,13 +183,3 @@ def test_the_plugins_follow_every_change_of_the_variant() -> None:
     assert run(program) == [
         f"{variant} True" for variant in ("llvm_ad_rgb", "llvm_ad_mono", "scalar_rgb", "llvm_ad_mono", "llvm_ad_rgb")
     ]
-
-
-def test_public_functions_leave_an_unsupported_variant() -> None:
-    program = SCENE + (
-        "mi.set_variant('llvm_ad_rgb')\n"
-        "first = expected()\n"
-        "mi.set_variant('scalar_rgb')\n"
-        "print((expected() == first).all(), mi.variant())\n"
-    )
-    assert run(program)[0].startswith("True ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -44,13 +45,15 @@ def test_arrays_are_read_in_the_precision_in_which_they_were_written(store: Stor
 
 
 def test_numbers_and_log(store: Store) -> None:
-    assert store.numbers("scales.0") is None and store.entries() == []
+    assert store.numbers("scales.0") is None and store.entries("a") == []
     store.write_numbers("scales.0", {"style": 1 / 3})
     store.write_numbers("scales.1", {"style": 1e-12})
     assert store.numbers("scales.0") == {"style": 1 / 3}
     store.log({"frame": "a", "loss": 0.1})
     store.log({"frame": "b", "loss": 0.2})
-    assert store.entries() == [{"frame": "a", "loss": 0.1}, {"frame": "b", "loss": 0.2}]
+    store.log({"frame": "a", "loss": 0.3})
+    assert store.entries("a") == [{"frame": "a", "loss": 0.1}, {"frame": "a", "loss": 0.3}]
+    assert store.entries("b") == [{"frame": "b", "loss": 0.2}]
 
 
 def test_another_process_finds_the_state(tmp_path: Path) -> None:
@@ -60,7 +63,19 @@ def test_another_process_finds_the_state(tmp_path: Path) -> None:
     store.log({"frame": "a"})
     again = FolderStore(tmp_path)
     assert again.generation("fields.0", 1) == 4 and again.read("fields.0", 1)["phi"][0, 0] == 3
-    assert (again.numbers("scales.0"), again.entries()) == ({"style": 2.0}, [{"frame": "a"}])
+    assert (again.numbers("scales.0"), again.entries("a")) == ({"style": 2.0}, [{"frame": "a"}])
+
+
+def test_the_log_is_parsed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many frames ask for theirs: parsed for each, it would take the square of their number."""
+    store, parsed, loads = FolderStore(tmp_path), [], json.loads
+    for frame in range(20):
+        store.log({"frame": f"f_{frame}"})
+    monkeypatch.setattr(json, "loads", lambda line: parsed.append(line) or loads(line))
+    for frame in range(20):
+        store.log({"frame": f"f_{frame}", "again": True})
+        assert store.entries(f"f_{frame}") == [{"frame": f"f_{frame}"}, {"frame": f"f_{frame}", "again": True}]
+    assert len([line for line in parsed if line]) == 21
 
 
 def test_what_a_killed_run_leaves_does_no_harm(tmp_path: Path) -> None:
@@ -78,7 +93,7 @@ def test_what_a_killed_run_leaves_does_no_harm(tmp_path: Path) -> None:
     again = FolderStore(tmp_path)
     assert again.generation("fields.0", 1) == 5 and again.read("fields.0", 1)["phi"][0, 0] == 6
     again.log({"frame": "c"})
-    assert again.entries() == [{"frame": "a"}, {"frame": "c"}]
+    assert [again.entries(frame) for frame in "abc"] == [[{"frame": "a"}], [], [{"frame": "c"}]]
     assert not unfinished.exists() and len(list(tmp_path.glob("*/*"))) == 1
 
 

@@ -208,6 +208,36 @@ def test_an_interrupted_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path)
     assert job.record["status"] == "done"
 
 
+def test_what_is_read_and_appended_for_a_frame_does_not_grow_with_their_number(
+    optimiser: FakeOptimiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """metrics.jsonl is neither read nor written anew for each frame."""
+    parsed, loads = [], json.loads
+    monkeypatch.setattr(json, "loads", lambda text: parsed.append(text) or loads(text))
+    out, files, sizes = tmp_path / "out", set(), []
+    for _ in Run(prepare(frames(*[0.2] * 12), RECIPE, out), progress=False, optimiser=optimiser):
+        status = (out / "metrics.jsonl").stat()
+        files.add(status.st_ino)
+        sizes.append(status.st_size)
+    assert parsed == [] and len(files) == 1
+    assert sizes == [n * sizes[0] for n in range(1, 13)], "equal frames add equally much"
+
+
+def test_a_torn_line_of_a_killed_run_is_removed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    """And the lines of a frame that run.json does not list: they come once, in the order of the frames."""
+    out = tmp_path / "out"
+    job = Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out), progress=False, optimiser=optimiser)
+    next(job)
+    whole = (out / "metrics.jsonl").read_text()
+    torn = whole.replace("f_07", "f_08")[:-9]
+    del job
+    (out / "metrics.jsonl").write_text(whole + torn)
+    for _ in Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
+        pass
+    lines = [json.loads(line)["frame"] for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert lines == ["f_07"] * 6 + ["f_08"] * 6 + ["f_09"] * 6
+
+
 def test_only_the_same_run_is_resumed(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)

@@ -14,7 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.formats import FORMATS, files_around, require_format
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
-from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
@@ -59,6 +59,7 @@ def _files(arguments: ConvertArguments, frames: FrameFiles) -> list[Path]:
     if not output.suffix or output.is_dir():
         suffix = f".{arguments.format}" if arguments.format else FORMATS[0]
         require_writable(output, arguments.input)
+        require_names(output, [file.stem for file in frames.files])
         return [output / f"{file.stem}{suffix}" for file in frames.files]
     suffix = require_format(output)
     if arguments.format not in (None, suffix[1:]):

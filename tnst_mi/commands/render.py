@@ -19,7 +19,7 @@ from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
-from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import pictures
 from tnst_mi.rendering.looks import gamma
@@ -43,6 +43,7 @@ def run(arguments: RenderArguments) -> int:
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
     stored = open_frames(arguments.input, given=conventions_of(recipe))
+    require_names(arguments.out, [file.stem for file in stored.files])
     readable = Readable(stored, recipe.skip_bad)
     unit = unit_of(readable, arguments.density_scale or ("auto" if path_traced else "1"))
     frames = ScaledFrames(readable.frames(), unit.factor)

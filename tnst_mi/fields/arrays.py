@@ -11,7 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.machine.backend import VARIANTS, activate, torch_device
+from tnst_mi.errors import InputError
+from tnst_mi.fields.torch_operation import called_from_torch
+from tnst_mi.machine.backend import VARIANTS, own_variant, torch_device
 from tnst_mi.machine.lazy import LazyModule
 
 if TYPE_CHECKING:
@@ -28,9 +30,11 @@ def _is_torch(value: Any) -> TypeGuard[torch.Tensor]:
 def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callable], Callable]:
     """Decorator for a function of `mi.TensorXf` arguments called `names` that returns one `mi.TensorXf`.
 
-    Dr.Jit tensors pass through, with their derivatives. Torch tensors enter through `dr.wrap`, so that torch's
-    autograd differentiates the function. Numpy arrays (and anything numpy converts) give a numpy array back. A function
-    that is not differentiable takes no tensors with derivatives, rather than dropping these in silence.
+    Dr.Jit tensors pass through, with their derivatives. Torch's autograd differentiates the function of torch tensors.
+    Numpy arrays (and anything numpy converts) give a numpy array back. A function that is not differentiable takes no
+    tensors with derivatives, rather than dropping these in silence.
+
+    Threads take turns. Another package's variant is put back after the call, so that derivatives need one of ours.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -38,19 +42,23 @@ def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callab
 
         @functools.wraps(function)
         def wrapper(*args: Any, **kwargs: Any) -> Any:
-            if mi.variant() not in VARIANTS:
-                activate()
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = {name: bound.arguments[name] for name in names if bound.arguments[name] is not None}
-            if not differentiable and any(_carries_derivatives(value) for value in given.values()):
-                raise TypeError(f"{function.__name__} is not differentiable: detach its arguments")
+            if any(_carries_derivatives(value) for value in given.values()):
+                if not differentiable:
+                    raise TypeError(f"{function.__name__} is not differentiable: detach its arguments")
+                _require_lasting_variant(function.__name__)
+            with own_variant():
+                return call(bound.arguments, given)
+
+        def call(arguments: dict[str, Any], given: dict[str, Any]) -> Any:
             if any(_is_torch(value) for value in given.values()):
-                return _call_from_torch(function, bound.arguments, given)
+                return _call_from_torch(function, arguments, given)
             if any(dr.is_array_v(value) for value in given.values()):
-                return function(**(bound.arguments | {name: _as_tensor(value) for name, value in given.items()}))
+                return function(**(arguments | {name: _as_tensor(value) for name, value in given.items()}))
             tensors = {name: mi.TensorXf(np.ascontiguousarray(value, np.float32)) for name, value in given.items()}
-            return function(**(bound.arguments | tensors)).numpy()
+            return function(**(arguments | tensors)).numpy()
 
         return wrapper
 
@@ -63,6 +71,16 @@ def _carries_derivatives(value: Any) -> bool:
     return dr.is_array_v(value) and dr.grad_enabled(value)
 
 
+def _require_lasting_variant(function: str) -> None:
+    """Raise InputError if the variant is another package's, to which it is set back before derivatives are taken."""
+    active = mi.variant()
+    if active is not None and active not in VARIANTS:
+        raise InputError(
+            f"{function}: the variant {active} is active, and derivatives need one of {', '.join(VARIANTS)} until they "
+            "have been taken: call tnst_mi.activate() before"
+        )
+
+
 def _as_tensor(value: Any) -> mi.TensorXf:
     return value if isinstance(value, mi.TensorXf) else mi.TensorXf(value)
 
@@ -72,10 +90,9 @@ def _call_from_torch(function: Callable, arguments: dict[str, Any], given: dict[
     tensors = {name: torch.as_tensor(value) for name, value in given.items()}
     home = next(value.device for value in given.values() if _is_torch(value))
 
-    @dr.wrap(source="torch", target="drjit")
-    def call(tensors: dict[str, Any]) -> Any:  # torch's outside, Dr.Jit's inside
-        return function(**tensors, **others)
+    def call(*values: mi.TensorXf) -> mi.TensorXf:
+        return function(**dict(zip(tensors, values, strict=True)), **others)
 
-    # Dr.Jit wraps each tensor for the backend of its device, and cannot mix another device with the variant's.
+    # Dr.Jit cannot mix another device with the variant's.
     device = torch_device()
-    return call({name: tensor.to(device).float().contiguous() for name, tensor in tensors.items()}).to(home)
+    return called_from_torch(call, [tensor.to(device).float().contiguous() for tensor in tensors.values()]).to(home)

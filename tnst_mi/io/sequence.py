@@ -182,7 +182,8 @@ def open_frames(
             duplicated.
     """
     path = Path(path)
-    return FrameFiles(path, list_frames(path, numbers), given)
+    with gate(path, "the path of frames"):
+        return FrameFiles(path, list_frames(path, numbers), given)
 
 
 def displayable(name: str) -> str:

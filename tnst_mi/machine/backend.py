@@ -8,6 +8,8 @@ from __future__ import annotations
 import functools
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -16,6 +18,7 @@ import mitsuba as mi
 from tnst_mi.errors import InputError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.loaded_llvm import check_llvm
+from tnst_mi.machine.turns import turn
 
 if TYPE_CHECKING:
     import torch
@@ -33,12 +36,41 @@ def activate(variant: str | None = None) -> str:
         variant: `cuda_ad_rgb` or `llvm_ad_rgb`. None keeps a variant that is already active and supported,
             else picks `cuda_ad_rgb` if both Dr.Jit and torch can use a GPU, and `llvm_ad_rgb` otherwise.
 
+    The variant is that of the whole process, of all its threads.
+
     Returns:
         The name of the active variant.
 
     Raises:
-        InputError: the variant is unknown, or no usable GPU or LLVM library is found.
+        InputError: the variant is unknown, no usable GPU or LLVM library is found, or Dr.Jit was used before this
+            process was forked.
     """
+    with turn():
+        return _activated(variant)
+
+
+@contextmanager
+def own_variant() -> Iterator[None]:
+    """Within the block, a variant of ours is active; the one that another package has chosen is put back afterwards.
+
+    It is this thread's turn.
+
+    Raises:
+        InputError: as for `activate`.
+    """
+    with turn():
+        before = mi.variant()
+        if before not in VARIANTS:
+            _activated(None)
+        try:
+            yield
+        finally:
+            if before is not None and mi.variant() != before:
+                mi.set_variant(before)
+
+
+def _activated(variant: str | None) -> str:
+    """See `activate`."""
     active = mi.variant()
     if variant is None:
         variant = active if active in VARIANTS else _preferred_variant()

@@ -24,6 +24,9 @@ _STANDARD_OUTPUT, _STANDARD_ERROR = 1, 2
 
 # Streams belong to the whole process.
 _streams = threading.Lock()
+if hasattr(os, "register_at_fork"):
+    # No child begins its life while it is taken by a thread that the child does not have.
+    os.register_at_fork(before=_streams.acquire, after_in_parent=_streams.release, after_in_child=_streams.release)
 
 
 @contextmanager

@@ -49,6 +49,8 @@ class SequenceOptimisation:
         self._on_iteration: Callable[[Progress], None] | None = None
         self._finished: frozenset[int] = frozenset()
         self._interrupt = Interrupt()
+        #: Of the frames that are changed, among these, by their index.
+        self._position = {frame.index: position for position, frame in enumerate(plan.alive)}
         #: Items of the current octave.
         self._items: Items | None = None
         self.interrupted = False
@@ -165,8 +167,8 @@ class SequenceOptimisation:
         for outcome in items.outcomes():
             if self._on_iteration is None:
                 continue
-            frame, k, count = outcome.frame, outcome.iteration, len(plan.alive)
-            position = plan.alive.index(frame)
+            frame, k, count = outcome.frame, outcome.iteration, len(self._position)
+            position = self._position[frame.index]
             within = k * count + position if plan.window > 1 else position * iterations + k
             octaves = len(plan.octaves)
             done, total = items.level * count * iterations + within + 1, octaves * count * iterations
@@ -202,5 +204,5 @@ class SequenceOptimisation:
 
     def _history(self, name: str) -> list[dict]:
         """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self._store.entries() if e["frame"] == name}
+        entries = {(e["octave"], e["iteration"]): e for e in self._store.entries(name)}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

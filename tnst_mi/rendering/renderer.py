@@ -22,6 +22,7 @@ from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int, require_indexable
 from tnst_mi.machine.backend import on_gpu
+from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import View, common_size
 from tnst_mi.rendering.march.medium import GridMedium
@@ -73,19 +74,23 @@ class _Render(dr.CustomOp):
         self, density: mi.TensorXf, renderer: Renderer, views: tuple[View, ...], seed: tuple[int, ...]
     ) -> mi.TensorXf:
         self.density, self.renderer, self.arguments = dr.detach(density), renderer, (views, seed)
-        with dr.suspend_grad():
+        with turn(), dr.suspend_grad():
             self.images = renderer.images(self.density, views, seed)
-        # Evaluated now: the adjoint needs them again and should not march for them.
-        dr.eval(self.images)
+            # Evaluated now: the adjoint needs them again and should not march for them.
+            dr.eval(self.images)
         return self.images
+
+    # Derivatives are taken by whoever wants them, and the medium is shared by all renderers of a grid.
 
     def forward(self) -> None:
         change = mi.TensorXf(self.grad_in("density").array, self.density.shape)
-        self.set_grad_out(self.renderer.tangent(self.density, *self.arguments, change))
+        with turn():
+            self.set_grad_out(self.renderer.tangent(self.density, *self.arguments, change))
 
     def backward(self) -> None:
-        gradient = self.renderer.gradient(self.density, *self.arguments, self.images, self.grad_out())
-        self.set_grad_in("density", gradient)
+        with turn():
+            gradient = self.renderer.gradient(self.density, *self.arguments, self.images, self.grad_out())
+            self.set_grad_in("density", gradient)
 
     def name(self) -> str:
         return "render views"

@@ -11,6 +11,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.machine.backend import own_variant
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run
@@ -50,7 +51,8 @@ def stylize(
     """Stylize one frame or a sequence.
 
     Ctrl-C ends it early; a single frame is then returned in its current state. Without `out`, the state of all frames
-    of a sequence is held in memory; with it, memory is bounded by the window.
+    of a sequence is held in memory; with it, memory is bounded by the window. Of several threads one stylizes at a
+    time. The variant that was active before is put back.
 
     Args:
         frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
@@ -80,6 +82,11 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
+    with own_variant():
+        return _stylized(frames, recipe, out, progress)
+
+
+def _stylized(frames: Frames, recipe: Recipe, out: str | Path | None, progress: bool) -> Result:
     frames_done = Run(prepare(frames, recipe, out, progress=progress), progress)
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []

@@ -6,16 +6,17 @@
     recipe.toml          the recipe as run              run.json             the record of the run
     metrics.jsonl        one line per iteration
 
-Every file is written atomically and durably; a frame counts as finished once run.json, which is written last, lists it
-as complete.
+Every file is written atomically and durably, but for metrics.jsonl, which grows with each frame and is on the disk
+before run.json, which is written last, lists the frame as complete: then it counts as finished.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from matplotlib.figure import Figure
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.atomic import remove_folder, remove_unfinished, written_whole
+from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
 from tnst_mi.io.files.companions import OBSTACLE, companion
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
@@ -65,7 +66,7 @@ _ELSEWHERE = "give another folder"
 
 def holds_run(out: Path) -> bool:
     """Whether a folder has the two files that every run writes."""
-    return all((out / name).is_file() for name in _MARKS)
+    return all(os.path.isfile(out / name) for name in _MARKS)  # also of a path that is too long
 
 
 def frame_names(out: Path) -> list[str]:
@@ -163,12 +164,8 @@ def resumable_run(
 class RunFolder:
     """Writes the results of a run.
 
-    Args:
-        out: the folder.
-        recipe: of the run.
-        overwrite: whether the results of an earlier run are removed first.
-        suffix: file suffix of the results.
-        may_write: called before anything is written; raises if that must not happen any more.
+    finished: names of the frames that an earlier run has finished, whose iterations metrics.jsonl keeps.
+    may_write: called before anything is written; raises if that must not happen any more.
     """
 
     def __init__(
@@ -177,15 +174,19 @@ class RunFolder:
         recipe: Recipe,
         overwrite: bool = False,
         suffix: str = FORMATS[0],
+        finished: Collection[str] = (),
         may_write: Callable[[], None] = lambda: None,
     ) -> None:
         self.out, self.work, self._suffix, self._may_write = out, out / _WORK, suffix, may_write
+        self._metrics = out / "metrics.jsonl"
         if overwrite:
             _remove_results(out, frame_names(out))
         for folder in (out, *(out / name for name in _FOLDERS)):
             remove_unfinished(folder)
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
+        if self._metrics.exists():
+            self._keep_metrics(finished)
 
     def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
         """Write a frame's stylized density with its obstacle, and the velocity that made it, with its placement."""
@@ -204,16 +205,26 @@ class RunFolder:
         write_png(images / f"{name}_comparison.png", side_by_side(before, after))
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
-        """Add a frame's iterations to metrics.jsonl, replacing its earlier lines, and plot its loss."""
+        """Add a frame's iterations to metrics.jsonl, and plot its loss.
+
+        They are appended, so that a frame costs the same however many there were before it. What a killed run leaves of
+        them is removed when the run goes on, since run.json does not list their frame yet.
+        """
         self._may_write()
-        path = self.out / "metrics.jsonl"
-        lines = path.read_text("utf-8").splitlines() if path.exists() else []
-        lines = [line for line in lines if json.loads(line)["frame"] != name]
-        lines += [json.dumps({"frame": name, **entry}) for entry in history]
-        with written_whole(path) as temporary:
-            temporary.write_text("".join(line + "\n" for line in lines), "utf-8")
+        append(self._metrics, "".join(json.dumps({"frame": name, **entry}) + "\n" for entry in history))
+        sync(self._metrics)
         if history:
             plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
+
+    def _keep_metrics(self, finished: Collection[str]) -> None:
+        """Remove the iterations of other frames from metrics.jsonl, and a last line that is incomplete."""
+        kept = []
+        for line in self._metrics.read_text("utf-8").splitlines():
+            with contextlib.suppress(*_DAMAGE):
+                if json.loads(line)["frame"] in finished:
+                    kept.append(line)
+        with written_whole(self._metrics) as temporary:
+            temporary.write_text("".join(line + "\n" for line in kept), "utf-8")
 
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
         """Write the preview, contact sheet and plots of all frames, whose pictures have been written already."""

@@ -127,9 +127,9 @@ class Run(Iterator[StylizedFrame]):
         folder: RunFolder | None = None
         store: Store = MemoryStore()
         if prepared.out is not None and lock is not None:
-            may_write = lock.require_held
-            folder = RunFolder(prepared.out, prepared.recipe, prepared.overwrite, prepared.suffix, may_write)
-            store = FolderStore(folder.work, run_identity(prepared.recipe, self.record), may_write, self._bar.say)
+            recipe, may_write = prepared.recipe, lock.require_held
+            folder = RunFolder(prepared.out, recipe, prepared.overwrite, prepared.suffix, finished, may_write)
+            store = FolderStore(folder.work, run_identity(recipe, self.record), may_write, self._bar.say)
         if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):
             self.record["status"] = "done"
             if folder is not None:
@@ -186,7 +186,8 @@ class Run(Iterator[StylizedFrame]):
         """Write the results for all frames together, and clean up."""
         prepared = self.prepared
         names = [measure.name for measure in prepared.measures]
-        self.record["frames"].sort(key=lambda record: names.index(record["name"]))
+        place = {name: index for index, name in enumerate(names)}
+        self.record["frames"].sort(key=lambda record: place[record["name"]])
         if len(names) > 1:
             densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,11 +44,11 @@ def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
         measures.append(Measure(frame.name, frame.number, frame.mass, densest, frame_digest(frame), moves))
-    names = [measure.name for measure in measures]
-    for name in names:
+    counts = Counter(measure.name for measure in measures)
+    for name in counts:
         if not is_file_name(name):
             raise InputError(f"frames: the name {name!r} cannot name files, expected one without / and \\")
-        if names.count(name) > 1:
+        if counts[name] > 1:
             raise InputError(f"frames: the name {name!r} is there more than once, expected one name per frame")
     return measures, reference
 

@@ -21,7 +21,7 @@ from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
-from tnst_mi.machine.disk import require_space, require_writable
+from tnst_mi.machine.disk import require_names, require_space, require_writable
 from tnst_mi.machine.lock import require_unlocked
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
@@ -116,7 +116,8 @@ class Prepared:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
         if len(names) == len(self.frames):
             return self.frames
-        return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in names]
+        chosen = set(names)
+        return [self.frames[i] for i, measure in enumerate(self.measures) if measure.name in chosen]
 
 
 def load_network(recipe: Recipe) -> Network:
@@ -195,6 +196,8 @@ def prepare(
     readable = Readable(sequence, recipe.skip_bad)
     measures, reference = measured(_watched(readable, "reading", progress))
     sequence = readable.frames()
+    if out is not None:
+        require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)

@@ -100,11 +100,24 @@ class Store(ABC):
 
     @abstractmethod
     def log(self, entry: dict[str, Any]) -> None:
-        """Add an entry to the log."""
+        """Add an entry to the log; its "frame" is the name of the frame that it is about."""
 
     @abstractmethod
-    def entries(self) -> list[dict[str, Any]]:
-        """The log so far."""
+    def entries(self, frame: str) -> list[dict[str, Any]]:
+        """The log of a frame so far."""
+
+
+class _Log:
+    """Entries by the frame that they are about: those of one are found without looking at the others."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, list[dict[str, Any]]] = {}
+
+    def add(self, entry: dict[str, Any]) -> None:
+        self._of.setdefault(entry["frame"], []).append(entry)
+
+    def of(self, frame: str) -> list[dict[str, Any]]:
+        return self._of.get(frame, [])
 
 
 class MemoryStore(Store):
@@ -113,7 +126,7 @@ class MemoryStore(Store):
     def __init__(self) -> None:
         self._items: dict[tuple[str, int], tuple[int, Arrays]] = {}
         self._numbers: dict[str, dict[str, float]] = {}
-        self._log: list[dict[str, Any]] = []
+        self._log = _Log()
 
     def generation(self, group: str, frame: int) -> int:
         """See `Store`."""
@@ -153,11 +166,11 @@ class MemoryStore(Store):
 
     def log(self, entry: dict[str, Any]) -> None:
         """See `Store`."""
-        self._log.append(entry)
+        self._log.add(entry)
 
-    def entries(self) -> list[dict[str, Any]]:
+    def entries(self, frame: str) -> list[dict[str, Any]]:
         """See `Store`."""
-        return self._log
+        return self._log.of(frame)
 
 
 class FolderStore(Store):
@@ -179,6 +192,7 @@ class FolderStore(Store):
     ) -> None:
         self.folder, self._run, self._may_write, self._say = folder, run, may_write, say
         self._generations: dict[tuple[str, int], int] = {}
+        self._entries: _Log | None = None
         remove_unfinished(folder)
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
@@ -262,17 +276,23 @@ class FolderStore(Store):
         self._may_write()
         # The line break comes first, so that a line that a killed run left incomplete stays separate.
         append(self._log, "\n" + json.dumps(entry))
+        if self._entries is not None:
+            self._entries.add(entry)
 
-    def entries(self) -> list[dict[str, Any]]:
-        """See `Store`."""
-        path = self._log
-        entries = []
+    def entries(self, frame: str) -> list[dict[str, Any]]:
+        """See `Store`; the file is read once, and what is logged from then on is kept."""
+        if self._entries is None:
+            self._entries = self._read_log()
+        return self._entries.of(frame)
+
+    def _read_log(self) -> _Log:
+        path, log = self._log, _Log()
         for line in path.read_text("utf-8").splitlines() if path.exists() else []:
             try:
-                entries.append(json.loads(line))
-            except ValueError:
+                log.add(json.loads(line))
+            except (ValueError, TypeError, KeyError):
                 continue  # incomplete since the run was killed; its iteration is repeated
-        return entries
+        return log
 
     @property
     def _numbers(self) -> Path:
