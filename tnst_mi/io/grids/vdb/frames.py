@@ -65,7 +65,7 @@ def read_vdb_frame(
     if run is None:
         run = run_grid([span] if (span := _span_of(file, found)) else [])
     cells = run.box_of(name or path.stem)
-    require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
+    require_small(path, cells, found.components or 1)
     if main is None:
         return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
     grid = main.main
@@ -169,7 +169,7 @@ def run_grid_of(
         numbers: of the frames, as far as they are known.
 
     Raises:
-        InputError: the grid would be too large, or almost empty.
+        InputError: the grid would be too large, or out of proportion to the files.
     """
     spans = []
     for path in paths:
@@ -238,6 +238,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         BLENDER in grid.metadata,
         float(trees[0].background) if trees else 0.0,
         number,
+        found.components,
+        file.path.stat().st_size,
     )
 
 

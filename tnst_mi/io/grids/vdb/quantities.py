@@ -105,6 +105,11 @@ class Quantities:
     lacking: str
 
     @property
+    def components(self) -> int:
+        """Of the values of all of them together."""
+        return sum(part.components for part in (self.density, self.velocity, self.obstacle) if part is not None)
+
+    @property
     def main(self) -> Quantity | None:
         """The density, or else the velocity: its voxels are those of the frame."""
         return self.density or self.velocity
