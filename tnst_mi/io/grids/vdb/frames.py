@@ -31,6 +31,7 @@ from tnst_mi.io.grids.vdb.span import Span
 from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.machine.gate import gate
+from tnst_mi.machine.terminal import quoted, shortened
 
 
 def read_vdb_frame(
@@ -138,7 +139,7 @@ def describe_vdb(path: Path) -> list[str]:
     """The contents of a file, one line per grid."""
     lines = []
     for grid in read_vdb(path).grids:
-        words = [type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec]
+        words = [type_in_words(grid), shortened(str(grid.metadata.get("class", "unknown"))), grid.codec]
         words.append(_voxels(grid))
         if grid.kind is not None:
             box = grid.topology.active_box()
@@ -146,7 +147,7 @@ def describe_vdb(path: Path) -> list[str]:
             if box is not None:
                 words.append(f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}")
             words += _range(grid)
-        lines.append(f"  grid {grid.name!r}: {', '.join(words)}")
+        lines.append(f"  grid {quoted(grid.name)}: {', '.join(words)}")
     return lines
 
 

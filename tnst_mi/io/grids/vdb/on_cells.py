@@ -16,6 +16,7 @@ from tnst_mi.io.grids.vdb.file_format.reader import Grid
 from tnst_mi.io.grids.vdb.limits import is_out_of_proportion, require_small
 from tnst_mi.io.grids.vdb.quantities import Quantity, on_faces, solid_voxels
 from tnst_mi.io.interpretation.staggered import centred_velocity
+from tnst_mi.machine.terminal import quoted
 
 #: A cell, or a voxel, is solid if at least this share of it is.
 SOLID = 0.5
@@ -133,7 +134,7 @@ def _one_map(quantity: Quantity, run: Affine) -> Affine:
         map = between(first.affine, grid.affine)
         if not map.whole or (map.matrix != np.eye(3)).any() or map.offset.any():
             raise InputError(
-                f"{first.path}: {len(quantity.grids)} grids are called {first.name!r} and have different voxels, "
+                f"{first.path}: {len(quantity.grids)} grids are called {quoted(first.name)} and have different voxels, "
                 f"expected the same; choose one of them, such as with --density '{first.name}[0]'"
             )
     return between(run, first.affine)
