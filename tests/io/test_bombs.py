@@ -194,6 +194,13 @@ def test_clumps_of_all_tiles_of_a_node_are_found_in_no_time(step: int) -> None:
     assert time.process_time() - started < 2.0
 
 
+def test_values_that_are_not_finite_have_no_mass() -> None:
+    origins = np.array([[0, 0, 0], [256, 0, 0], [512, 0, 0]])
+    tree = tiles_tree(origins, np.full(3, 8))
+    tree.tile_values[1:] = np.nan, np.inf
+    assert [clump.mass for clump in clumps_of([tree])] == [8.0**3, 0.0, 0.0]
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=30)
 def test_smoke_in_neighbouring_bins_is_of_one_clump(seed: int) -> None:

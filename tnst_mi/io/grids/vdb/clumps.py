@@ -97,15 +97,22 @@ def _blocks_of(tree: Tree) -> tuple[np.ndarray, ...]:
     along = np.stack([voxels.any(axis=axes) for axes in ((2, 3), (1, 3), (1, 2))], axis=1)
     low = tree.leaf_origins[occupied] + along.argmax(axis=-1)
     high = tree.leaf_origins[occupied] + LEAF_EDGE - 1 - along[..., ::-1].argmax(axis=-1)
-    mass = np.abs(tree.leaf_values[occupied]).sum(axis=1, dtype=np.float64)
     filled = tree.tile_values != 0.0
     origins, edges = tree.tile_origins[filled], tree.tile_edges[filled]
+    with np.errstate(over="ignore"):
+        of_leaves = _mass(tree.leaf_values[occupied]).sum(axis=1)
+        of_tiles = _mass(tree.tile_values[filled]) * edges.astype(np.float64) ** 3
     return (
         np.concatenate([low, origins]),
         np.concatenate([high, origins + edges[:, None] - 1]),
-        np.concatenate([mass, np.abs(tree.tile_values[filled]) * edges.astype(np.float64) ** 3]),
+        np.concatenate([of_leaves, of_tiles]),
         np.concatenate([inside[occupied].sum(axis=1), edges**3]),
     )
+
+
+def _mass(values: np.ndarray) -> np.ndarray:
+    """That of voxels; 0 where values are not finite, for which the file is refused when they are read."""
+    return np.where(np.isfinite(values), np.abs(values), 0.0).astype(np.float64)
 
 
 def _labels(blocks: _Blocks) -> np.ndarray:
