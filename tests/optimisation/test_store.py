@@ -90,6 +90,16 @@ def test_damaged_items_are_named(damage: bytes | None, tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5] if damage is None else damage)
     with pytest.raises(InputError, match=r"000001\.000004\.safetensors: damaged .* start anew with --overwrite"):
         store.read("fields.0", 1)
-    (tmp_path / "numbers.json").write_bytes(b"{")
-    with pytest.raises(InputError, match=r"numbers\.json: damaged"):
-        store.numbers("scales.0")
+    for content in (b"{", b"[]", b"1", b'{"scales.0": 1}', b'{"scales.0": {"style": "1"}}', b"[" * 100_000, b"\xff"):
+        (tmp_path / "numbers.json").write_bytes(content)
+        with pytest.raises(InputError, match=r"numbers\.json: damaged"):
+            store.numbers("scales.0")
+
+
+def test_damaged_lines_of_the_log_are_left_out(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path)
+    store.log({"frame": "a"})
+    with (tmp_path / "metrics.jsonl").open("ab") as file:
+        file.write(b"\n\xff\xfe\n[1]\n3\n" + b"[" * 100_000)
+    store.log({"frame": "c"})
+    assert store.entries() == [{"frame": "a"}, {"frame": "c"}]

@@ -23,6 +23,7 @@ from safetensors.numpy import save
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.machine.terminal import one_line
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
@@ -141,9 +142,8 @@ class FolderStore(Store):
             with safe_open(path, framework="numpy") as item:
                 return {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
         except (SafetensorError, OSError, ValueError) as error:
-            raise InputError(
-                f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
-            ) from None
+            message = f"{path}: damaged ({error}); the run cannot be resumed, start anew with --overwrite"
+            raise InputError(one_line(message)) from None
 
     def write(self, group: str, frame: int, generation: int, arrays: Arrays) -> None:
         """See `Store`."""
@@ -178,19 +178,25 @@ class FolderStore(Store):
         """See `Store`."""
         path = self.folder / "metrics.jsonl"
         entries = []
-        for line in path.read_text("utf-8").splitlines() if path.exists() else []:
+        text = path.read_bytes().decode("utf-8", "replace") if path.exists() else ""
+        for line in text.splitlines():
             try:
-                entries.append(json.loads(line))
-            except ValueError:
+                entry = json.loads(line)
+            except (ValueError, RecursionError):
                 continue  # incomplete since the run was killed; its iteration is repeated
+            if isinstance(entry, dict):
+                entries.append(entry)
         return entries
 
     def _all_numbers(self) -> dict[str, dict[str, float]]:
         path = self.folder / "numbers.json"
         try:
-            return json.loads(path.read_text("utf-8")) if path.exists() else {}
-        except ValueError:
-            raise InputError(f"{path}: damaged; the run cannot be resumed, start anew with --overwrite") from None
+            found = json.loads(path.read_text("utf-8")) if path.exists() else {}
+            if all(isinstance(number, int | float) for numbers in found.values() for number in numbers.values()):
+                return found
+        except (ValueError, AttributeError, RecursionError):
+            pass
+        raise InputError(f"{path}: damaged; the run cannot be resumed, start anew with --overwrite")
 
     def _path(self, group: str, frame: int, generation: int) -> Path:
         return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"
