@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import struct
+import subprocess
+import sys
 import time
 import zipfile
 import zlib
@@ -222,6 +224,26 @@ def test_smoke_in_neighbouring_bins_is_of_one_clump(seed: int) -> None:
     )
     clumps = clumps_of([tiles_tree(origins, edges)])
     assert sorted([*clump.box[0], *clump.box[1]] for clump in clumps) == boxes
+
+
+def test_a_wide_box_is_described_in_little_memory(tmp_path: Path) -> None:
+    """One bit of a leaf's place is flipped; a process of its own, so that its peak of memory is that of the command."""
+    if sys.platform != "linux":
+        pytest.skip("reads the peak of memory from /proc")
+    smoke = np.random.default_rng(0).random((8, 8, 8)).astype(np.float32) + 0.5
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", smoke), DenseGrid("density", smoke, (4096, 0, 0))], {})
+    content, node = (tmp_path / "a.vdb").read_bytes(), np.array([4096, 0, 0], "<i4").tobytes()
+    assert content.count(node) == 1
+    (tmp_path / "a.vdb").write_bytes(content.replace(node, np.array([0, 1 << 20, 0], "<i4").tobytes()))
+    program = (
+        "import sys; from pathlib import Path; from tnst_mi.cli import main; code = main(['info', sys.argv[1]]); "
+        "status = Path('/proc/self/status').read_text(); print(code, status.split('VmHWM:')[1].split()[0])"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "a.vdb")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    code, peak = map(int, ran.stdout.split())
+    assert code == 2 and "its grid spans 8 × 1048584 × 8 cells in a file of" in ran.stderr
+    assert peak < 300_000  # kilobytes
 
 
 def test_nodes_at_impossible_places_are_taken_where_openvdb_takes_them(tmp_path: Path) -> None:
