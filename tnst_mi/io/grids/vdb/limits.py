@@ -24,7 +24,7 @@ _CELL_BYTES = 14
 _LARGEST_RATIO = 10_000
 
 # Smaller grids, in cells and bytes, do no harm, whatever the file.
-_HARMLESS_CELLS, _HARMLESS_BYTES = 1 << 23, 400_000_000
+_HARMLESS_CELLS, _HARMLESS_BYTES = 1 << 23, 300_000_000
 
 
 def require_small(path: Path, box: Box, components: int = 1, remedy: str = "crop the grid") -> None:
