@@ -72,9 +72,9 @@ PUBLISHED = (
 )
 """Preferred files first.
 
-The publishers of the caffemodel and the graph give SHA-1 hashes, which no longer prove that a file is theirs, and
-torchvision the first 32 bits. The whole SHA-256 hashes are those that Intel's Open Model Zoo (the caffemodel) and
-TensorFlow's own build (inception5h.zip) check, and that several projects have found of the other two.
+Caffe's own page gives a SHA-1 hash, which no longer proves that a file is the one meant, and torchvision the first 32
+bits. The whole SHA-256 hashes are those that TensorFlow's build (inception5h.zip) and Intel's Open Model Zoo (the
+caffemodel) check, and that independent projects have found of the graph in inception5h.zip and of torchvision's file.
 """
 
 
