@@ -4,8 +4,8 @@
 
 Small undamaged files of each format are made here and damaged: bits, lengths, pieces and words, also inside of
 archives with checksums made right again. Each is read in a process with a limit of memory. Of a damaged file there has
-to come one line (`tnst_mi.InputError`) of at most 300 printable characters, within 2 s of processor time and 1 GB of
-memory; anything else, such as a crash, another exception or a hang, is a fault. The input of each is saved, as
+to come one line (`tnst_mi.InputError`) of at most 300 printable characters, within 2 s of processor time and 500 MB
+of memory; anything else, such as a crash, another exception or a hang, is a fault. The input of each is saved, as
 FOLDER/READER-NUMBER with a .txt beside it that says what happened, and the exit code is 1.
 
 Input N of a seed is always the same. --minutes is the time for each reader; where atheris is installed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import io
 import struct
 import zipfile
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
-from PIL import Image, features
+from PIL import Image, ImageCms, features
 
 from tnst_mi import Frame, Recipe, save_frames
 from tnst_mi.geometry.affine import Affine
@@ -144,6 +145,9 @@ def picture_files(folder: Path) -> Iterator[bytes]:
     exif = Image.Exif()
     exif[274] = 6  # turned
     yield _encoded(rgb, "JPEG", exif=exif)
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for format in ("PNG", "JPEG", *(("WEBP",) if features.check("webp") else ())):
+        yield _encoded(rgb, format, exif=exif, icc_profile=profile)
     yield _encoded(rgb.convert("CMYK"), "JPEG")
     yield _encoded(rgb, "JPEG", progressive=True)
     for compression in ("raw", "tiff_lzw", "tiff_adobe_deflate", "packbits") if features.check("libtiff") else ("raw",):
@@ -155,6 +159,9 @@ def picture_files(folder: Path) -> Iterator[bytes]:
     for format in ("WEBP", "AVIF"):
         if features.check(format.lower()):
             yield _encoded(rgb, format)
+    if importlib.util.find_spec("pillow_heif") is not None:
+        importlib.import_module("pillow_heif").register_heif_opener()
+        yield _encoded(rgb, "HEIF")
 
 
 def exr_files(folder: Path) -> Iterator[bytes]:

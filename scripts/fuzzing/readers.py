@@ -1,16 +1,24 @@
-"""The readers of files that people bring, each called as the commands call it."""
+"""The readers of files that people bring, and of what earlier runs left, each called as the commands call it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from fuzzing import corpus, weights_corpus
+from fuzzing import corpus, own_corpus, weights_corpus
 from tnst_mi import GoogLeNet, Recipe, load_frames
+from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.commands import info
 from tnst_mi.commands.arguments import InfoArguments
+from tnst_mi.errors import InputError
 from tnst_mi.losses.pictures import read_image
+from tnst_mi.machine.terminal import one_line
+from tnst_mi.optimisation.items.store import FolderStore
+from tnst_mi.recipe.keys import Texts
+from tnst_mi.recipe.sections import KINDS
+from tnst_mi.run.folder import frame_names, input_of_run, resumable_run
 
 
 @dataclass(frozen=True)
@@ -37,9 +45,9 @@ class Reader:
 
     def read_damaged(self, content: bytes, folder: Path) -> None:
         """Write a damaged file and those beside it into a folder, and read them."""
-        for name, other in self.beside.items():
-            (folder / name).write_bytes(other)
-        (folder / self.file).write_bytes(content)
+        for name, written in (self.beside | {self.file: content}).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(written)
         self.read(folder / (self.named or self.file))
 
 
@@ -47,6 +55,32 @@ def _described_and_loaded(path: Path) -> None:
     info.run(InfoArguments(files=(path,)))
     load_frames(path)
 
+
+def _resumed(path: Path) -> None:
+    """The folder of a run, by the three commands that read one: to go on, to replace it, and to render it."""
+    resumable_run(path.parent, Recipe(), {"sha256": own_corpus.WEIGHTS})
+    frame_names(path.parent)
+    input_of_run(path.parent)
+
+
+def _flags(path: Path) -> None:
+    lines = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")
+    pairs = (line.partition("=") for line in lines)
+    try:
+        Recipe().updated_by_flags(
+            {name: (text,) if isinstance(KINDS[name], Texts) else text for name, _, text in pairs if name in KINDS}
+        )
+    except InputError as error:
+        # Flags are no file, and the command line shortens what it says of them.
+        raise InputError(one_line(str(error))) from None
+
+
+def _adaptive_vdb() -> bytes:
+    with TemporaryDirectory() as folder:
+        return own_corpus.adaptive_vdb(Path(folder))
+
+
+_RUN_RESULTS = {f"{kind}/{own_corpus.FRAME}.npz": b"present" for kind in ("density", "velocity")}
 
 #: All readers by name.
 READERS = {
@@ -71,5 +105,35 @@ READERS = {
     "pth": Reader("network.pth", weights_corpus.pth_files, GoogLeNet.load),
     "caffemodel": Reader("network.caffemodel", weights_corpus.caffemodel_files, GoogLeNet.load),
     "pb": Reader("network.pb", weights_corpus.graph_files, GoogLeNet.load),
+    "run": Reader(
+        "run.json",
+        own_corpus.run_files,
+        _resumed,
+        beside=_RUN_RESULTS | {"recipe.toml": Recipe().to_toml().encode()},
+    ),
+    "run_recipe": Reader(
+        "recipe.toml",
+        own_corpus.run_recipe_files,
+        _resumed,
+        beside=_RUN_RESULTS | {"run.json": next(own_corpus.run_files(Path()))},
+    ),
+    "state": Reader(
+        "fields/000000.000001.safetensors",
+        own_corpus.state_files,
+        lambda path: FolderStore(path.parent.parent).read("fields", 0),
+    ),
+    "numbers": Reader(
+        "numbers.json", own_corpus.numbers_files, lambda path: FolderStore(path.parent).numbers("exposure")
+    ),
+    "log": Reader("metrics.jsonl", own_corpus.log_files, lambda path: FolderStore(path.parent).entries("0")),
+    "atlas": Reader("000_picture.png", own_corpus.atlas_files, means_in),
+    "configuration": Reader(
+        "config/config_0001.uni",
+        own_corpus.configuration_files,
+        _described_and_loaded,
+        "data/smoke_0001.vdb",
+        {"data/smoke_0001.vdb": _adaptive_vdb()},
+    ),
+    "flags": Reader("flags.txt", own_corpus.flag_files, _flags),
     "zip": Reader("network.zip", weights_corpus.graph_archives, GoogLeNet.load),
 }

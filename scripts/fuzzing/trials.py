@@ -16,10 +16,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fuzzing.readers import READERS
-from tnst_mi.errors import InputError, UnforeseenError
+from tnst_mi.errors import InputError, StoppedError, UnforeseenError
 
 #: Bounds of a read: characters of its message, seconds of processor time, bytes of memory.
-LONGEST_MESSAGE, LONGEST_TIME, MOST_MEMORY = 300, 2.0, 1_000_000_000
+LONGEST_MESSAGE, LONGEST_TIME, MOST_MEMORY = 300, 2.0, 500_000_000
+
+#: Characters of a line that is printed of a file.
+LONGEST_LINE = 1000
 
 _STATUS, _PEAK_RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
@@ -86,15 +89,16 @@ def trial(name: str, content: bytes, folder: Path) -> Trial:
             READERS[name].read_damaged(content, folder)
     except UnforeseenError as error:
         faults["unforeseen"] = str(error)
-    except InputError as error:
+    except (InputError, StoppedError) as error:
         refused = True
         faults |= _faults_of_message(str(error))
     except Exception as error:
         faults["exception"] = f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]
         where = "".join(traceback.format_tb(error.__traceback__)[-3:])
     seconds, memory = time.process_time() - started, max(0, _memory(reset=False) - before)
-    if unprintable := next((line for line in shown.getvalue().splitlines() if not line.isprintable()), None):
-        faults["output"] = repr(unprintable)[:LONGEST_MESSAGE]
+    for line in shown.getvalue().splitlines():
+        if len(line) > LONGEST_LINE or not line.isprintable():
+            faults["output"] = f"a line of {len(line)} characters: {line!r}"[:LONGEST_MESSAGE]
     if seconds > LONGEST_TIME:
         faults["time"] = f"{seconds:.1f} s"
     if memory > MOST_MEMORY:

@@ -336,7 +336,7 @@ def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch
     ran = run("weights")
     assert ran.code == 0
     assert f"{tmp_path / 'tiny.safetensors'} (not a published file)" in ran.out
-    assert "405fc5acd08a3bb12de8ee5e23a96bec22f08204" in ran.out and "https://" in ran.out
+    assert "6f7101e3a2183738a7125a0c5021ba82a1feb4228c5ca0924d991b6daf6f6fad" in ran.out and "https://" in ran.out
 
 
 def test_an_interruption_inside_a_callback_is_one(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

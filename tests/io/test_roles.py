@@ -6,7 +6,7 @@ import itertools
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tnst_mi.errors import InputError
@@ -150,6 +150,7 @@ def test_lone_arrays_without_a_name() -> None:
 
 
 @given(st.lists(st.text(max_size=40), max_size=12), st.booleans())
+@example(["\U000e0001" * 30 + str(number) for number in range(12)], True)
 def test_any_names_are_chosen_once_or_refused_in_one_line(names: list[str], quoted: bool) -> None:
     entries = [Entry(name, True, index % 3 == 0, "float") for index, name in enumerate(names)]
     try:

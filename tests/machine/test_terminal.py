@@ -9,7 +9,7 @@ from command_line import Run, run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tnst_mi.machine.terminal import LONGEST, one_line, printable
+from tnst_mi.machine.terminal import LONGEST, LONGEST_NAME, one_line, printable, quoted
 
 __all__ = ["run"]
 
@@ -20,6 +20,18 @@ def test_any_text_is_printable_and_an_error_one_short_line(text: str) -> None:
     line = one_line(text)
     assert line.isprintable() and len(line) <= LONGEST and line == " ".join(line.split())
     assert one_line(line) == line
+
+
+@given(st.text(max_size=200), st.integers(8, 80))
+def test_a_quoted_name_is_short_after_escaping(name: str, most: int) -> None:
+    shown = quoted(name, most)
+    assert shown.isprintable() and len(shown) <= most
+    if len(repr(name)) <= most:
+        assert shown == repr(name)
+    else:
+        # As little is cut as can be.
+        assert shown[-2] == "…" and len(shown) > most - 10
+    assert len(quoted("\U000e0001" * 500)) <= LONGEST_NAME
 
 
 def test_the_name_and_the_remedy_outlast_the_folders() -> None:

@@ -52,7 +52,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Ser
         monkeypatch.delenv("TNST_MI_WEIGHTS", raising=False)
         monkeypatch.setattr(weights, "cache_folder", lambda: tmp_path / "cache")
         monkeypatch.setattr(weights, "shared_folder", lambda: tmp_path / "shared")
-        publish(monkeypatch, handler.url, hashlib.sha1(CONTENT).hexdigest())
+        publish(monkeypatch, handler.url, hashlib.sha256(CONTENT).hexdigest())
         yield handler
         running.shutdown()
 
@@ -64,7 +64,7 @@ def begin(folder: Path, content: bytes) -> None:
 
 
 def publish(monkeypatch: pytest.MonkeyPatch, url: str, digest: str) -> None:
-    published = weights.PublishedFile("bvlc", "net.caffemodel", "sha1", digest, url)
+    published = weights.PublishedFile("bvlc", "net.caffemodel", digest, url)
     monkeypatch.setattr(weights, "PUBLISHED", (published,))
 
 
@@ -114,10 +114,20 @@ def test_a_download_with_a_wrong_hash_leaves_nothing(
     if begun:
         begin(tmp_path, begun)
     else:
-        publish(monkeypatch, server.url, "0" * 40)
-    with pytest.raises(InputError, match=r"wrong hash: sha1 [0-9a-f]{40}, expected [0-9a-f]{40}"):
+        publish(monkeypatch, server.url, "0" * 64)
+    with pytest.raises(InputError, match=r"wrong hash: sha256 [0-9a-f]{64}, expected [0-9a-f]{64}"):
         weights.download_weights("bvlc")
     assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_hashes_are_whole(server: type[Server], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The start of a hash could be forged."""
+    publish(monkeypatch, server.url, hashlib.sha256(CONTENT).hexdigest()[:16])
+    with pytest.raises(InputError, match="wrong hash"):
+        weights.download_weights("bvlc")
+    (tmp_path / "cache" / "net.caffemodel").write_bytes(CONTENT)
+    with pytest.raises(InputError, match="wrong hash"):
+        weights.find_weights()
 
 
 def test_a_server_without_the_file_and_no_server(

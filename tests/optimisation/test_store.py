@@ -188,3 +188,12 @@ def test_a_removal_that_was_killed_is_completed(tmp_path: Path, monkeypatch: pyt
     again = FolderStore(tmp_path)
     assert again.generation("fields.0", 0) == again.generation("fields.0", 1) == -1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_damaged_lines_of_the_log_are_left_out(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path)
+    store.log({"frame": "a"})
+    with (tmp_path / "metrics.jsonl").open("ab") as file:
+        file.write(b"\n\xff\xfe\n[1]\n3\n" + b"[" * 100_000)
+    store.log({"frame": "c"})
+    assert FolderStore(tmp_path).entries("a") == [{"frame": "a"}] and store.entries("c") == [{"frame": "c"}]

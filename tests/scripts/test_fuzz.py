@@ -22,6 +22,9 @@ from tnst_mi.errors import InputError
 
 INPUTS = 200
 
+#: Readers that leave out what is damaged, and go on with the rest.
+LENIENT = ("log", "atlas")
+
 
 @pytest.fixture(scope="module")
 def worker() -> Iterator[Worker]:
@@ -37,7 +40,7 @@ def test_damaged_files_give_one_line(name: str, worker: Worker, tmp_path: Path) 
     assert not tally.faults, said
     assert tally.inputs == INPUTS
     # If all were refused or none, damage would not reach what it is meant for.
-    assert 0.3 * INPUTS < tally.refused < INPUTS
+    assert tally.refused == 0 if name in LENIENT else 0.3 * INPUTS < tally.refused < INPUTS
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -83,6 +86,7 @@ def _raise(error: Exception) -> None:
         ("memory", lambda path: np.ones(110_000_000, np.uint8)),
         ("time", lambda path: sum(range(100_000_000))),
         ("output", lambda path: print("\x1b[31m")),
+        ("output", lambda path: print("n" * 1001)),
     ],
 )
 def test_faults_are_found(fault: str, read: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,7 @@ from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.gate import decoding
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 
@@ -103,9 +104,9 @@ class LayerAtlas:
                     if interrupt.requested:
                         raise KeyboardInterrupt
 
-                if self._means(self._file(channel, "picture")) is None:
+                if means_in(self._file(channel, "picture")) is None:
                     self._make_picture(channel, lambda advance=advance: advance("picture"))
-                if self._means(self._file(channel, "smoke")) is None:
+                if means_in(self._file(channel, "smoke")) is None:
                     self._make_smoke(channel, lambda advance=advance: advance("smoke"))
 
     def publish(self) -> list[Channel]:
@@ -169,7 +170,7 @@ class LayerAtlas:
     def _finished(self, number: int) -> Channel | None:
         """A channel with both of its pictures; None if one is missing."""
         picture, smoke = (self._file(number, what) for what in ("picture", "smoke"))
-        of_picture, of_smoke = self._means(picture), self._means(smoke)
+        of_picture, of_smoke = means_in(picture), means_in(smoke)
         if of_picture is None or of_smoke is None:
             return None
         most, gained = (after - before for before, after in (of_picture, of_smoke))
@@ -183,15 +184,15 @@ class LayerAtlas:
         with written_whole(file) as temporary:
             Image.fromarray(eight_bits(image)).save(temporary, pnginfo=text)
 
-    @staticmethod
-    def _means(file: Path) -> tuple[float, float] | None:
-        """The channel's mean before and after, from a file; None if there is none, or it is damaged."""
-        try:
-            with Image.open(file, formats=["PNG"]) as image:
-                image.load()
-                return float(image.info["before"]), float(image.info["after"])
-        except (OSError, SyntaxError, ValueError, KeyError, Image.DecompressionBombError):
-            return None
+
+def means_in(file: Path) -> tuple[float, float] | None:
+    """The channel's mean before and after, from the file of a picture; None if there is none, or it is damaged."""
+    try:
+        with decoding(file, "a picture of an atlas"), Image.open(file, formats=["PNG"]) as image:
+            image.load()
+            return float(image.info["before"]), float(image.info["after"])
+    except InputError:
+        return None
 
 
 def channel_numbers(text: str, count: int) -> list[int]:

@@ -47,7 +47,7 @@ def _list() -> None:
     if not found:
         print("found      none")
     for file in PUBLISHED:
-        print(f"published  {file.flavour:12} {file.name} ({file.algorithm} {file.digest})")
+        print(f"published  {file.flavour:12} {file.name} (sha256 {file.sha256})")
         if file.url:
             print(f"{'':24}{file.url}")
     print(f"places     --weights FILE|FOLDER|{PATTERNS}, then ${ENVIRONMENT_VARIABLE}, then")

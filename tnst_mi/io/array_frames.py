@@ -24,6 +24,7 @@ from tnst_mi.io.interpretation.layouts import (
     velocity_of_components,
 )
 from tnst_mi.io.interpretation.roles import Entry, Roles, Wanted, chosen_roles
+from tnst_mi.machine.terminal import quoted
 
 #: File extensions of these formats.
 ARRAY_FORMATS = (".npz", ".npy")
@@ -151,7 +152,7 @@ def describe_arrays(path: Path) -> list[str]:
         InputError: the file cannot be used.
     """
     return [
-        f"  array {name!r}: {header.dtype}, shape {header.shape}{_range(path, name, header)}"
+        f"  array {quoted(name)}: {header.dtype}, shape {header.shape}{_range(path, name, header)}"
         for name, header in _headers(path).items()
     ]
 
@@ -233,7 +234,7 @@ def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequenc
         scale=picture_scale(density.dtype) or 1.0,
         taken=Taken(
             names[roles.density[0]] if roles.density else None,
-            listed(parts, quoted=False) if parts else None,
+            listed(parts, in_quotes=False) if parts else None,
             solid,
             tuple(names[index] for index in roles.left),
         ),

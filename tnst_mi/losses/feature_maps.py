@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.npz import read_arrays, read_headers
+from tnst_mi.machine.terminal import quoted, shortened, some_of
 
 #: Name of the array in a file that has several.
 KEY = "map"
@@ -31,17 +32,20 @@ def read_map(path: str | Path) -> np.ndarray:
     headers = read_headers(path)
     name = next(iter(headers)) if len(headers) == 1 else KEY
     if name not in headers:
-        raise InputError(f"{path}: holds {', '.join(sorted(headers)) or 'nothing'}, expected an array {KEY!r}")
+        names = some_of([shortened(name) for name in sorted(headers)]) or "nothing"
+        raise InputError(f"{path}: holds {names}, expected an array {KEY!r}")
     shape = headers[name].shape
     if len(shape) > 3 or not 0 < math.prod(shape) <= LARGEST_MAP:
         raise InputError(
-            f"{path}: array {name!r} has shape {shape}, expected a map (C, H, W) of 1 to {LARGEST_MAP} values"
+            f"{path}: array {quoted(name)} has shape {shape}, expected a map (C, H, W) of 1 to {LARGEST_MAP} values"
         )
     # Values that overflow float32 become infinite here and are reported as such.
     with np.errstate(over="ignore"):
         found = read_arrays(path, [name])[name].astype(np.float32)
     if bad := int((~np.isfinite(found)).sum()):
-        raise InputError(f"{path}: {bad} of {found.size} values of array {name!r} are not finite in single precision")
+        raise InputError(
+            f"{path}: {bad} of {found.size} values of array {quoted(name)} are not finite in single precision"
+        )
     return found
 
 

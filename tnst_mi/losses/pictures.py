@@ -33,7 +33,7 @@ _AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc",
 
 #: Pixels of a picture that a file of any size may have, and those for each of its bytes beyond that: for files that
 #: Pillow reads, and for those of high dynamic range, whose pixels take more memory.
-_PIXELS, _LINEAR_PIXELS = (40_000_000, 64), (1 << 23, 4)
+_PIXELS, _LINEAR_PIXELS = (1 << 24, 160), (1 << 23, 4)
 
 #: Standard deviation of grey below which a picture is nearly flat.
 _FLAT = 0.02

@@ -8,6 +8,9 @@ from collections.abc import Sequence
 #: Longest error message in characters, whatever paths it names.
 LONGEST = 300
 
+#: Longest name in a message, as it is shown.
+LONGEST_NAME = 60
+
 _ESCAPE_CODE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _FOLDERS = re.compile(r"(?<!\S)([\"'(]?)/(?:[^\s/]+/){2,}")
 
@@ -22,6 +25,31 @@ def printable(text: str) -> str:
     # Bytes of file names that are not UTF-8 are surrogates here, which no stream can write.
     text = _ESCAPE_CODE.sub("", text.encode("utf-8", "replace").decode("utf-8"))
     return "".join(character if character.isprintable() else " " for character in text)
+
+
+def quoted(name: str, most: int = LONGEST_NAME) -> str:
+    """A name that a file has for something, in quotes, with at most so many characters after escaping.
+
+    Example:
+        >>> quoted("density"), quoted("a name\\n that is far too long", 16)
+        ("'density'", "'a name\\\\n tha…'")
+    """
+    # What cannot be printed becomes up to ten characters.
+    shown, kept = repr(name), name[:most]
+    while len(shown) > most:
+        kept = kept[:-1]
+        shown = f"{repr(kept)[:-1]}…{repr(kept)[-1]}"
+    return shown
+
+
+def shortened(text: str, most: int = LONGEST_NAME) -> str:
+    """The start of a word that a file has for something, with at most so many characters.
+
+    Example:
+        >>> shortened("float"), shortened("a word that is far too long", 12)
+        ('float', 'a word that…')
+    """
+    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def some_of(texts: Sequence[str], most: int = 3) -> str:

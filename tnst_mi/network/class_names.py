@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterator, Sequence
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.terminal import quoted, some_of
 from tnst_mi.network.readers.network_weights import CLASSIFIER, NetworkWeights
 from tnst_mi.resources import DATA
 
@@ -42,11 +43,13 @@ def class_index(names: Sequence[str], tag: str) -> int:
     if len(matches) == 1:
         return matches.pop()
     if matches:
-        listed = ", ".join(f"{names[index]!r} (logits:{index})" for index in sorted(matches))
-        raise InputError(f"class tag {tag!r}: names several classes: {listed}")
+        listed = some_of([f"{quoted(names[index])} (logits:{index})" for index in sorted(matches)])
+        raise InputError(f"class tag {quoted(tag)}: names several classes: {listed}")
     lower = {synonym.lower(): synonym for synonym, _ in _synonyms(names)}
     nearest = difflib.get_close_matches(tag.strip().lower(), lower, n=3, cutoff=0.0)
-    raise InputError(f"class tag {tag!r}: unknown; the nearest are {', '.join(repr(lower[name]) for name in nearest)}")
+    raise InputError(
+        f"class tag {quoted(tag)}: unknown; the nearest are {', '.join(quoted(lower[name]) for name in nearest)}"
+    )
 
 
 def _synonyms(names: Sequence[str]) -> Iterator[tuple[str, int]]:

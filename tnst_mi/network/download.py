@@ -31,8 +31,8 @@ def file_hash(path: Path, algorithm: str) -> str:
         return hashlib.file_digest(file, algorithm).hexdigest()
 
 
-def download(url: str, target: Path, algorithm: str, digest: str) -> None:
-    """Fetch `url` to `target`; `digest` is the start of the file's hexadecimal hash by `algorithm`.
+def download(url: str, target: Path, sha256: str) -> None:
+    """Fetch `url` to `target`; `sha256` is the hexadecimal hash of the whole file.
 
     Partial data are kept in `<target>.part`, from which a later call resumes; an atomic rename creates `target` once
     they are complete and verified. Raises `Unreachable` without a connection, `InputError` if the connection breaks
@@ -41,10 +41,10 @@ def download(url: str, target: Path, algorithm: str, digest: str) -> None:
     part = target.with_name(target.name + ".part")
     try:
         _fetch(url, part)
-        found = file_hash(part, algorithm)
-        if not found.startswith(digest):
+        found = file_hash(part, "sha256")
+        if found != sha256:
             part.unlink()
-            raise InputError(f"{url}: wrong hash: {algorithm} {found}, expected {digest}; download deleted, try again")
+            raise InputError(f"{url}: wrong hash: sha256 {found}, expected {sha256}; download deleted, try again")
         os.replace(part, target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error.strerror or error})") from None

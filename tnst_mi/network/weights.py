@@ -31,12 +31,11 @@ ENVIRONMENT_VARIABLE = "TNST_MI_WEIGHTS"
 
 @dataclass(frozen=True)
 class PublishedFile:
-    """A weights file identified by its name; `digest` is the start of its hexadecimal hash by `algorithm`."""
+    """A weights file identified by its name, with the hexadecimal SHA-256 of its content."""
 
     flavour: str
     name: str
-    algorithm: str
-    digest: str
+    sha256: str
     url: str | None = None
 
 
@@ -44,39 +43,39 @@ PUBLISHED = (
     PublishedFile(
         "bvlc",
         "googlenet_bvlc.safetensors",
-        "sha256",
         "8d4a38bb3ec8bb01a9a6c13bf9ee55877a8f5b23ad09f297eb9f03d96b05ea3b",
     ),
     PublishedFile(
         "bvlc",
         "bvlc_googlenet.caffemodel",
-        "sha1",
-        "405fc5acd08a3bb12de8ee5e23a96bec22f08204",
+        "6f7101e3a2183738a7125a0c5021ba82a1feb4228c5ca0924d991b6daf6f6fad",
         # Published only over http; the hash authenticates the file.
         "http://dl.caffe.berkeleyvision.org/bvlc_googlenet.caffemodel",
     ),
     PublishedFile(
         "inception5h",
         "tensorflow_inception_graph.pb",
-        "sha1",
-        "c8a5a000ee8d8dd75886f152a50a9c5b53d726a5",
+        "a39b08b826c9d5a5532ff424c03a3a11a202967544e389aca4b06c2bd8aef63f",
     ),
     PublishedFile(
         "inception5h",
         "inception5h.zip",
-        "sha1",
-        "e3b84c7e240ce8025b30d868f5e840b4bba9761d",
+        "d13569f6a98159de37e92e9c8ec4dae8f674fbf475f69fe6199b514f756d4364",
         "https://storage.googleapis.com/download.tensorflow.org/models/inception5h.zip",
     ),
     PublishedFile(
         "torchvision",
         "googlenet-1378be20.pth",
-        "sha256",
-        "1378be20",
+        "1378be20a8e875cf1568b8a71654e704449655e34711a959a38b04fb34905cef",
         "https://download.pytorch.org/models/googlenet-1378be20.pth",
     ),
 )
-"""Preferred files first."""
+"""Preferred files first.
+
+Caffe's own page gives a SHA-1 hash, which no longer proves that a file is the one meant, and torchvision the first 32
+bits. The whole SHA-256 hashes are those that TensorFlow's build (inception5h.zip) and Intel's Open Model Zoo (the
+caffemodel) check, and that independent projects have found of the graph in inception5h.zip and of torchvision's file.
+"""
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ def download_weights(flavour: str) -> Path:
     if target.is_file() and _described(target).hash_ok:
         return target
     try:
-        download(known.url, target, known.algorithm, known.digest)
+        download(known.url, target, known.sha256)
     except Unreachable as error:
         raise InputError(f"{flavour} weights: no download ({error}); {_instructions(flavour)}") from None
     return target
@@ -192,7 +191,7 @@ def _described(path: Path) -> FoundWeights:
     known = next((known for known in PUBLISHED if known.name == path.name), None)
     if known is None:
         return FoundWeights(flavour_of(path), path, None)
-    return FoundWeights(known.flavour, path, file_hash(path, known.algorithm).startswith(known.digest))
+    return FoundWeights(known.flavour, path, file_hash(path, "sha256") == known.sha256)
 
 
 def _at(source: str | Path, flavour: str | None, origin: str) -> ChosenWeights:
@@ -228,12 +227,12 @@ def _require_exists(path: Path, origin: str) -> None:
 def _verified(path: Path, known: PublishedFile) -> Path:
     """The path, after checking that the file is the published one."""
     try:
-        found = file_hash(path, known.algorithm)
+        found = file_hash(path, "sha256")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if not found.startswith(known.digest):
+    if found != known.sha256:
         raise InputError(
-            f"{path}: wrong hash: {known.algorithm} {found}, expected {known.digest} (damaged, or another "
+            f"{path}: wrong hash: sha256 {found}, expected {known.sha256} (damaged, or another "
             f"network); delete it and run `tnst-mi weights --download {known.flavour}`, or rename it to use it as it is"
         )
     return path
@@ -244,7 +243,7 @@ def _instructions(flavour: str | None) -> str:
     if flavour == PATTERNS:
         return f"name it with --weights {PATTERNS}"
     files = [
-        f"{known.name} ({known.algorithm} {known.digest}{f', {known.url}' if known.url else ''})"
+        f"{known.name} (sha256 {known.sha256}{f', {known.url}' if known.url else ''})"
         for known in PUBLISHED
         if flavour in (None, known.flavour)
     ]

@@ -203,6 +203,11 @@ class SequenceOptimisation:
         return self._result(frame, Items(plan, level, store), problem)
 
     def _history(self, name: str) -> list[dict]:
-        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(e["octave"], e["iteration"]): e for e in self._store.entries(name)}
+        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once.
+
+        Damaged lines are left out.
+        """
+        mine = self._store.entries(name)
+        whole = [entry for entry in mine if all(isinstance(entry.get(at), int) for at in ("octave", "iteration"))]
+        entries = {(entry["octave"], entry["iteration"]): entry for entry in whole}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

@@ -33,6 +33,7 @@ from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
 from tnst_mi.machine.lock import LOCK
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
@@ -88,7 +89,8 @@ def frame_names(out: Path) -> list[str]:
     for name in names:
         # The file is untrusted: it must not make us remove anything outside the folder.
         if not isinstance(name, str) or not is_file_name(name):
-            raise InputError(f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}")
+            named = f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}"
+            raise InputError(one_line(named))
     return names
 
 
@@ -147,17 +149,14 @@ def resumable_run(
             continue
         before, now = getattr(earlier, key), getattr(recipe, key)
         if before != now:
-            raise InputError(
-                f"{out}: its run had {key} = {before!r} and the recipe now has {now!r}; "
-                "resume with the same recipe, or use --overwrite"
-            )
+            had = f"{out}: its run had {key} = {before!r} and the recipe now has {now!r}"
+            raise InputError(one_line(f"{had}; resume with the same recipe, or use --overwrite"))
     if earlier_weights != weights["sha256"]:
-        raise InputError(f"{out}: its run used other weights (sha256 {earlier_weights}); resume with the same ones")
+        used = f"{out}: its run used other weights (sha256 {earlier_weights})"
+        raise InputError(one_line(f"{used}; resume with the same ones"))
     if earlier_format != suffix[1:]:
-        raise InputError(
-            f"{out}: its run wrote {earlier_format} files, in the format of its input, which now is {suffix[1:]}; "
-            "resume with the same input, or use --overwrite"
-        )
+        wrote = f"{out}: its run wrote {earlier_format} files, in the format of its input, which now is {suffix[1:]}"
+        raise InputError(one_line(f"{wrote}; resume with the same input, or use --overwrite"))
     return run
 
 

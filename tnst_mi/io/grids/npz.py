@@ -15,6 +15,7 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.grids.npy import ArrayHeader, parsed_header, read_array
 from tnst_mi.io.untrusted import LARGEST_RATIO
 from tnst_mi.machine.gate import opening
+from tnst_mi.machine.terminal import quoted
 
 # What numpy writes; other methods unfold to any size.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -60,18 +61,20 @@ def _names(archive: zipfile.ZipFile) -> list[str]:
 def _member(path: Path, archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
     """Open an array's archive member for reading; `ZipFile.open` is annotated as returning plain `IO`."""
     if archive.getinfo(f"{name}.npy").compress_type not in _METHODS:
-        raise InputError(f"{path}: array {name!r} is compressed in another way than numpy does; save it with numpy")
+        raise InputError(
+            f"{path}: array {quoted(name)} is compressed in another way than numpy does; save it with numpy"
+        )
     return cast("zipfile.ZipExtFile", archive.open(f"{name}.npy"))
 
 
 def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> ArrayHeader:
     with _member(path, archive, name) as stream:
-        return parsed_header(path, f"array {name!r}", stream)
+        return parsed_header(path, f"array {quoted(name)}", stream)
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
     """Read one array, rejecting a claimed size that its archive member cannot hold."""
-    member, what = archive.getinfo(f"{name}.npy"), f"array {name!r}"
+    member, what = archive.getinfo(f"{name}.npy"), f"array {quoted(name)}"
     with _member(path, archive, name) as stream:
         most = min(LARGEST_RATIO * member.compress_size, member.file_size)
         return read_array(path, what, parsed_header(path, what, stream), stream, most)

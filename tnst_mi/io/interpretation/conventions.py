@@ -199,7 +199,7 @@ class StoredFrame:
                 ("obstacle", self.taken.obstacle),
             )
         ]
-        left = [f"not read: {listed(list(self.taken.left), quoted=False)}"] if self.taken.left else []
+        left = [f"not read: {listed(list(self.taken.left), in_quotes=False)}"] if self.taken.left else []
         return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *left])
 
     def _centres(self, velocity: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from tnst_mi.machine.terminal import some_of
+from tnst_mi.machine.terminal import quoted, shortened, some_of
 
 #: Names that say enough by themselves, in order of preference.
 DENSITY = ("density", "dens")
@@ -82,18 +82,17 @@ def component(name: str, vector: str | None = None) -> tuple[str, int] | None:
     return None
 
 
-def listed(names: Sequence[str | tuple[str, str]], quoted: bool = True) -> str:
+def listed(names: Sequence[str | tuple[str, str]], in_quotes: bool = True) -> str:
     """Some names in a message of bounded length.
 
     Args:
         names: the names, each perhaps with what is to be said behind it.
-        quoted: whether to quote them, since they may be empty or have spaces.
+        in_quotes: whether to quote them, since they may be empty or have spaces.
     """
     shown = []
     for entry in names:
         name, remark = entry if isinstance(entry, tuple) else (entry, "")
-        name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
-        shown.append(f"{name!r}{remark}" if quoted else f"{name}{remark}")
+        shown.append(f"{quoted(name, _LONGEST) if in_quotes else shortened(name, _LONGEST)}{remark}")
     return some_of(shown, _SHOWN) or "none"
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.interpretation import grid_names
+from tnst_mi.machine.terminal import quoted
 
 #: In place of a name: the role stays empty, whatever the file holds.
 NONE = "none"
@@ -235,15 +236,15 @@ class _Choice:
             if not entry.scalar:
                 without = "" if role == "density" else f", or go without it with --{role} none"
                 raise InputError(
-                    f"{self._noun} {entry.name!r} holds {entry.kind}, expected numbers; export it as such, or choose "
-                    f"another with --{role} NAME{without}"
+                    f"{self._noun} {quoted(entry.name)} holds {entry.kind}, expected numbers; export it as such, or "
+                    f"choose another with --{role} NAME{without}"
                 )
 
     def _several(self, role: str, found: _Indices) -> str:
         return f"several {self._noun}s may be the {role}: {self._names(found)}; choose with --{role} NAME"
 
     def _absent(self, role: str, wanted: str) -> str:
-        return f"--{role} {wanted!r}: no such {self._noun}, those found are: {self._names(self._all)}"
+        return f"--{role} {quoted(wanted)}: no such {self._noun}, those found are: {self._names(self._all)}"
 
     def _names(self, indices: _Indices) -> str:
         """Names in a message: numbered where they are equal, with the type of what is no usual grid of numbers."""
@@ -254,4 +255,4 @@ class _Choice:
             number = f"[{names[:place].count(entry.name)}]" if names.count(entry.name) > 1 else ""
             usual = (entry.scalar or entry.vector) and not entry.kind.startswith("level set")
             labels.append((f"{entry.name}{number}", "" if usual else f" ({entry.kind})"))
-        return grid_names.listed(labels, quoted=self._noun == "grid")
+        return grid_names.listed(labels, in_quotes=self._noun == "grid")

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.readers.network_weights import CLASSIFIER, MalformedFile, NetworkWeights
 from tnst_mi.network.readers.protobuf import Message
 
@@ -28,7 +29,9 @@ def read_caffemodel(data: bytes) -> NetworkWeights:
             if not blobs or name.startswith(_AUXILIARY):
                 continue
             if len(blobs) != 2:
-                raise MalformedFile(f"weights of another network: layer {name!r} has {len(blobs)} blobs, expected 2")
+                raise MalformedFile(
+                    f"weights of another network: layer {quoted(name)} has {len(blobs)} blobs, expected 2"
+                )
             weight, bias = (_blob(blob, name) for blob in blobs)
             # Old files give every blob four axes: a matrix is (1, 1, rows, columns), a vector (1, 1, 1, n).
             matrix = name == CLASSIFIER and weight.ndim == 4
@@ -45,5 +48,5 @@ def _blob(blob: Message, layer: str) -> Tensor:
     else:
         shape = [(blob.integers(axis) or [0])[-1] for axis in (1, 2, 3, 4)]
     if math.prod(shape) != values.size or values.size == 0 or len(shape) > 4:
-        raise MalformedFile(f"layer {layer!r} states the shape {shape} for {values.size} values")
+        raise MalformedFile(f"layer {quoted(layer)} states the shape {shape} for {values.size} values")
     return torch.from_numpy(values).reshape(shape)

@@ -11,6 +11,7 @@ import re
 import numpy as np
 import torch
 
+from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.readers.network_weights import (
     CLASSIFIER,
     CONVOLUTIONS,
@@ -42,7 +43,7 @@ def read_graphdef(data: bytes) -> NetworkWeights:
         # TensorFlow orders axes (rows, columns, in, out), torch (out, in, rows, columns).
         axes = {4: (3, 2, 0, 1), 2: (1, 0), 1: (0,)}.get(values.ndim)
         if axes is None:
-            raise MalformedFile(f"node {name!r} has {values.ndim} axes")
+            raise MalformedFile(f"node {quoted(name)} has {values.ndim} axes")
         tensors[f"{layer}.{kind}"] = torch.from_numpy(np.ascontiguousarray(values.transpose(axes)))
     first, second = (response_norms.get(f"localresponsenorm{index}") for index in (0, 1))
     if first is None or second is None:
@@ -82,10 +83,10 @@ def _constant(attributes: dict[str, Message], name: str) -> np.ndarray:
     """The TensorProto (AttrValue 8) of a Const node: dtype 1, shape 2, raw bytes 4 or a list of floats 5."""
     tensors = attributes["value"].messages(8) if "value" in attributes else []
     if not tensors or tensors[-1].integers(1) != [_FLOAT32]:
-        raise MalformedFile(f"node {name!r} is not a float32 constant")
+        raise MalformedFile(f"node {quoted(name)} is not a float32 constant")
     tensor = tensors[-1]
     shape = [size for part in tensor.messages(2) for axis in part.messages(2) for size in axis.integers(1)]
     values = tensor.floats(4) if tensor.byte_ranges(4) else tensor.floats(5)
     if math.prod(shape) != values.size or values.size == 0 or len(shape) > 4:
-        raise MalformedFile(f"node {name!r} states the shape {shape} for {values.size} values")
+        raise MalformedFile(f"node {quoted(name)} states the shape {shape} for {values.size} values")
     return values.reshape(shape)

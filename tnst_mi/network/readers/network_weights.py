@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.shipped import PATTERNS
 
 FLAVOUR_NAMES = ("bvlc", "inception5h", "torchvision", PATTERNS)
@@ -82,7 +83,7 @@ class NetworkWeights:
         for name, tensor in self.tensors.items():
             # The extremes of a tensor are finite only if all its values are: NaN propagates to both.
             if not all(math.isfinite(extreme) for extreme in torch.aminmax(tensor)):
-                raise MalformedFile(f"tensor {name!r} has values that are not finite")
+                raise MalformedFile(f"tensor {quoted(name)} has values that are not finite")
 
     def block_width(self, block: str) -> int:
         """Channels of the block's output."""
@@ -110,7 +111,7 @@ class NetworkWeights:
         weight, bias = self.tensors[f"{layer}.weight"], self.tensors[f"{layer}.bias"]
         if tuple(weight.shape) != expected or tuple(bias.shape) != expected[:1] or expected[0] == 0:
             raise MalformedFile(
-                f"weights of another network: {layer!r} has weight {tuple(weight.shape)} and bias "
+                f"weights of another network: {quoted(layer)} has weight {tuple(weight.shape)} and bias "
                 f"{tuple(bias.shape)}, expected {expected} and {expected[:1]}"
             )
 
@@ -122,7 +123,7 @@ def require_names(found: Collection[str], expected: Collection[str]) -> None:
         raise MalformedFile(
             "weights of another network: "
             + "; ".join(
-                f"{len(names)} {what} tensor(s), such as {names[0]!r}"
+                f"{len(names)} {what} tensor(s), such as {quoted(names[0])}"
                 for what, names in (("missing", missing), ("unexpected", unexpected))
                 if names
             )

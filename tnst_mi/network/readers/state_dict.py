@@ -18,6 +18,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.readers.network_weights import (
     CLASSIFIER,
     CONVOLUTIONS,
@@ -63,7 +64,7 @@ def flavour_of_names(names: Iterable[str]) -> str:
     for name in names:
         if name in _FIRST_TENSORS:
             return _FIRST_TENSORS[name]
-    found = f"{len(names)} tensors, such as {sorted(names)[0]!r}" if names else "no tensors"
+    found = f"{len(names)} tensors, such as {quoted(sorted(names)[0])}" if names else "no tensors"
     raise MalformedFile(
         f"weights of another network: {found}, but no first layer, such as {next(iter(_FIRST_TENSORS))!r}"
     )
@@ -134,7 +135,7 @@ def from_state_dict(tensors: dict[str, Tensor]) -> NetworkWeights:
     flavour = flavour_of_names(tensors)
     for name, tensor in tensors.items():
         if not tensor.is_floating_point() and not name.endswith(".num_batches_tracked"):
-            raise MalformedFile(f"tensor {name!r} is {tensor.dtype}, expected floating point")
+            raise MalformedFile(f"tensor {quoted(name)} is {tensor.dtype}, expected floating point")
     # The file may hold strided views and half precision.
     tensors = {
         name: tensor.detach().to(torch.float32).contiguous()

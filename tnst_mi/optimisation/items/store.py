@@ -17,6 +17,7 @@ import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from safetensors.numpy import save
 
 from tnst_mi.errors import StoppedError
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
+from tnst_mi.machine.terminal import one_line
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
@@ -41,7 +43,7 @@ class DamagedItemError(StoppedError):
     """
 
     def __init__(self, item: object, reason: object, group: str | None = None, frame: int = 0) -> None:
-        super().__init__(f"{item}: damaged ({reason}); --resume makes anew what is lost")
+        super().__init__(one_line(f"{item}: damaged ({reason}); --resume makes anew what is lost"))
         self.group, self.frame = group, frame
 
 
@@ -287,11 +289,11 @@ class FolderStore(Store):
 
     def _read_log(self) -> _Log:
         path, log = self._log, _Log()
-        for line in path.read_text("utf-8").splitlines() if path.exists() else []:
-            try:
+        text = path.read_bytes().decode("utf-8", "replace") if path.exists() else ""
+        for line in text.splitlines():
+            # Damaged, or incomplete since the run was killed; its iteration is repeated.
+            with suppress(ValueError, TypeError, KeyError, RecursionError):
                 log.add(json.loads(line))
-            except (ValueError, TypeError, KeyError):
-                continue  # incomplete since the run was killed; its iteration is repeated
         return log
 
     @property
@@ -305,7 +307,7 @@ class FolderStore(Store):
     def _all_numbers(self) -> dict[str, dict[str, float]]:
         try:
             everything = dict(json.loads(self._numbers.read_text("utf-8"))) if self._numbers.exists() else None
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise DamagedItemError(self._numbers, error) from None
         if everything is None:
             return {}

@@ -32,6 +32,7 @@ from tnst_mi.io.grids.vdb.span import Span
 from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.machine.gate import gate
+from tnst_mi.machine.terminal import quoted, shortened
 
 
 def read_vdb_frame(
@@ -66,7 +67,7 @@ def read_vdb_frame(
     if run is None:
         run = run_grid([span] if (span := _span_of(file, found)) else [])
     cells = run.box_of(name or path.stem)
-    require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
+    require_small(path, cells, found.components or 1)
     if main is None:
         return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
     grid = main.main
@@ -159,7 +160,7 @@ def describe_vdb(path: Path) -> list[str]:
     """The contents of a file, one line per grid; of a cache of Blender, where its domain begins."""
     lines, file = [], placed(read_vdb(path))
     for grid in file.grids:
-        words = [type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec]
+        words = [type_in_words(grid), shortened(str(grid.metadata.get("class", "unknown"))), grid.codec]
         words.append(_voxels(grid))
         if grid.kind is not None:
             box = grid.topology.active_box()
@@ -167,7 +168,7 @@ def describe_vdb(path: Path) -> list[str]:
             if box is not None:
                 words.append(f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}")
             words += _range(grid)
-        lines.append(f"  grid {grid.name!r}: {', '.join(words)}")
+        lines.append(f"  grid {quoted(grid.name)}: {', '.join(words)}")
     if any(BLENDER in grid.metadata for grid in file.grids) and (corner := domain_corner(path)):
         flags = f"--origin={','.join(f'{number:g}' for number in corner)}"
         if file.grids[0].placed is not None:
@@ -197,7 +198,7 @@ def run_grid_of(
         beside: files of which velocities alone are read. They have a say only where no density has voxels.
 
     Raises:
-        InputError: the grid would be too large, or almost empty.
+        InputError: the grid would be too large, or out of proportion to the files.
     """
     spans = list(_spans(paths, lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {}))
     spans_beside = list(_spans(beside, lambda file: replace(quantities_of(file, Wanted()), density=None), {}))
@@ -276,6 +277,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         BLENDER in grid.metadata,
         float(trees[0].background) if trees else 0.0,
         number,
+        found.components,
+        file.path.stat().st_size,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.vdb.file_format.reader import Grid
 from tnst_mi.io.grids.vdb.file_format.tree import Tree
+from tnst_mi.machine.terminal import quoted
 
 _CLASS = "level set"
 _WORDS = ("sdf", "levelset", "level_set")
@@ -38,8 +39,8 @@ class FogVolume(Grid):
         half_width = float(tree.background)
         if not 0.0 < half_width < np.inf:
             raise InputError(
-                f"{self.path}: level set {self.name!r} has a background of {half_width:g}, expected half the width of "
-                "its narrow band, above 0; rebuild the level set"
+                f"{self.path}: level set {quoted(self.name)} has a background of {half_width:g}, expected half the "
+                "width of its narrow band, above 0; rebuild the level set"
             )
 
         def fog(distances: np.ndarray) -> np.ndarray:

@@ -9,13 +9,14 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine, between
-from tnst_mi.geometry.boxes import Box, grown, intersection
+from tnst_mi.geometry.boxes import Box, grown, intersection, words
 from tnst_mi.geometry.placement import OwnVoxels
 from tnst_mi.geometry.resampling import needed_box, resampled
 from tnst_mi.io.grids.vdb.file_format.reader import Grid
-from tnst_mi.io.grids.vdb.limits import require_small
+from tnst_mi.io.grids.vdb.limits import is_out_of_proportion, require_small
 from tnst_mi.io.grids.vdb.quantities import Quantity, on_faces, solid_voxels
 from tnst_mi.io.interpretation.staggered import centred_velocity
+from tnst_mi.machine.terminal import quoted
 
 #: A cell, or a voxel, is solid if at least this share of it is.
 SOLID = 0.5
@@ -134,7 +135,7 @@ def _one_map(quantity: Quantity, run: Affine) -> Affine:
         map = between(first.affine, grid.affine)
         if not map.whole or (map.matrix != np.eye(3)).any() or map.offset.any():
             raise InputError(
-                f"{first.path}: {len(quantity.grids)} grids are called {first.name!r} and have different voxels, "
+                f"{first.path}: {len(quantity.grids)} grids are called {quoted(first.name)} and have different voxels, "
                 f"expected the same; choose one of them, such as with --density '{first.name}[0]'"
             )
     return between(run, first.affine)
@@ -144,12 +145,17 @@ def _voxels_for(quantity: Quantity, cells: Box, voxels_of: Affine) -> Box:
     """The voxels that decide the values at some cells, as far as there are active ones.
 
     Raises:
-        InputError: they are too many.
+        InputError: they are too many, or out of proportion to the file.
     """
     box = needed_box(cells, voxels_of)
     if not voxels_of.whole:
         # Beyond the active voxels are inactive ones, which are alike: one layer of them stands for all.
         active = quantity.active_box() or (box[0], box[0])
         box = intersection(box, grown(active, 1)) or (box[0], box[0])
+        if is_out_of_proportion(box, quantity.components, (stored := quantity.main.path.stat().st_size)):
+            raise InputError(
+                f"{quantity.main.path}: grid {quantity.name} spans {words(box)} voxels in a file of {stored} bytes, "
+                "expected a number in proportion to the file; resample it to the voxels of the density"
+            )
     require_small(quantity.main.path, box, quantity.components)
     return box

@@ -20,6 +20,7 @@ from tnst_mi.io.interpretation.conventions import Taken
 from tnst_mi.io.interpretation.grid_names import FLAGS, listed, plain_name
 from tnst_mi.io.interpretation.layouts import solid_cells
 from tnst_mi.io.interpretation.roles import Entry, Roles, Wanted, chosen_roles
+from tnst_mi.machine.terminal import quoted, shortened
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Quantity:
     @property
     def name(self) -> str:
         """The names of its grids, each once."""
-        return listed(list(dict.fromkeys(grid.name for grid in self.grids)), quoted=True)
+        return listed(list(dict.fromkeys(grid.name for grid in self.grids)), in_quotes=True)
 
     @property
     def main(self) -> Grid:
@@ -74,8 +75,8 @@ class Quantity:
             active = grid.tree.active_in(box)
             if taken is None or (both := int((taken & active).sum())):
                 raise InputError(
-                    f"{grid.path}: {len(self.grids)} grids are called {grid.name!r} and overlap in {both} voxels; "
-                    f"choose one of them, such as with --density '{grid.name}[0]'"
+                    f"{grid.path}: {len(self.grids)} grids are called {quoted(grid.name)} and overlap in {both} "
+                    f"voxels; choose one of them, such as with --density '{grid.name}[0]'"
                 )
             values[active] = grid.tree.values_in(box)[active]
             taken |= active
@@ -103,6 +104,11 @@ class Quantities:
     obstacle: Quantity | None
     taken: Taken
     lacking: str
+
+    @property
+    def components(self) -> int:
+        """Of the values of all of them together."""
+        return sum(part.components for part in (self.density, self.velocity, self.obstacle) if part is not None)
 
     @property
     def main(self) -> Quantity | None:
@@ -169,8 +175,8 @@ def _with_level_set(file: VdbFile, roles: Roles, fog: bool) -> Roles:
         grid = file.grids[roles.density[0]]
         if is_level_set(grid) and not fog:
             raise InputError(
-                f"{file.path}: grid {grid.name!r} is a level set (signed distances), expected a density; --fog takes "
-                "its inside as one, or choose another grid with --density NAME"
+                f"{file.path}: grid {quoted(grid.name)} is a level set (signed distances), expected a density; --fog "
+                "takes its inside as one, or choose another grid with --density NAME"
             )
         return roles
     found = tuple(index for index in roles.left if is_level_set(file.grids[index]))
@@ -195,13 +201,13 @@ def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
 
 def _in_words(grid: Grid) -> str:
     """The name of a grid, with the type of one whose values cannot be read."""
-    return repr(grid.name) if grid.kind is not None else f"{grid.name!r} ({type_in_words(grid)})"
+    return quoted(grid.name) if grid.kind is not None else f"{quoted(grid.name)} ({type_in_words(grid)})"
 
 
 def type_in_words(grid: Grid) -> str:
     """The type of a grid's values, such as "float", "half vec3s", "bool" or "points"."""
     words = grid.tree_type.removeprefix("Tree_").removesuffix(HALF).removesuffix("_5_4_3")
-    words = "points" if words.startswith("ptdataidx") else words
+    words = "points" if words.startswith("ptdataidx") else shortened(words)
     return f"half {words}" if grid.half and grid.kind is not None else words
 
 

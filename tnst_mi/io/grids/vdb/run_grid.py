@@ -18,7 +18,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, PLACE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, grown, image, intersection, size, union, words
 from tnst_mi.io.grids.vdb.clumps import Clump, smoke_box, stray
-from tnst_mi.io.grids.vdb.limits import LARGEST_BOX, is_almost_empty
+from tnst_mi.io.grids.vdb.limits import LARGEST_BOX, is_out_of_proportion
 from tnst_mi.io.grids.vdb.span import Span
 from tnst_mi.io.interpretation.conventions import Boxing
 
@@ -68,7 +68,8 @@ def run_grid(spans: Sequence[Span], boxing: Boxing | None = None, beside: Sequen
         beside: what the files of velocities alone span.
 
     Raises:
-        InputError: no file has an active voxel or tells its domain, or the box is too large or almost empty.
+        InputError: no file has an active voxel or tells its domain, or the box is too large or out of proportion
+            to the files.
     """
     crop, ignore_stray = (boxing.crop, boxing.ignore_stray) if boxing is not None else (False, False)
     cells = _cells_of_most(spans)
@@ -161,16 +162,20 @@ def _drifts(spans: Sequence[Span], lows: Mapping[str, np.ndarray]) -> dict[str, 
 
 
 def _require_small(grid: RunGrid, spans: Sequence[Span], crop: bool) -> None:
-    """Check that memory for the box is in proportion to its smoke; names what makes it large."""
-    stored = max(sum(clump.stored for clump in span.clumps) for span in spans)
-    if size(grid.box) <= LARGEST_BOX and not is_almost_empty(grid.box, stored):
+    """Check that memory for the box is in proportion to the largest file; names what makes it large."""
+    components, stored = (
+        max(counts) for counts in zip(*((span.components, span.bytes) for span in spans), strict=True)
+    )
+    if size(grid.box) <= LARGEST_BOX and not is_out_of_proportion(grid.box, components, stored):
         return
     widest = max(spans, key=lambda span: len(stray(span.clumps)) or len(span.clumps))
-    what = f"{widest.path}: its grid spans {words(grid.box)} cells with {stored} stored voxels of smoke"
+    what = f"{widest.path}: its grid spans {words(grid.box)} cells in a file of {stored} bytes"
     if strays := stray(widest.clumps):
         raise InputError(f"{what}: {_named_strays(strays, widest.clumps)}; --ignore-stray drops them")
     if not crop and any(span.clumps for span in spans):
-        raise InputError(f"{what}, expected at most {LARGEST_BOX}, not almost empty; --crop on takes the smoke")
+        raise InputError(
+            f"{what}, expected at most {LARGEST_BOX}, in proportion to the file; --crop on takes the smoke"
+        )
     mass = sum(clump.mass for clump in widest.clumps) or 1.0
     shown = [f"{clump.mass / mass:.0%} at {_place(clump)}" for clump in widest.clumps[:_SHOWN]]
     raise InputError(f"{what}: {', '.join(shown)}; expected at most {LARGEST_BOX}; split the file")

@@ -25,6 +25,8 @@ class Span:
         blender: whether it comes from Blender, whose domains may be adaptive.
         outside: the density outside of the active voxels.
         number: of the frame, or None.
+        components: of the values of all its grids that are read together.
+        bytes: of the file.
     """
 
     path: Path
@@ -36,3 +38,5 @@ class Span:
     blender: bool = False
     outside: float = 0.0
     number: float | None = None
+    components: int = 1
+    bytes: int = 0

@@ -19,6 +19,7 @@ from tnst_mi.io.grids.vdb.file_format.metadata import Stored, Value, read_metada
 from tnst_mi.io.grids.vdb.file_format.tree import Tree, TreeReader
 from tnst_mi.io.grids.vdb.file_format.values import BLOSC, VALUE_TYPES, ZIP, ValueType
 from tnst_mi.machine.gate import opening
+from tnst_mi.machine.terminal import quoted
 
 #: The first eight bytes of every file.
 MAGIC = struct.pack("<q", 0x56444220)
@@ -94,8 +95,8 @@ class Grid:
         """
         if isinstance(self.transform, str):
             raise InputError(
-                f"{self.path}: grid {self.name!r} is placed by a {self.transform}, expected an affine map (scale, "
-                "rotation, translation); resample it"
+                f"{self.path}: grid {quoted(self.name)} is placed by a {self.transform}, expected an affine map "
+                "(scale, rotation, translation); resample it"
             )
         return self.transform
 
@@ -154,7 +155,7 @@ class Grid:
     def _read(self, values: bool) -> Tree:
         if self.kind is None:
             known = ", ".join(VALUE_TYPES)
-            raise InputError(f"{self.path}: grid {self.name!r} is a {self.tree_type}, expected one of {known}")
+            raise InputError(f"{self.path}: grid {quoted(self.name)} is a {self.tree_type}, expected one of {known}")
         start, leaves, end = self.span
         with self.path.open("rb") as file:
             cursor = _cursor(self.path, file, start, end if values else leaves)
@@ -214,7 +215,9 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
         place = grid.span[-1]
     for name, parent in parents.items():
         if parent not in grids:
-            raise InputError(f"{path}: damaged: grid {name!r} shares the tree of {parent!r}, which is not there")
+            raise InputError(
+                f"{path}: damaged: grid {quoted(name)} shares the tree of {quoted(parent)}, which is not there"
+            )
         tree = grids[parent]
         grids[name] = dataclasses.replace(
             grids[name], tree_type=tree.tree_type, compression=tree.compression, span=tree.span, owner=tree
@@ -229,10 +232,10 @@ def _read_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, str, str]:
     start, leaves, end = cursor.unpack(_OFFSETS)
     # A grid that shares the tree of another has no leaves of its own.
     if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
-        raise InputError(f"{path}: truncated or damaged: grid {unique_name!r} lies outside of the file")
+        raise InputError(f"{path}: truncated or damaged: grid {quoted(unique_name)} lies outside of the file")
     # Grids that overlap would hold more together than the file does.
     if start < place + cursor.position:
-        raise InputError(f"{path}: damaged: grid {unique_name!r} begins before its description ends")
+        raise InputError(f"{path}: damaged: grid {quoted(unique_name)} begins before its description ends")
     cursor = _cursor(path, file, start, min(end, start + _LARGEST_DESCRIPTION))
     grid = _described_grid(cursor, unique_name, tree_type)
     if not parent and start + cursor.position > leaves:
@@ -250,8 +253,8 @@ def _read_following_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, 
     if not parent:
         if grid.kind is None or isinstance(grid.transform, str):
             raise InputError(
-                f"{path}: its header does not say where grids begin, so those after {grid.name!r} (a {tree_type}) "
-                "cannot be found; save it again with OpenVDB's File::write"
+                f"{path}: its header does not say where grids begin, so those after {quoted(grid.name)} (a "
+                f"{tree_type}) cannot be found; save it again with OpenVDB's File::write"
             )
         reader = TreeReader(cursor, grid.kind, grid.compression)
         reader.read_topology()

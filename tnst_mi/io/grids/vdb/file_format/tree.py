@@ -11,6 +11,7 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.boxes import Box
@@ -165,9 +166,9 @@ class TreeReader:
         tiles, children = cursor.unpack(_COUNTS)
         layout = np.dtype([("origin", "<i4", 3), ("value", kind.dtype, kind.shape), ("active", "u1")])
         stored = np.frombuffer(cursor.take(tiles * layout.itemsize), layout)
-        self._add_tiles(stored["origin"].astype(np.int64), _ROOT_EDGE, stored["active"] != 0, stored["value"])
+        self._add_tiles(_aligned(stored["origin"]), _ROOT_EDGE, stored["active"] != 0, stored["value"])
         for _ in range(children):
-            self._read_branches(np.array(cursor.unpack(_COORDINATE), np.int64), 0)
+            self._read_branches(_aligned(cursor.unpack(_COORDINATE)), 0)
 
     def _read_branches(self, origin: np.ndarray, level: int) -> None:
         """Read an internal node: its tiles, then its children."""
@@ -250,3 +251,8 @@ class TreeReader:
 
 def _unpacked(masks: np.ndarray) -> np.ndarray:
     return np.unpackbits(masks, bitorder="little").view(bool)
+
+
+def _aligned(origin: ArrayLike) -> np.ndarray:
+    """The origins of the root's children, rounded down to where such can be, as OpenVDB does with damaged ones."""
+    return np.asarray(origin, np.int64) // _ROOT_EDGE * _ROOT_EDGE
