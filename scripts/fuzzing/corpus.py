@@ -110,9 +110,9 @@ def uni_files(folder: Path) -> Iterator[bytes]:
         newest = _written(folder / "a.uni", lambda path, what=(values, kind): write_uni(path, *what))
         yield newest
         content = gzip.decompress(newest)
-        yield gzip.compress(b"MNT2" + content[4:])
-        yield gzip.compress(b"MNT1" + content[4:28] + content[292:])
-    yield gzip.compress(b"MNT1" + struct.pack("<6i", 7, 9, 6, REAL, 1, 8) + DENSITY.astype("<f8").tobytes())
+        yield gzip.compress(b"MNT2" + content[4:], mtime=0)
+        yield gzip.compress(b"MNT1" + content[4:28] + content[292:], mtime=0)
+    yield gzip.compress(b"MNT1" + struct.pack("<6i", 7, 9, 6, REAL, 1, 8) + DENSITY.astype("<f8").tobytes(), mtime=0)
 
 
 def vol_files(folder: Path) -> Iterator[bytes]:

@@ -124,7 +124,7 @@ _CHANGES = (_flip, _overwrite, _number, _number, _truncate, _delete, _repeat, _s
 
 
 def _inside_gzip(data: bytes, others: Sequence[bytes], rng: random.Random) -> bytes:
-    return gzip.compress(_damaged(gzip.decompress(data), [gzip.decompress(other) for other in others], rng), 1)
+    return gzip.compress(_damaged(gzip.decompress(data), [gzip.decompress(other) for other in others], rng), 1, mtime=0)
 
 
 def _inside_zip(data: bytes, others: Sequence[bytes], rng: random.Random) -> bytes:

@@ -87,7 +87,7 @@ def configuration_files(folder: Path) -> Iterator[bytes]:
     fields += ((20, 30, 10), (3, 4, 1), (10, 13, 7))
     data = b"".join(part if isinstance(part, bytes) else struct.pack("<3i", *part) for part in fields)
     for level in (1, 9):
-        yield gzip.compress(data + bytes(20), level)
+        yield gzip.compress(data + bytes(20), level, mtime=0)
 
 
 def adaptive_vdb(folder: Path) -> bytes:

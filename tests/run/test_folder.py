@@ -231,7 +231,7 @@ def test_a_torn_line_of_a_killed_run_is_removed(optimiser: FakeOptimiser, tmp_pa
     next(job)
     whole = (out / "metrics.jsonl").read_text()
     torn = whole.replace("f_07", "f_08")[:-9]
-    del job
+    job.close()
     (out / "metrics.jsonl").write_text(whole + torn)
     for _ in Run(prepare(frames(0.2, 0.4, 0.3), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
         pass

@@ -17,7 +17,6 @@ import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from safetensors.numpy import save
 from tnst_mi.errors import StoppedError
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
 from tnst_mi.machine.terminal import one_line
+from tnst_mi.optimisation.items.log import Log
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
@@ -109,26 +109,13 @@ class Store(ABC):
         """The log of a frame so far."""
 
 
-class _Log:
-    """Entries by the frame that they are about: those of one are found without looking at the others."""
-
-    def __init__(self) -> None:
-        self._of: dict[str, list[dict[str, Any]]] = {}
-
-    def add(self, entry: dict[str, Any]) -> None:
-        self._of.setdefault(entry["frame"], []).append(entry)
-
-    def of(self, frame: str) -> list[dict[str, Any]]:
-        return self._of.get(frame, [])
-
-
 class MemoryStore(Store):
     """A store for runs that write nothing; all frames of a sequence are in memory at once."""
 
     def __init__(self) -> None:
         self._items: dict[tuple[str, int], tuple[int, Arrays]] = {}
         self._numbers: dict[str, dict[str, float]] = {}
-        self._log = _Log()
+        self._log = Log()
 
     def generation(self, group: str, frame: int) -> int:
         """See `Store`."""
@@ -194,7 +181,7 @@ class FolderStore(Store):
     ) -> None:
         self.folder, self._run, self._may_write, self._say = folder, run, may_write, say
         self._generations: dict[tuple[str, int], int] = {}
-        self._entries: _Log | None = None
+        self._entries: Log | None = None
         remove_unfinished(folder)
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
@@ -284,17 +271,8 @@ class FolderStore(Store):
     def entries(self, frame: str) -> list[dict[str, Any]]:
         """See `Store`; the file is read once, and what is logged from then on is kept."""
         if self._entries is None:
-            self._entries = self._read_log()
+            self._entries = Log.read(self._log)
         return self._entries.of(frame)
-
-    def _read_log(self) -> _Log:
-        path, log = self._log, _Log()
-        text = path.read_bytes().decode("utf-8", "replace") if path.exists() else ""
-        for line in text.splitlines():
-            # Damaged, or incomplete since the run was killed; its iteration is repeated.
-            with suppress(ValueError, TypeError, KeyError, RecursionError):
-                log.add(json.loads(line))
-        return log
 
     @property
     def _numbers(self) -> Path:
