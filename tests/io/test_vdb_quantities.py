@@ -118,17 +118,47 @@ def test_grids_of_other_types_are_named(tmp_path: Path) -> None:
         ({"creator": ("string", "EmberGen 1.2")}, "z"),
         ({"JangaFX_version": ("int32", 3)}, "z"),
         ({"creator": ("string", "Blender/OpenVDB")}, "z"),
+        ({"software": ("string", "LiquiGen")}, "z"),
+        ({"Application": ("string", "JangaFX EmberGen 1.2 (build 7)")}, "z"),
+        # Who wrote it comes first; what paths and comments mention tells nothing.
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "software": ("string", "Blender 4.2")}, "y"),
+        ({"creator": ("string", "OpenVDB"), "software": ("string", "Blender 4.2")}, "z"),
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "export_path": ("string", "/proj/to_blender/a.vdb")}, "y"),
+        ({"export_path": ("string", "/proj/blender/a.vdb"), "comment": ("string", "for Blender and EmberGen")}, "y"),
+        ({"creator": ("string", "/opt/blender/to_vdb.py")}, "y"),
+        ({"blender_export_path": ("string", "/proj/a.vdb")}, "y"),
+        # What says the axis itself goes before programs.
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "up_axis": ("string", "Z")}, "z"),
+        ({"creator": ("string", "EmberGen 1.2"), "upAxis": ("string", "Y-up")}, "y"),
+        ({"up": ("string", "+z")}, "z"),
+        ({"up_vector": ("vec3s", (0.0, 0.0, 1.0))}, "z"),
+        ({"tnst_mi_up": ("string", "z"), "up_axis": ("string", "y")}, "z"),
     ],
 )
 def test_the_axis_that_is_up_follows_from_metadata(
-    metadata: dict[str, tuple[str, str | int]], up: str, tmp_path: Path
+    metadata: dict[str, tuple[str, str | int | tuple[float, ...]]], up: str, tmp_path: Path
 ) -> None:
     write_vdb(tmp_path / "a.vdb", [DenseGrid("density", DENSITY)], metadata)
     (frame,) = load_frames(tmp_path / "a.vdb")
     np.testing.assert_array_equal(frame.density, from_z_up(DENSITY) if up == "z" else DENSITY)
-    assert frame.placement.up == up and frame.reading.startswith(f"{up} up (") and "; --up)" in frame.reading
+    assert frame.placement.up == up and frame.reading.startswith(f"{up} up")
+    assert "tnst_mi_up" in metadata or "; --up)" in frame.reading
     other = open_frames(tmp_path / "a.vdb", given=Conventions(up="z" if up == "y" else "y"))[0]
     np.testing.assert_array_equal(other.density, DENSITY if up == "z" else from_z_up(DENSITY))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "because"),
+    [
+        ("up_axis", "Z", "as its up_axis says"),
+        ("up_axis", "-Z", "its up_axis is neither y nor z"),
+        ("upAxis", "X", "its upAxis is neither y nor z"),
+        ("updated", "Z", "no metadata say otherwise"),
+    ],
+)
+def test_what_is_said_of_the_axis_is_true(key: str, value: str, because: str, tmp_path: Path) -> None:
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", DENSITY)], {key: ("string", value)})
+    assert f"({because}; --up)" in load_frames(tmp_path / "a.vdb")[0].reading
 
 
 def test_metadata_of_any_grid_count(tmp_path: Path) -> None:
