@@ -13,7 +13,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.io.grids.vdb.programs import program_of
-from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.conventions import Boxing, Conventions
 from tnst_mi.io.interpretation.orientation import from_z_up
 from tnst_mi.io.interpretation.roles import Wanted
 
@@ -54,6 +54,45 @@ def test_grids_of_one_name_are_merged_where_they_do_not_overlap(names: tuple[str
     second = Conventions(names=Wanted(density="density[1]"))
     frame = frame_of(tmp_path, DenseGrid(names[0], left), DenseGrid(names[1], right), given=second)
     assert frame.mass == pytest.approx(right.sum())
+
+
+def test_the_flag_that_chooses_is_that_of_the_quantity(tmp_path: Path) -> None:
+    density = DenseGrid("density", DENSITY, (0, 0, 0), 0.5)
+    pair = [DenseGrid("vel", VELOCITY, (0, 0, 0), edge) for edge in (0.5, 0.5)]
+    with pytest.raises(InputError, match=r"2 grids are called 'vel' and overlap .* such as with --velocity 'vel\[0\]'"):
+        frame_of(tmp_path, density, *pair)
+    with pytest.raises(InputError, match=r"2 grids are called 'vel' and have different .* --velocity 'vel\[0\]'"):
+        frame_of(tmp_path, density, pair[0], DenseGrid("vel", VELOCITY, (0, 0, 0), 0.25))
+    solid = [DenseGrid("solid", np.ones(SHAPE, np.float32), (0, 0, 0), 0.5)] * 2
+    with pytest.raises(InputError, match=r"2 grids are called 'solid' and overlap .* --obstacle 'solid\[0\]'"):
+        frame_of(tmp_path, density, *solid)
+
+
+def test_grids_of_a_cluster_have_translations_of_their_own(tmp_path: Path) -> None:
+    # The first voxel of the right half is (5, -5, -1) of its own grid, and (2, 0, 0) of the left one.
+    whole = DenseGrid("density", DENSITY, (0, 0, 0), 0.5)
+    moved, translation = (5, -5, -1), (-1.5, 2.5, 0.5)
+    parts = []
+    for name, array in (("density", DENSITY), ("vel", VELOCITY), ("solid", (DENSITY > 0.6).astype(np.float32))):
+        left, right = np.ascontiguousarray(array[:, :, :2]), np.ascontiguousarray(array[:, :, 2:])
+        parts += [DenseGrid(name, left, (0, 0, 0), 0.5), DenseGrid(name, right, moved, 0.5, translation)]
+    frame = frame_of(tmp_path, *parts)
+    velocity = DenseGrid("vel", VELOCITY, (0, 0, 0), 0.5)
+    solid = DenseGrid("solid", (DENSITY > 0.6).astype(np.float32), (0, 0, 0), 0.5)
+    expected = frame_of(tmp_path, whole, velocity, solid)
+    np.testing.assert_array_equal(frame.density, expected.density)
+    np.testing.assert_array_equal(frame.velocity, expected.velocity)
+    np.testing.assert_array_equal(frame.obstacle, expected.obstacle)
+    assert frame.placement == expected.placement
+    # Cropping knows where the parts are.
+    cropped = frame_of(tmp_path, *parts, given=Conventions(box=Boxing(crop=True)))
+    np.testing.assert_array_equal(cropped.density, DENSITY)
+    # Parts that overlap, or lie between each other's voxels, are asked about.
+    over = DenseGrid("density", DENSITY, (5, -5, -1), 0.5, (-2.0, 2.5, 0.5))
+    with pytest.raises(InputError, match="overlap in 45 voxels"):
+        frame_of(tmp_path, whole, over)
+    with pytest.raises(InputError, match="have different voxels"):
+        frame_of(tmp_path, whole, DenseGrid("density", DENSITY, (9, 0, 0), 0.5, (0.1, 0.0, 0.0)))
 
 
 def test_three_scalars_are_a_velocity_at_centres(tmp_path: Path) -> None:

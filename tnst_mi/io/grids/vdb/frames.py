@@ -253,7 +253,7 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         return None
     grid, density, velocity = found.main.main, found.density, found.velocity
     voxels = grid.affine
-    trees = [] if density is None else [grid.tree for grid in density.grids]
+    trees = [] if density is None else list(density.placed_trees())
     told = _told_box(file, found)
     boxes = [told, *(tree.active_box() for tree in trees)]
     moves = None if velocity is None else between(velocity.main.affine, voxels)
