@@ -122,6 +122,8 @@ def test_velocities_of_the_voxels_axes_turn_with_them(tmp_path: Path) -> None:
         frame = open_frames(tmp_path / "a.vdb", given=Conventions(velocity_units="cells-per-frame"))[0]
         np.testing.assert_allclose(frame.velocity[..., 1], 2.0)
         np.testing.assert_allclose(frame.velocity[..., [0, 2]], 0.0)
+        place = "on the faces of its own voxels, brought to the cells," if "class" in metadata else "at centres"
+        assert f"velocity {place} in cells-per-frame" in frame.reading
 
 
 @pytest.mark.parametrize(

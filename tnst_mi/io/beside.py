@@ -66,6 +66,7 @@ def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> Sto
         frame,
         velocity=other.velocity,
         staggered=other.staggered,
+        from_faces=other.from_faces,
         known=other.known,
         velocity_units=other.velocity_units,
         dt=other.dt,

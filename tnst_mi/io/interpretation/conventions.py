@@ -97,6 +97,8 @@ class StoredFrame:
         obstacle: (D, H, W), or None.
         staggered: whether component c of the velocity lies on the lower face of each cell along axis c. Then it may
             have one entry more along each axis, for the upper faces of the last cells.
+        from_faces: whether the velocity was on the faces of voxels that are not the cells, and has been brought to the
+            centres of the cells.
         known: (D, H, W) bool, the cells whose velocities are stored; None for all.
         up: the up axis of the file.
         up_because: the evidence for it, in words; empty if the format says it.
@@ -120,6 +122,7 @@ class StoredFrame:
     velocity: np.ndarray | None = None
     obstacle: np.ndarray | None = None
     staggered: bool = False
+    from_faces: bool = False
     known: np.ndarray | None = None
     up: str = "y"
     up_because: str = ""
@@ -185,7 +188,9 @@ class StoredFrame:
         words = [axes]
         if self.velocity is not None:
             units, dt = self._units(given)
-            words.append(f"velocity {'on faces' if self.staggered else 'at centres'} in {units}")
+            place = "on faces" if self.staggered else "at centres"
+            place = "on the faces of its own voxels, brought to the cells," if self.from_faces else place
+            words.append(f"velocity {place} in {units}")
             words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
         words += [] if size is None else [f"voxel size {size:g}"]

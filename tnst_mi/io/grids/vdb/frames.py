@@ -25,7 +25,7 @@ from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
-from tnst_mi.io.grids.vdb.quantities import Quantities, quantities_of, type_in_words
+from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
 from tnst_mi.io.grids.vdb.span import Span
@@ -89,6 +89,7 @@ def read_vdb_frame(
         velocity=motion,
         obstacle=solid,
         staggered=staggered,
+        from_faces=velocity is not None and not staggered and on_faces(velocity, main.main),
         # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
         known=known,
         up=program.up,
