@@ -70,6 +70,27 @@ def test_sub_frames_alone_are_all_taken(tmp_path: Path) -> None:
     assert (frames.numbers, frames.notes) == ([1.25, 1.75, 2.25], ())
 
 
+def test_sub_frames_of_one_frame_are_said_and_may_be_meant_otherwise(tmp_path: Path) -> None:
+    densities(tmp_path, "s.1.25.npz", "s.1.5.npz", "s.1.75.npz")
+    frames = open_frames(tmp_path)
+    assert frames.numbers == [1.25, 1.5, 1.75]
+    (note,) = frames.notes
+    assert note == f"s.1.25.npz is taken as frame 1.25; if it is frame 25, give '{tmp_path / 's.1.#.npz'}'"
+    with pytest.raises(InputError, match="frames are missing between 5 and 75"):
+        open_frames(Path(note.split("'")[1]))
+    # The opposite, likewise.
+    densities(tmp_path / "takes", "take.1.1.npz", "take.1.2.npz", "take.1.3.npz")
+    frames = open_frames(tmp_path / "takes")
+    assert frames.numbers == [1, 2, 3]
+    other = open_frames(Path(frames.notes[0].split("'")[1]))
+    assert (other.numbers, other.notes) == ([1.1, 1.2, 1.3], ())
+
+
+def test_thirds_of_frames(tmp_path: Path) -> None:
+    densities(tmp_path, "s.0001.npz", "s.0001.333.npz", "s.0001.667.npz", "s.0002.npz")
+    assert numbers(tmp_path, (1.0, 2.0)) == [1, 1.333, 1.667, 2]
+
+
 def test_every_second_frame(tmp_path: Path) -> None:
     densities(tmp_path, "s_0010.npz", "s_0012.npz", "s_0014.npz", "s_0018.npz")
     with pytest.raises(InputError, match=r"missing between 10 and 18: 16$"):

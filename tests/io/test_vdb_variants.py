@@ -79,7 +79,9 @@ def sphere(path: Path, name: str = "surface", kind: bytes = b"level set ") -> np
     return distance
 
 
-@pytest.mark.parametrize(("name", "kind"), [("density", b"level set"), ("smoke_sdf", b"fog volume"), ("density", b"unknown")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("density", b"level set"), ("smoke_sdf", b"fog volume"), ("density", b"unknown")]
+)
 def test_level_sets_are_recognised(name: str, kind: bytes, tmp_path: Path) -> None:
     distance = sphere(tmp_path / "a.vdb", name, kind)
     named = Conventions() if name == "density" else Conventions(fog=False)

@@ -122,7 +122,7 @@ def _listing(
     ordered = sorted(named, key=lambda pair: (pair[1].number or 0, pair[0].name))
     chosen = _selected(ordered, span)
     _require_complete(source, chosen)
-    remarks = [*notes, *_left_alone(left)]
+    remarks = [*notes, *_left_alone(left), *_in_doubt(chosen)]
     if span is None and len(chosen) < len(ordered):
         remarks.append(_of_sub_frames([name.number for _, name in ordered if name.number is not None]))
     of_chosen = [name.number for _, name in chosen]
@@ -207,6 +207,16 @@ def _left_alone(files: Sequence[Path]) -> list[str]:
             groups[name.series].append(name)
         series |= dict.fromkeys(pattern_of(names) + suffix for names in groups.values())
     return [f"left alone in {files[0].parent}: {some_of(list(series))}"]
+
+
+def _in_doubt(chosen: Sequence[_Named]) -> list[str]:
+    """How to read numbers otherwise that may as well be others; of the first file, as an example of all."""
+    for file, name in chosen:
+        if name.otherwise is not None:
+            pattern, number = name.otherwise
+            whole = file.with_name(pattern + file.suffix)
+            return [f"{file.name} is taken as frame {name.number}; if it is frame {number}, give '{whole}'"]
+    return []
 
 
 def _of_sub_frames(numbers: Sequence[Number]) -> str:
