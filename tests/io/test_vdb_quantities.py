@@ -200,6 +200,31 @@ def test_what_is_said_of_the_axis_is_true(key: str, value: str, because: str, tm
     assert f"({because}; --up)" in load_frames(tmp_path / "a.vdb")[0].reading
 
 
+def test_one_axis_is_up_in_a_sequence(tmp_path: Path) -> None:
+    # Extents that differ once they are turned must not be named as the cause.
+    for number, creator in enumerate(("EmberGen 1.2", "Houdini/GU_PrimVDB"), start=1):
+        write_vdb(tmp_path / f"s_{number:04d}.vdb", [DenseGrid("density", DENSITY)], {"creator": ("string", creator)})
+    expected = (
+        r"s_0001.vdb has z up \(as EmberGen's metadata say\) and s_0002.vdb has y up \(no metadata say otherwise\), "
+        "expected one axis in all files of a sequence; give --up y or --up z"
+    )
+    with pytest.raises(InputError, match=expected):
+        load_frames(tmp_path)
+    for up, density in (("y", DENSITY), ("z", from_z_up(DENSITY))):
+        for frame in open_frames(tmp_path, given=Conventions(up=up)):
+            np.testing.assert_array_equal(frame.density, density)
+
+
+def test_files_without_voxels_have_no_axis_of_their_own(tmp_path: Path) -> None:
+    smoke, nothing = DenseGrid("density", DENSITY), DenseGrid("density", 0 * DENSITY)
+    for number, grids in enumerate(([nothing], [], [smoke])):
+        metadata = {"creator": ("string", "EmberGen 1.2")} if number == 2 else {}
+        write_vdb(tmp_path / f"s_{number:04d}.vdb", grids, metadata)
+    frames = load_frames(tmp_path)
+    assert [frame.density.shape for frame in frames] == [from_z_up(DENSITY).shape] * 3
+    assert all(frame.reading.startswith("z up (as EmberGen's metadata say") for frame in frames)
+
+
 def test_metadata_of_any_grid_count(tmp_path: Path) -> None:
     write_vdb(tmp_path / "a.vdb", [DenseGrid("heat", DENSITY), DenseGrid("density", DENSITY)], {})
     file = read_vdb(tmp_path / "a.vdb")

@@ -120,7 +120,7 @@ def between(cells: Affine, voxels: Affine) -> Affine:
 
 
 def lattice_offset(first: Affine, other: Affine) -> np.ndarray | None:
-    """What takes the voxels of one grid to those of another on the same lattice, in whole voxels (3); None if it is none.
+    """What takes the voxels of one grid to those of another on its lattice, in whole voxels (3); None if it is on none.
 
     Args:
         first: from the voxels of the one grid to the scene.

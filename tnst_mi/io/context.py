@@ -61,7 +61,8 @@ class SequenceContext:
         )
         try:
             with gate(files[0] if files else Path(), "a .vdb file"):
-                return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers, beside)
+                given = self._given
+                return run_grid_of(files, given.names, given.box, given.fog, self._numbers, beside, given.up)
         except InputError as error:
             return error
 

@@ -6,9 +6,9 @@ these if there are several. Except:
 
 - a version, digits after a separator and a `v` (`_v003`, `.v2`), is no number;
 - in `smoke.0001.50`, the last digits are the fraction of frame 1.5, a sub-frame, if there also are whole frames
-  (`smoke.0001`), if both groups vary and the last has fewer digits, or if all names together count evenly as fractions
-  (1.25, 1.5, 1.75) and not better as whole numbers. Where one of the groups is the same in all names, either reading may
-  be meant, and the other one is told;
+  (`smoke.0001`), if both groups vary and the last has fewer digits, or if the names count evenly as fractions (1.25,
+  1.5, 1.75) and not better as whole numbers. Where one of the groups is the same in all names, either reading may be
+  meant, and the other one is told;
 - a `-` before the number is a minus if it starts the name or follows another separator (`smoke.-003`, `smoke_-3`), or
   if other files have the same name without it (`smoke-003` beside `smoke003`); else it separates (`smoke-003` alone).
 """

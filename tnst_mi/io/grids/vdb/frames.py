@@ -28,7 +28,7 @@ from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
 from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
-from tnst_mi.io.grids.vdb.span import Span
+from tnst_mi.io.grids.vdb.span import Span, require_one_up
 from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.machine.gate import gate
@@ -68,7 +68,9 @@ def read_vdb_frame(
     cells = run.box_of(name or path.stem)
     require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
     if main is None:
-        return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
+        return StoredFrame(
+            density=_nothing(cells), up=run.up, up_because=run.up_because, taken=found.taken, notes=notes
+        )
     grid = main.main
     own = OwnVoxels(grid.stored_affine, _from(cells, between(run.cells, grid.affine)), grid.placed)
     values = None
@@ -92,8 +94,8 @@ def read_vdb_frame(
         from_faces=velocity is not None and not staggered and on_faces(velocity, main.main),
         # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
         known=known,
-        up=program.up,
-        up_because=program.up_because,
+        up=run.up,
+        up_because=program.up_because if program.up == run.up else run.up_because,
         velocity_units=program.velocity_units,
         velocity_cell=1.0 if velocity is None else _ratio(velocity.main.affine.edge, run.cells.edge),
         drift=run.drift_of(name or path.stem),
@@ -179,6 +181,7 @@ def run_grid_of(
     fog: bool = False,
     numbers: Mapping[Path, float] | None = None,
     beside: Sequence[Path] = (),
+    up: str | None = None,
 ) -> RunGrid | None:
     """The grid on which the files of a sequence are read; None if none has a density or velocity with voxels.
 
@@ -191,11 +194,14 @@ def run_grid_of(
         fog: whether the inside of a level set is its density.
         numbers: of the frames, as far as they are known.
         beside: files of which velocities alone are read. They have a say only where no density has voxels.
+        up: the axis that the user says is up; None to take it from the files.
 
     Raises:
-        InputError: the grid would be too large, or almost empty.
+        InputError: the grid would be too large, or almost empty; or files differ in which axis is up.
     """
     spans = list(_spans(paths, lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {}))
+    if up is None:
+        require_one_up(spans)
     spans_beside = list(_spans(beside, lambda file: replace(quantities_of(file, Wanted()), density=None), {}))
     if any(span.box is not None for span in spans):
         return run_grid(spans, boxing, spans_beside)
@@ -262,6 +268,7 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
     if velocity is not None and moves is not None and told is None and (moves.whole or density is None):
         active = velocity.active_box()
         boxes.append(None if active is None else image(active, moves))
+    program = program_of(file, grid)
     return Span(
         file.path,
         voxels,
@@ -272,6 +279,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         BLENDER in grid.metadata,
         float(trees[0].background) if trees else 0.0,
         number,
+        program.up,
+        program.up_because,
     )
 
 

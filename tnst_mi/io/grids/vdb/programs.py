@@ -44,7 +44,7 @@ _VERSION = re.compile(rf"({'|'.join(_PROGRAMS)})(?:app)?(?:version|build|release
 _UP_KEYS = ("upaxis", "axisup", "updirection", "upvector", "worldup", "up")
 _UP_TEXT = re.compile(r"\+?([yz])(?:axis|up)?")
 _LONGEST_KEY = 30
-_UP_VECTORS = {(0.0, 1.0, 0.0): "y", (0.0, 0.0, 1.0): "z"}
+_UP_VECTORS: dict[tuple[float, ...], str] = {(0.0, 1.0, 0.0): "y", (0.0, 0.0, 1.0): "z"}
 
 
 @dataclass(frozen=True)

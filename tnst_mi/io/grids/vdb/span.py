@@ -1,10 +1,12 @@
-"""What a file spans: where its voxels lie in the scene, and where in them its smoke is."""
+"""What a file spans: where its voxels lie in the scene, which axis of this is up, and where in them its smoke is."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.geometry.boxes import Box
 from tnst_mi.io.grids.vdb.clumps import Clump
@@ -25,6 +27,8 @@ class Span:
         blender: whether it comes from Blender, whose domains may be adaptive.
         outside: the density outside of the active voxels.
         number: of the frame, or None.
+        up: the axis of the scene that is up, "y" or "z".
+        up_because: the evidence for it, in words; empty if the file is ours and says it.
     """
 
     path: Path
@@ -36,3 +40,24 @@ class Span:
     blender: bool = False
     outside: float = 0.0
     number: float | None = None
+    up: str = "y"
+    up_because: str = ""
+
+
+def require_one_up(spans: Sequence[Span]) -> None:
+    """Check that the same axis is up in all files with voxels: their scenes are one.
+
+    Raises:
+        InputError: it is not; the message names two files and the flag.
+    """
+    known = [span for span in spans if span.box is not None]
+    other = next((span for span in known if span.up != known[0].up), None)
+    if other is not None:
+        told = [
+            f"{span.path.name} has {span.up} up" + (f" ({span.up_because})" if span.up_because else "")
+            for span in (known[0], other)
+        ]
+        raise InputError(
+            f"{known[0].path.parent}: {' and '.join(told)}, expected one axis in all files of a sequence; give --up y "
+            "or --up z"
+        )
