@@ -160,10 +160,8 @@ class FrameFiles(Sequence[Frame]):
         beside = [path for file in sequence for path in companions_of(file)]
         if not (self.source.is_dir() or len(sequence) > 1 or beside or self.suffix == ".vdb"):
             return None
-        numbers = {
-            file: float(number) for file, number in zip(self.files, self.numbers, strict=True) if number is not None
-        }
-        return SequenceContext(sequence, self._given, numbers, beside)
+        numbers = {file: float(number) for file, number in sequence.items() if number is not None}
+        return SequenceContext(list(sequence), self._given, numbers, beside)
 
 
 def open_frames(

@@ -43,14 +43,14 @@ class Listing:
     Attributes:
         files: of the densities, in the order of their numbers.
         numbers: of these; None for a single file without one.
-        sequence: the density files of the whole sequence, which `files` may be a part of.
+        sequence: the density files of the whole sequence, which `files` may be a part of, with their numbers.
         velocities: in the layout of the paper's authors, the folder of the velocities.
         notes: what was decided and what was left, to be said.
     """
 
     files: list[Path]
     numbers: list[Number | None]
-    sequence: list[Path]
+    sequence: dict[Path, Number | None]
     velocities: Path | None
     notes: tuple[str, ...]
 
@@ -126,7 +126,8 @@ def _listing(
     if span is None and len(chosen) < len(ordered):
         remarks.append(_of_sub_frames([name.number for _, name in ordered if name.number is not None]))
     of_chosen = [name.number for _, name in chosen]
-    return Listing([file for file, _ in chosen], of_chosen, [file for file, _ in ordered], velocities, tuple(remarks))
+    sequence = {file: name.number for file, name in ordered}
+    return Listing([file for file, _ in chosen], of_chosen, sequence, velocities, tuple(remarks))
 
 
 def _require_one_series(source: Path, named: Sequence[_Named]) -> None:

@@ -23,7 +23,7 @@ from tnst_mi.io.grids.vdb.adaptive_domain import placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
-from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
+from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, known_on, solid_on, stored_velocity, velocity_on
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
 from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
@@ -76,13 +76,14 @@ def read_vdb_frame(
     values = None
     if density is not None:
         values, own = density_on(density, cells, run.cells, own)
-    motion, known, staggered = None, None, False
+    motion, known, staggered, drift = None, None, False, run.drift_of(name or path.stem)
     if velocity is not None:
         staggered = is_as_stored(velocity, main.main, run.cells)
         if staggered:
             motion, known = stored_velocity(velocity, main.main, cells, run.cells)
         else:
             motion = velocity_on(velocity, cells, run.cells)
+            known = None if drift is None else known_on(velocity, cells, run.cells)
     solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
     program = program_of(file, main.main)
     x, y, z = run.cells(cells[0]).tolist()
@@ -98,7 +99,7 @@ def read_vdb_frame(
         up_because=program.up_because if program.up == run.up else run.up_because,
         velocity_units=program.velocity_units,
         velocity_cell=1.0 if velocity is None else _ratio(velocity.main.affine.edge, run.cells.edge),
-        drift=run.drift_of(name or path.stem),
+        drift=drift,
         voxel_size=run.cells.edge,
         corner=(x, y, z),
         own=own,

@@ -95,6 +95,21 @@ def velocity_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
     return _averaged(velocity, cells, between(run, grid.affine), centred)
 
 
+def known_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
+    """At which cells a velocity is known in all components, (Z, Y, X) bool: where voxels are active.
+
+    Raises:
+        InputError: it takes too much memory.
+    """
+    parts = [Quantity((grid,), 1, velocity.role) for grid in velocity.grids] if velocity.split else [velocity]
+    known = []
+    for part in parts:
+        voxels_of = between(run, part.main.affine)
+        box = _voxels_for(part, cells, voxels_of)
+        known.append(resampled(part.active_in(box), box, cells, voxels_of) > 0)
+    return np.logical_and.reduce(known)
+
+
 def _averaged(
     quantity: Quantity, cells: Box, voxels_of: Affine, centred: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> np.ndarray:

@@ -155,13 +155,17 @@ def _moving(reached: Sequence[Box | None]) -> tuple[Box, list[np.ndarray]] | Non
 
 
 def _drifts(spans: Sequence[Span], lows: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """By how many cells per frame the box moves after each frame; frames without a number are consecutive."""
-    drifts = {}
+    """By how many cells per frame the box moves after each frame; frames without a number are consecutive.
+
+    No frame follows the last one, which goes on as the one before.
+    """
+    drifts: dict[str, np.ndarray] = {}
     for span, following in itertools.pairwise(spans if lows else ()):
         frames = 1.0
         if span.number is not None and following.number is not None:
             frames = following.number - span.number
-        drifts[span.path.stem] = (lows[following.path.stem] - lows[span.path.stem]) / frames
+        drift = (lows[following.path.stem] - lows[span.path.stem]) / frames
+        drifts[span.path.stem] = drifts[following.path.stem] = drift
     return drifts
 
 
