@@ -19,7 +19,7 @@ from typing import overload
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.context import SequenceContext
-from tnst_mi.io.files.companions import companions_of
+from tnst_mi.io.files.companions import companion_groups, companions_of
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
@@ -157,7 +157,7 @@ class FrameFiles(Sequence[Frame]):
         if self._known_context is not None:
             return self._known_context
         sequence = self._listing.sequence
-        beside = [path for file in sequence for path in companions_of(file)]
+        beside = [group for file in sequence for group in companion_groups(file)]
         if not (self.source.is_dir() or len(sequence) > 1 or beside or self.suffix == ".vdb"):
             return None
         numbers = {file: float(number) for file, number in sequence.items() if number is not None}

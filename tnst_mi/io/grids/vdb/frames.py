@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
 from tnst_mi.io.grids.vdb.adaptive_domain import placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
+from tnst_mi.io.grids.vdb.component_files import read_parts
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, known_on, solid_on, stored_velocity, velocity_on
@@ -41,6 +42,7 @@ def read_vdb_frame(
     smoke: bool = False,
     fog: bool = False,
     name: str | None = None,
+    others: Sequence[Path] = (),
 ) -> StoredFrame:
     """Read a frame at the cells of a run.
 
@@ -51,11 +53,12 @@ def read_vdb_frame(
         smoke: whether other frames of its sequence have a density, so that one without is a frame without smoke.
         fog: whether the inside of a level set is its density.
         name: of the frame; None for that of the file without its ending.
+        others: where the file holds one component of a velocity, those of the other two.
 
     Raises:
-        InputError: the file cannot be used, or it has no active voxel and no box.
+        InputError: a file cannot be used, or it has no active voxel and no box.
     """
-    file = placed(read_vdb(path))
+    file = read_parts((path, *others))
     found = quantities_of(file, wanted or Wanted(), fog)
     density, velocity, obstacle, main = found.density, found.velocity, found.obstacle, found.main
     notes: tuple[Note, ...] = ()
@@ -181,7 +184,7 @@ def run_grid_of(
     boxing: Boxing | None = None,
     fog: bool = False,
     numbers: Mapping[Path, float] | None = None,
-    beside: Sequence[Path] = (),
+    beside: Sequence[Sequence[Path]] = (),
     up: str | None = None,
 ) -> RunGrid | None:
     """The grid on which the files of a sequence are read; None if none has a density or velocity with voxels.
@@ -194,13 +197,16 @@ def run_grid_of(
         boxing: which part of the grids is read.
         fog: whether the inside of a level set is its density.
         numbers: of the frames, as far as they are known.
-        beside: files of which velocities alone are read. They have a say only where no density has voxels.
+        beside: files of which velocities alone are read, those of components in threes. They have a say only where no
+            density has voxels.
         up: the axis that the user says is up; None to take it from the files.
 
     Raises:
         InputError: the grid would be too large, or almost empty; or files differ in which axis is up.
     """
-    spans = list(_spans(paths, lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {}))
+    spans = list(
+        _spans([(path,) for path in paths], lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {})
+    )
     if up is None:
         require_one_up(spans)
     spans_beside = list(_spans(beside, lambda file: replace(quantities_of(file, Wanted()), density=None), {}))
@@ -210,13 +216,13 @@ def run_grid_of(
 
 
 def _spans(
-    paths: Sequence[Path], quantities: Callable[[VdbFile], Quantities], numbers: Mapping[Path, float]
+    groups: Iterable[Sequence[Path]], quantities: Callable[[VdbFile], Quantities], numbers: Mapping[Path, float]
 ) -> Iterator[Span]:
-    """What those files span that can be read and have a density or a velocity."""
-    for path in paths:
-        with contextlib.suppress(InputError), gate(path, "a .vdb file"):
-            file = placed(read_vdb(path))
-            span = _span_of(file, quantities(file), numbers.get(path))
+    """What those files span that can be read and have a density or a velocity; of components, each three together."""
+    for paths in groups:
+        with contextlib.suppress(InputError), gate(paths[0], "a .vdb file"):
+            file = read_parts(paths)
+            span = _span_of(file, quantities(file), numbers.get(paths[0]))
             if span is not None:
                 yield span
 
