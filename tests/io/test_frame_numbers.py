@@ -47,6 +47,23 @@ def numbers(*names: str) -> list[int | float | None]:
         (["smoke.0001.50"], [1.5]),
         (["smoke.1", "smoke.1.5"], [1, 1.5]),
         (["smoke.-1.5", "smoke.-1", "smoke.0"], [-1.5, -1, 0]),
+        # Of one frame alone, or of unpadded ones: they count evenly as fractions.
+        (["s.0001.25", "s.0001.50", "s.0001.75"], [1.25, 1.5, 1.75]),
+        (["s.1.25", "s.1.5", "s.1.75"], [1.25, 1.5, 1.75]),
+        (["s.1.25", "s.1.75", "s.2.25", "s.2.75"], [1.25, 1.75, 2.25, 2.75]),
+        (["s_0001.5", "s_0002.5", "s_0003.5"], [1.5, 2.5, 3.5]),
+        (["a1.0001.25", "a1.0001.75", "a2.0001.25", "a2.0001.75"], [1.25, 1.75, 1.25, 1.75]),
+        (["s.0001.333", "s.0001.667"], [1.333, 1.667]),
+        (["s.0001.1", "s.0001.2", "s.0001.3"], [1.1, 1.2, 1.3]),
+        # Takes, years, resolutions and versions before the number, or behind it.
+        (["take.1.0001", "take.1.0002"], [1, 2]),
+        (["take.1.0025", "take.1.0050", "take.1.0075"], [25, 50, 75]),
+        (["take.1.1", "take.1.2", "take.1.3"], [1, 2, 3]),
+        (["take.2.0", "take.2.5", "take.2.10"], [0, 5, 10]),
+        (["take.1.1", "take.1.2", "take.2.1", "take.2.2"], [1, 2, 1, 2]),
+        (["smoke_2024.0001", "smoke_2024.0002"], [1, 2]),
+        (["smoke.2024.001", "smoke.2024.002"], [1, 2]),
+        (["0001.256", "0002.256"], [1, 2]),
         # No sub-frames: too many digits, nothing that varies before them, a version.
         (["smoke.3.0001", "smoke.3.0002"], [1, 2]),
         (["smoke.1920.01", "smoke.1920.02"], [1, 2]),
@@ -76,6 +93,25 @@ def test_the_pattern_of_a_series() -> None:
     assert pattern_of(numbered(["s_0009.hi", "s_0010.hi"])) == "s_####.hi"
     assert pattern_of(numbered(["s_9", "s_10"])) == "s_#"
     assert pattern_of(numbered(["s"])) == "s"
+
+
+@pytest.mark.parametrize(
+    ("names", "otherwise"),
+    [
+        (["s.0001.25", "s.0001.50"], ("s.0001.#", 25)),
+        (["s.1.25", "s.1.5"], ("s.1.#", 25)),
+        (["s_0001.5", "s_0002.5"], ("s_#.5", 1)),
+        (["take.1.1", "take.1.2"], ("take.#", 1.1)),
+        (["s.1.5", "s.2.5"], ("s.#", 1.5)),
+        # Nothing to choose between.
+        (["s.0001", "s.0001.50"], None),
+        (["s.0001.25", "s.0001.75", "s.0002.25"], None),
+        (["smoke.1920.01", "smoke.1920.02"], None),
+        (["take.1.0001", "take.1.0002"], None),
+    ],
+)
+def test_the_other_number_that_a_name_may_have(names: list[str], otherwise: tuple[str, int | float] | None) -> None:
+    assert numbered(names)[0].otherwise == otherwise
 
 
 @settings(max_examples=200, deadline=None)
@@ -111,6 +147,14 @@ def test_any_names_are_taken_apart(names: list[str]) -> None:
         ([1, 1.5, 2, 3], 0.5, [2.5]),
         ([0.1, 0.2, 0.3], 0.1, []),
         ([-3, 0, 3], 3, []),
+        # Thirds and sixths, rounded or cut off.
+        ([1, 1.333, 1.667, 2], 1 / 3, []),
+        ([1, 1.33, 1.66, 2], 1 / 3, []),
+        ([-1.667, -1.333, -1], 1 / 3, []),
+        ([0.5, 0.667, 0.833, 1, 1.166], 1 / 6, []),
+        ([1, 1.333, 2], 1 / 3, [5 / 3]),
+        ([1.3, 1.34, 1.38], 0.04, []),
+        ([1.3, 1.35, 1.4, 1.45], 0.05, []),
         ([7], 1, []),
         ([], 1, []),
     ],

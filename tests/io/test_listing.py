@@ -13,7 +13,13 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.grids.npz import write_arrays
+from tnst_mi.io.grids.uni import REAL, write_uni
+from tnst_mi.io.grids.vdb import DenseGrid, write_vdb
 from tnst_mi.io.grids.vdb.results import write_vdb_frame
+from tnst_mi.io.grids.vol import write_vol
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.io.single_grids import OURS, Y_UP
 
 SHAPE = (3, 4, 5)
 
@@ -68,6 +74,27 @@ def test_sub_frames_alone_are_all_taken(tmp_path: Path) -> None:
     densities(tmp_path, "s.0001.25.npz", "s.0001.75.npz", "s.0002.25.npz")
     frames = open_frames(tmp_path)
     assert (frames.numbers, frames.notes) == ([1.25, 1.75, 2.25], ())
+
+
+def test_sub_frames_of_one_frame_are_said_and_may_be_meant_otherwise(tmp_path: Path) -> None:
+    densities(tmp_path, "s.1.25.npz", "s.1.5.npz", "s.1.75.npz")
+    frames = open_frames(tmp_path)
+    assert frames.numbers == [1.25, 1.5, 1.75]
+    (note,) = frames.notes
+    assert note == f"s.1.25.npz is taken as frame 1.25; if it is frame 25, give '{tmp_path / 's.1.#.npz'}'"
+    with pytest.raises(InputError, match="frames are missing between 5 and 75"):
+        open_frames(Path(note.split("'")[1]))
+    # The opposite, likewise.
+    densities(tmp_path / "takes", "take.1.1.npz", "take.1.2.npz", "take.1.3.npz")
+    frames = open_frames(tmp_path / "takes")
+    assert frames.numbers == [1, 2, 3]
+    other = open_frames(Path(frames.notes[0].split("'")[1]))
+    assert (other.numbers, other.notes) == ([1.1, 1.2, 1.3], ())
+
+
+def test_thirds_of_frames(tmp_path: Path) -> None:
+    densities(tmp_path, "s.0001.npz", "s.0001.333.npz", "s.0001.667.npz", "s.0002.npz")
+    assert numbers(tmp_path, (1.0, 2.0)) == [1, 1.333, 1.667, 2]
 
 
 def test_every_second_frame(tmp_path: Path) -> None:
@@ -234,6 +261,89 @@ def test_a_velocity_beside_its_density(tmp_path: Path, format: str, density: str
         assert f"velocity from {re.sub('[0-9]', '#', velocity)}.{format}" in frames[0].reading
         assert frames.notes == ()
         assert tmp_path / f"{velocity}.{format}" in frames.sources(0)
+
+
+@pytest.mark.parametrize("format", ["npz", "npy", "vdb", "uni", "vol"])
+@pytest.mark.parametrize(
+    ("density", "components"),
+    [
+        ("density_0001", "vel_{}_0001"),
+        ("density.0001", "velocity.{}.0001"),
+        ("density_0001", "vel{}_0001"),
+        ("smoke_density_0001", "smoke_{}_vel_0001"),
+        ("density_0001", "{}_0001"),
+    ],
+)
+def test_a_velocity_in_three_files_beside_its_density(
+    tmp_path: Path, format: str, density: str, components: str
+) -> None:
+    rng = np.random.default_rng(0)
+    d, v = rng.random(SHAPE).astype(np.float32), rng.normal(size=(*SHAPE, 3)).astype(np.float32)
+    letters = "uvw" if components.startswith("{}_0") else "XYZ" if "vel{}" in components else "xyz"
+    names = [density, *(components.format(letter) for letter in letters)]
+    for name, array in zip(names, (d, *np.moveaxis(v, -1, 0)), strict=True):
+        path = tmp_path / f"{name}.{format}"
+        match format:
+            case "npy":
+                np.save(path, array)
+            case "npz":
+                write_arrays(path, {"data": array})
+            case "vdb":
+                write_vdb(
+                    path, [DenseGrid("density" if array is d else "data", array)], {"tnst_mi_up": ("string", "y")}
+                )
+            case "uni":
+                write_uni(path, array, REAL, OURS + Y_UP)
+            case _:
+                write_vol(path, array)
+    given = Conventions(velocity_units="cells-per-frame")
+    for path in (tmp_path, tmp_path / f"{density}.{format}"):
+        frames = open_frames(path, given=given)
+        assert (len(frames), frames.notes) == (1, ())
+        np.testing.assert_array_equal(frames[0].density, d)
+        np.testing.assert_array_equal(frames[0].velocity, v)
+        first = re.sub("[0-9]", "#", names[1])
+        assert f"velocity from {first}.{format}, " in frames[0].reading
+        assert {tmp_path / f"{name}.{format}" for name in names} <= set(frames.sources(0))
+    without = open_frames(tmp_path, given=Conventions(names=Wanted(velocity="none")))
+    assert without[0].velocity is None
+    (tmp_path / f"{names[-1]}.{format}").unlink()
+    if "u" not in letters:  # a lone v is the velocity, whatever it holds
+        assert load_frames(tmp_path)[0].velocity is None
+
+
+def test_components_in_files_of_their_own_may_lie_on_faces_and_reach_beyond_the_smoke(tmp_path: Path) -> None:
+    d = np.zeros(SHAPE, np.float32)
+    d[1:, 1:3, 2:4] = 1.0
+    z, y, x = np.indices(SHAPE).astype(np.float32)
+    for axis, (letter, values) in enumerate(zip("xyz", (2 * x, 3 * y, 4 * z), strict=True)):
+        place = -0.25 * np.eye(3)[axis]
+        write_vdb(tmp_path / f"vel_{letter}_0001.vdb", [DenseGrid("a", values + 1, (0, 0, 0), 0.5, tuple(place))], {})
+    write_vdb(tmp_path / "density_0001.vdb", [DenseGrid("density", d, (0, 0, 0), 0.5)], {})
+    frames = open_frames(tmp_path, given=Conventions(velocity_units="cells-per-frame"))
+    # As a velocity in one file does, they make room around the smoke where their voxels are those of the density.
+    smoke = frames[0].density > 0
+    inside = np.stack([2 * x + 2.0, 3 * y + 2.5, 4 * z + 3.0], axis=-1)[d > 0]
+    # The last faces have no upper one.
+    kept = (z < SHAPE[0] - 1)[d > 0]
+    np.testing.assert_allclose(frames[0].velocity[smoke][kept], inside[kept], rtol=1e-6)
+
+
+def test_components_that_are_none_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "density_0001.npy", np.ones(SHAPE))
+    for letter in "xyz":
+        np.savez(tmp_path / f"vel_{letter}_0001.npz", a=np.ones(SHAPE), b=np.ones(SHAPE))
+    (tmp_path / "density_0001.npy").unlink()
+    write_arrays(tmp_path / "density_0001.npz", {"density": np.ones(SHAPE, np.float32)})
+    with pytest.raises(
+        InputError, match=r"vel_x_0001.npz: expected one array, a component of the velocity, found a, b"
+    ):
+        load_frames(tmp_path)
+    write_vol(tmp_path / "vol" / "density_0001.vol", np.ones(SHAPE, np.float32))
+    for letter, shape in zip("xyz", (SHAPE, SHAPE, SHAPE[::-1]), strict=True):
+        write_vol(tmp_path / "vol" / f"vel_{letter}_0001.vol", np.ones(shape, np.float32))
+    with pytest.raises(InputError, match=r"vel_z_0001.vol: has shape \(5, 4, 3\), expected a component"):
+        load_frames(tmp_path / "vol")
 
 
 def test_an_obstacle_beside_its_density(tmp_path: Path) -> None:

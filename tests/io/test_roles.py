@@ -52,6 +52,17 @@ def test_what_is_not_smoke_by_name_is_not_taken(names: tuple[str, ...]) -> None:
     assert all(repr(name) in roles.lacking for name in names)
 
 
+@pytest.mark.parametrize("name", ["vel.noise", "vel_x", "velocityY", "v_rest", "vel_curl", "velocity_source", "wind"])
+def test_what_is_not_a_velocity_by_name_is_left(name: str) -> None:
+    assert chosen([*scalars("density"), *vectors(name)]) == (["density"], [], [], [name])
+    assert chosen([*scalars("density"), *vectors(name)], Wanted(velocity=name))[1] == [name]
+
+
+@pytest.mark.parametrize("name", ["smoke_velocity", "vel_center", "velocity_field", "velocity[0]", "velocity_1"])
+def test_a_lone_velocity_of_a_longer_name_is_taken(name: str) -> None:
+    assert chosen([*scalars("density"), *vectors(name, "vel.noise")])[1] == [name]
+
+
 def test_the_exact_name_comes_first_and_different_ones_are_asked_for() -> None:
     assert chosen(scalars("Density", "smoke", "density"))[0] == ["density"]
     for names in (("smoke", "fog"), ("Density", "DENSITY"), ("density_low", "density_high")):

@@ -13,7 +13,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
 from tnst_mi.io.grids.vdb.programs import program_of
-from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.interpretation.conventions import Boxing, Conventions
 from tnst_mi.io.interpretation.orientation import from_z_up
 from tnst_mi.io.interpretation.roles import Wanted
 
@@ -54,6 +54,45 @@ def test_grids_of_one_name_are_merged_where_they_do_not_overlap(names: tuple[str
     second = Conventions(names=Wanted(density="density[1]"))
     frame = frame_of(tmp_path, DenseGrid(names[0], left), DenseGrid(names[1], right), given=second)
     assert frame.mass == pytest.approx(right.sum())
+
+
+def test_the_flag_that_chooses_is_that_of_the_quantity(tmp_path: Path) -> None:
+    density = DenseGrid("density", DENSITY, (0, 0, 0), 0.5)
+    pair = [DenseGrid("vel", VELOCITY, (0, 0, 0), edge) for edge in (0.5, 0.5)]
+    with pytest.raises(InputError, match=r"2 grids are called 'vel' and overlap .* such as with --velocity 'vel\[0\]'"):
+        frame_of(tmp_path, density, *pair)
+    with pytest.raises(InputError, match=r"2 grids are called 'vel' and have different .* --velocity 'vel\[0\]'"):
+        frame_of(tmp_path, density, pair[0], DenseGrid("vel", VELOCITY, (0, 0, 0), 0.25))
+    solid = [DenseGrid("solid", np.ones(SHAPE, np.float32), (0, 0, 0), 0.5)] * 2
+    with pytest.raises(InputError, match=r"2 grids are called 'solid' and overlap .* --obstacle 'solid\[0\]'"):
+        frame_of(tmp_path, density, *solid)
+
+
+def test_grids_of_a_cluster_have_translations_of_their_own(tmp_path: Path) -> None:
+    # The first voxel of the right half is (5, -5, -1) of its own grid, and (2, 0, 0) of the left one.
+    whole = DenseGrid("density", DENSITY, (0, 0, 0), 0.5)
+    moved, translation = (5, -5, -1), (-1.5, 2.5, 0.5)
+    parts = []
+    for name, array in (("density", DENSITY), ("vel", VELOCITY), ("solid", (DENSITY > 0.6).astype(np.float32))):
+        left, right = np.ascontiguousarray(array[:, :, :2]), np.ascontiguousarray(array[:, :, 2:])
+        parts += [DenseGrid(name, left, (0, 0, 0), 0.5), DenseGrid(name, right, moved, 0.5, translation)]
+    frame = frame_of(tmp_path, *parts)
+    velocity = DenseGrid("vel", VELOCITY, (0, 0, 0), 0.5)
+    solid = DenseGrid("solid", (DENSITY > 0.6).astype(np.float32), (0, 0, 0), 0.5)
+    expected = frame_of(tmp_path, whole, velocity, solid)
+    np.testing.assert_array_equal(frame.density, expected.density)
+    np.testing.assert_array_equal(frame.velocity, expected.velocity)
+    np.testing.assert_array_equal(frame.obstacle, expected.obstacle)
+    assert frame.placement == expected.placement
+    # Cropping knows where the parts are.
+    cropped = frame_of(tmp_path, *parts, given=Conventions(box=Boxing(crop=True)))
+    np.testing.assert_array_equal(cropped.density, DENSITY)
+    # Parts that overlap, or lie between each other's voxels, are asked about.
+    over = DenseGrid("density", DENSITY, (5, -5, -1), 0.5, (-2.0, 2.5, 0.5))
+    with pytest.raises(InputError, match="overlap in 45 voxels"):
+        frame_of(tmp_path, whole, over)
+    with pytest.raises(InputError, match="have different voxels"):
+        frame_of(tmp_path, whole, DenseGrid("density", DENSITY, (9, 0, 0), 0.5, (0.1, 0.0, 0.0)))
 
 
 def test_three_scalars_are_a_velocity_at_centres(tmp_path: Path) -> None:
@@ -118,17 +157,72 @@ def test_grids_of_other_types_are_named(tmp_path: Path) -> None:
         ({"creator": ("string", "EmberGen 1.2")}, "z"),
         ({"JangaFX_version": ("int32", 3)}, "z"),
         ({"creator": ("string", "Blender/OpenVDB")}, "z"),
+        ({"software": ("string", "LiquiGen")}, "z"),
+        ({"Application": ("string", "JangaFX EmberGen 1.2 (build 7)")}, "z"),
+        # Who wrote it comes first; what paths and comments mention tells nothing.
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "software": ("string", "Blender 4.2")}, "y"),
+        ({"creator": ("string", "OpenVDB"), "software": ("string", "Blender 4.2")}, "z"),
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "export_path": ("string", "/proj/to_blender/a.vdb")}, "y"),
+        ({"export_path": ("string", "/proj/blender/a.vdb"), "comment": ("string", "for Blender and EmberGen")}, "y"),
+        ({"creator": ("string", "/opt/blender/to_vdb.py")}, "y"),
+        ({"blender_export_path": ("string", "/proj/a.vdb")}, "y"),
+        # What says the axis itself goes before programs.
+        ({"creator": ("string", "Houdini/GU_PrimVDB"), "up_axis": ("string", "Z")}, "z"),
+        ({"creator": ("string", "EmberGen 1.2"), "upAxis": ("string", "Y-up")}, "y"),
+        ({"up": ("string", "+z")}, "z"),
+        ({"up_vector": ("vec3s", (0.0, 0.0, 1.0))}, "z"),
+        ({"tnst_mi_up": ("string", "z"), "up_axis": ("string", "y")}, "z"),
     ],
 )
 def test_the_axis_that_is_up_follows_from_metadata(
-    metadata: dict[str, tuple[str, str | int]], up: str, tmp_path: Path
+    metadata: dict[str, tuple[str, str | int | tuple[float, ...]]], up: str, tmp_path: Path
 ) -> None:
     write_vdb(tmp_path / "a.vdb", [DenseGrid("density", DENSITY)], metadata)
     (frame,) = load_frames(tmp_path / "a.vdb")
     np.testing.assert_array_equal(frame.density, from_z_up(DENSITY) if up == "z" else DENSITY)
-    assert frame.placement.up == up and frame.reading.startswith(f"{up} up (") and "; --up)" in frame.reading
+    assert frame.placement.up == up and frame.reading.startswith(f"{up} up")
+    assert "tnst_mi_up" in metadata or "; --up)" in frame.reading
     other = open_frames(tmp_path / "a.vdb", given=Conventions(up="z" if up == "y" else "y"))[0]
     np.testing.assert_array_equal(other.density, DENSITY if up == "z" else from_z_up(DENSITY))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "because"),
+    [
+        ("up_axis", "Z", "as its up_axis says"),
+        ("up_axis", "-Z", "its up_axis is neither y nor z"),
+        ("upAxis", "X", "its upAxis is neither y nor z"),
+        ("updated", "Z", "no metadata say otherwise"),
+    ],
+)
+def test_what_is_said_of_the_axis_is_true(key: str, value: str, because: str, tmp_path: Path) -> None:
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", DENSITY)], {key: ("string", value)})
+    assert f"({because}; --up)" in load_frames(tmp_path / "a.vdb")[0].reading
+
+
+def test_one_axis_is_up_in_a_sequence(tmp_path: Path) -> None:
+    # Extents that differ once they are turned must not be named as the cause.
+    for number, creator in enumerate(("EmberGen 1.2", "Houdini/GU_PrimVDB"), start=1):
+        write_vdb(tmp_path / f"s_{number:04d}.vdb", [DenseGrid("density", DENSITY)], {"creator": ("string", creator)})
+    expected = (
+        r"s_0001.vdb has z up \(as EmberGen's metadata say\) and s_0002.vdb has y up \(no metadata say otherwise\), "
+        "expected one axis in all files of a sequence; give --up y or --up z"
+    )
+    with pytest.raises(InputError, match=expected):
+        load_frames(tmp_path)
+    for up, density in (("y", DENSITY), ("z", from_z_up(DENSITY))):
+        for frame in open_frames(tmp_path, given=Conventions(up=up)):
+            np.testing.assert_array_equal(frame.density, density)
+
+
+def test_files_without_voxels_have_no_axis_of_their_own(tmp_path: Path) -> None:
+    smoke, nothing = DenseGrid("density", DENSITY), DenseGrid("density", 0 * DENSITY)
+    for number, grids in enumerate(([nothing], [], [smoke])):
+        metadata = {"creator": ("string", "EmberGen 1.2")} if number == 2 else {}
+        write_vdb(tmp_path / f"s_{number:04d}.vdb", grids, metadata)
+    frames = load_frames(tmp_path)
+    assert [frame.density.shape for frame in frames] == [from_z_up(DENSITY).shape] * 3
+    assert all(frame.reading.startswith("z up (as EmberGen's metadata say") for frame in frames)
 
 
 def test_metadata_of_any_grid_count(tmp_path: Path) -> None:

@@ -79,11 +79,14 @@ def sphere(path: Path, name: str = "surface", kind: bytes = b"level set ") -> np
     return distance
 
 
-@pytest.mark.parametrize(("name", "kind"), [("density", b"level set"), ("smoke_sdf", b"fog volume")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("density", b"level set"), ("smoke_sdf", b"fog volume"), ("density", b"unknown")]
+)
 def test_level_sets_are_recognised(name: str, kind: bytes, tmp_path: Path) -> None:
     distance = sphere(tmp_path / "a.vdb", name, kind)
     named = Conventions() if name == "density" else Conventions(fog=False)
-    with pytest.raises(InputError, match=r"level set.*--fog takes"):
+    what = r"looks like a level set \(negative inside, 1.5 outside\)" if kind == b"unknown" else "level set"
+    with pytest.raises(InputError, match=f"{what}.*--fog takes"):
         open_frames(tmp_path / "a.vdb", given=named)[0]
     frame = open_frames(tmp_path / "a.vdb", given=Conventions(fog=True))[0]
     # OpenVDB's sdfToFogVolume: 1 where the band ends inside, 0 at the surface and outside.
@@ -91,6 +94,22 @@ def test_level_sets_are_recognised(name: str, kind: bytes, tmp_path: Path) -> No
     occupied = np.argwhere(expected > 0)
     low, high = occupied.min(axis=0), occupied.max(axis=0) + 1
     np.testing.assert_allclose(frame.density, expected[tuple(map(slice, low, high))], rtol=1e-6)
+
+
+def test_negative_noise_beside_a_background_is_no_level_set(tmp_path: Path) -> None:
+    density = np.where(DENSITY > 0.5, DENSITY, np.float32(-1e-8))
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", density, background=2.0)], {})
+    frame = open_frames(tmp_path / "a.vdb")[0]
+    assert frame.density.min() == 0.0 and "negative noise" in frame.notes[0].text
+
+
+def test_an_obstacle_of_signed_distances_is_solid_inside_whatever_its_class(tmp_path: Path) -> None:
+    distance = sphere(tmp_path / "a.vdb")
+    grids = [DenseGrid("density", np.ones_like(distance), voxel_size=0.5)]
+    write_vdb(tmp_path / "b.vdb", [*grids, DenseGrid("collision", distance, voxel_size=0.5, background=1.5)], {})
+    frame = open_frames(tmp_path / "b.vdb")[0]
+    np.testing.assert_array_equal(frame.obstacle, distance < 0.0)
+    assert "obstacle is the inside of a level set" in frame.reading
 
 
 def test_a_result_keeps_what_its_source_has(tmp_path: Path) -> None:

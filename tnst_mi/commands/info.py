@@ -108,12 +108,14 @@ def describe_frame(frame: Frame) -> list[str]:
     empty = 100.0 * float((density == 0.0).mean())
     lines = [f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty"]
     if frame.velocity is not None:
-        lines += describe_velocity(frame.velocity)
+        # Beyond the smoke a velocity matters little, and may be anything.
+        smoke = density > 0.0
+        lines += describe_velocity(frame.velocity[smoke] if smoke.any() else frame.velocity)
     if frame.obstacle is not None:
         lines.append(f"  obstacle: {int(frame.obstacle.sum())} cells")
     return lines
 
 
 def describe_velocity(velocity: np.ndarray) -> list[str]:
-    """The largest velocity of a grid (D, H, W, 3), in one line."""
+    """The largest of some velocities (…, 3), in one line."""
     return [f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"]

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Voxels count as cubes along the axes if their edges and angles are off by less than this share of an edge.
-CUBE_TOLERANCE = 1e-2
+#: Voxels along the axes count as cubes if their edges differ by less than this share of an edge.
+CUBE_TOLERANCE = 5e-3
+
+#: Voxels count as along the axes if they are turned by less than this angle, in radians: rounding in single precision.
+ANGLE_TOLERANCE = 1e-4
 
 #: Positions count as equal if they differ by less than this share of a voxel.
 PLACE_TOLERANCE = 1e-2
@@ -84,12 +87,13 @@ class Affine:
 
     def axes(self) -> np.ndarray | None:
         """Which signed axis each axis becomes, as a matrix (3, 3) of −1, 0 and 1; None unless cubes become cubes
-        along the axes, up to CUBE_TOLERANCE."""
-        directions = self.matrix / self.edge
+        along the axes, up to CUBE_TOLERANCE and ANGLE_TOLERANCE."""
+        edges = self.edges
+        directions = self.matrix / edges
         axes = np.rint(directions)
-        if np.abs(directions - axes).max() > CUBE_TOLERANCE or not (np.abs(axes).sum(axis=0) == 1).all():
+        if np.ptp(edges) > CUBE_TOLERANCE * self.edge or np.abs(directions - axes).max() > ANGLE_TOLERANCE:
             return None
-        return axes
+        return axes if (np.abs(axes).sum(axis=0) == 1).all() and (np.abs(axes).sum(axis=1) == 1).all() else None
 
     @property
     def whole(self) -> bool:
@@ -113,3 +117,22 @@ def between(cells: Affine, voxels: Affine) -> Affine:
             if np.abs(exact.offset - offset).max() <= PLACE_TOLERANCE:
                 return Affine(np.rint(others.T @ own), offset)
     return exact
+
+
+def lattice_offset(first: Affine, other: Affine) -> np.ndarray | None:
+    """What takes the voxels of one grid to those of another on its lattice, in whole voxels (3); None if it is on none.
+
+    Args:
+        first: from the voxels of the one grid to the scene.
+        other: from those of the other.
+
+    Example:
+        >>> lattice_offset(Affine.scaling(0.5, (1.0, 0.0, 0.0)), Affine.scaling(0.5)).tolist()
+        [2, 0, 0]
+        >>> lattice_offset(Affine.scaling(0.5), Affine.scaling(0.25)) is None
+        True
+    """
+    exact = other.inverse().after(first)
+    offset = np.rint(exact.offset)
+    same = np.abs(exact.matrix - np.eye(3)).max() <= EDGE_TOLERANCE
+    return offset.astype(np.int64) if same and np.abs(exact.offset - offset).max() <= PLACE_TOLERANCE else None

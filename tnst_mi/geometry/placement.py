@@ -60,6 +60,8 @@ class Placement:
         up: the axis of the scene that points up, "y" or "z".
         own: the voxels of the file that the grid came from; None if they are the grid's cells as above.
         source: what else results keep of this file, or None.
+        drift: by how many of its cells per frame the grid moves in the scene, along our axes (x, y, z); None if it
+            rests. A frame's velocities are those relative to its grid.
     """
 
     voxel_size: float = 1.0
@@ -67,6 +69,7 @@ class Placement:
     up: str = "z"
     own: OwnVoxels | None = field(default=None, compare=False, repr=False)
     source: FileSource | None = field(default=None, compare=False, repr=False)
+    drift: tuple[float, float, float] | None = None
 
     def moved(self, vector: tuple[float, float, float]) -> Placement:
         """The placement after a translation (X, Y, Z) in the scene, such as that of a simulation's domain.

@@ -13,7 +13,7 @@ from tnst_mi.frame import Note
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
-from tnst_mi.io.interpretation.grid_names import FLAGS, listed, plain_name
+from tnst_mi.io.interpretation.grid_names import FLAGS, component, listed, plain_name
 from tnst_mi.io.interpretation.layouts import (
     is_vector_shape,
     picture_scale,
@@ -88,28 +88,51 @@ def read_authors_frame(path: Path, velocities: Path, wanted: Wanted) -> StoredFr
     )
 
 
-def velocity_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:
+def velocity_beside(paths: Sequence[Path], cells: tuple[int, ...]) -> StoredFrame:
     """Read the velocity, if there is one, of a frame whose density, of shape (D, H, W), is in another file of arrays.
 
+    Args:
+        paths: the file, or three files with a component each.
+        cells: (D, H, W).
+
     Raises:
-        InputError: the file cannot be used, or its velocity does not fit the density.
+        InputError: a file cannot be used, or its velocity does not fit the density.
     """
-    headers = _headers(path)
-    names = list(headers)
-    roles = _roles(path, headers, Wanted())
-    chosen = roles.velocity or (tuple(range(len(names))) if len(names) == 1 else ())
-    if not chosen:
+    if len(paths) == 1:
+        arrays = _vector_arrays(paths[0])
+    else:
+        arrays = {path.name: _component(path, axis) for axis, path in enumerate(paths)}
+    if not arrays:
         return StoredFrame(density=None)
-    parts = [names[index] for index in chosen]
-    arrays = _arrays(path, parts)
-    with naming(path):
-        velocity, words = _velocity(arrays, parts, cells)
+    with naming(paths[0]):
+        velocity, words = _velocity(arrays, list(arrays), cells)
     return StoredFrame(
         density=None,
         velocity=velocity,
         staggered=velocity.shape[:3] != cells,
         layouts=(words,) if words else (),
     )
+
+
+def _vector_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The array of the velocity in a file of its own, or those of its components; none if there is none."""
+    headers = _headers(path)
+    names = list(headers)
+    roles = _roles(path, headers, Wanted())
+    chosen = roles.velocity or (tuple(range(len(names))) if len(names) == 1 else ())
+    arrays = _arrays(path, [names[index] for index in chosen])
+    return {names[index]: arrays[names[index]] for index in chosen}
+
+
+def _component(path: Path, axis: int) -> np.ndarray:
+    """The array of a velocity's component in a file of its own: the only one, or the one of that name."""
+    names = list(_headers(path))
+    named = [name for name in names if (found := component(name)) is not None and found[1] == axis]
+    chosen = names if len(names) == 1 else named
+    if len(chosen) != 1:
+        shown = listed(names, in_quotes=False)
+        raise InputError(f"{path}: expected one array, a component of the velocity, found {shown}; --velocity none")
+    return _arrays(path, chosen)[chosen[0]]
 
 
 def obstacle_beside(path: Path, cells: tuple[int, ...]) -> StoredFrame:

@@ -24,7 +24,7 @@ def with_arrays_beside(file: Path, frame: StoredFrame, wanted: Wanted) -> Stored
         return frame
     velocity, obstacle = _found_beside(file, frame, wanted)
     cells = frame.density.shape
-    if velocity is not None:
+    if velocity:
         frame = _with_velocity_of(frame, velocity, velocity_beside(velocity, cells))
     if obstacle is not None:
         frame = _with_obstacle_of(frame, obstacle, obstacle_beside(obstacle, cells))
@@ -40,37 +40,42 @@ def with_grids_beside(file: Path, frame: StoredFrame, context: SequenceContext, 
     if frame.density is None:
         return frame
     velocity, obstacle = _found_beside(file, frame, wanted)
-    if velocity is not None:
-        read = read_simulation_of_noise if velocity == companions.simulation_of(file) else read_vdb_frame
-        frame = _with_velocity_of(frame, velocity, read(velocity, context.run, name=file.stem))
+    if velocity:
+        first, *others = velocity
+        if first == companions.simulation_of(file):
+            stored = read_simulation_of_noise(first, context.run, name=file.stem)
+        else:
+            stored = read_vdb_frame(first, context.run, name=file.stem, others=others)
+        frame = _with_velocity_of(frame, velocity, stored)
     if obstacle is not None:
         frame = _with_obstacle_of(frame, obstacle, read_vdb_obstacle(obstacle, file.stem, context.run))
     return frame
 
 
-def _found_beside(file: Path, frame: StoredFrame, wanted: Wanted) -> tuple[Path | None, Path | None]:
+def _found_beside(file: Path, frame: StoredFrame, wanted: Wanted) -> tuple[tuple[Path, ...], Path | None]:
     """The companions that hold what the file of a density does not."""
-    velocity = obstacle = None
+    velocity, obstacle = (), None
     if frame.velocity is None and wanted.velocity != NONE:
-        velocity = companions.found_companion(file, companions.VELOCITY)
+        velocity = companions.found_velocity(file)
     if frame.obstacle is None and wanted.obstacle != NONE:
         obstacle = companions.found_companion(file, companions.OBSTACLE)
     return velocity, obstacle
 
 
-def _with_velocity_of(frame: StoredFrame, file: Path, other: StoredFrame) -> StoredFrame:
-    """A frame with the velocity that a companion holds."""
+def _with_velocity_of(frame: StoredFrame, files: tuple[Path, ...], other: StoredFrame) -> StoredFrame:
+    """A frame with the velocity that a companion holds, or three with a component each."""
     if other.velocity is None:
-        raise InputError(f"{file}: holds no velocity, which is looked for there; --velocity none goes without it")
+        raise InputError(f"{files[0]}: holds no velocity, which is looked for there; --velocity none goes without it")
     return replace(
         frame,
         velocity=other.velocity,
         staggered=other.staggered,
+        from_faces=other.from_faces,
         known=other.known,
         velocity_units=other.velocity_units,
         dt=other.dt,
         velocity_cell=other.velocity_cell,
-        taken=replace(frame.taken, velocity=companions.numberless(file)),
+        taken=replace(frame.taken, velocity=companions.all_numberless(files)),
         layouts=(*frame.layouts, *other.layouts),
     )
 

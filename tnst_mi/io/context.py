@@ -29,7 +29,7 @@ class SequenceContext:
         files: Sequence[Path],
         given: Conventions,
         numbers: Mapping[Path, float] = MappingProxyType({}),
-        beside: Sequence[Path] = (),
+        beside: Sequence[Sequence[Path]] = (),
     ) -> None:
         """Set what is known of the sequence.
 
@@ -37,7 +37,8 @@ class SequenceContext:
             files: of the densities.
             given: what the user overrides.
             numbers: of the frames, as far as they are known.
-            beside: files of velocities and obstacles alone, or of which these are read alone.
+            beside: files of velocities and obstacles alone, or of which these are read alone; those of a velocity's
+                components together.
         """
         self._files, self._given, self._numbers, self._beside = files, given, numbers, beside
 
@@ -56,12 +57,12 @@ class SequenceContext:
     @cached_property
     def _run(self) -> RunGrid | InputError | None:
         # An error is kept too: it would be found anew for every frame.
-        files, beside = (
-            [file for file in group if file.suffix.lower() == ".vdb"] for group in (self._files, self._beside)
-        )
+        files = [file for file in self._files if file.suffix.lower() == ".vdb"]
+        beside = [group for group in self._beside if group[0].suffix.lower() == ".vdb"]
         try:
             with gate(files[0] if files else Path(), "a .vdb file"):
-                return run_grid_of(files, self._given.names, self._given.box, self._given.fog, self._numbers, beside)
+                given = self._given
+                return run_grid_of(files, given.names, given.box, given.fog, self._numbers, beside, given.up)
         except InputError as error:
             return error
 

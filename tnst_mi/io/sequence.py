@@ -19,7 +19,7 @@ from typing import overload
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.context import SequenceContext
-from tnst_mi.io.files.companions import companions_of
+from tnst_mi.io.files.companions import companion_groups, companions_of
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
@@ -157,13 +157,11 @@ class FrameFiles(Sequence[Frame]):
         if self._known_context is not None:
             return self._known_context
         sequence = self._listing.sequence
-        beside = [path for file in sequence for path in companions_of(file)]
+        beside = [group for file in sequence for group in companion_groups(file)]
         if not (self.source.is_dir() or len(sequence) > 1 or beside or self.suffix == ".vdb"):
             return None
-        numbers = {
-            file: float(number) for file, number in zip(self.files, self.numbers, strict=True) if number is not None
-        }
-        return SequenceContext(sequence, self._given, numbers, beside)
+        numbers = {file: float(number) for file, number in sequence.items() if number is not None}
+        return SequenceContext(list(sequence), self._given, numbers, beside)
 
 
 def open_frames(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def read_vol_frame(file: Path, wanted: Wanted) -> StoredFrame:
     solid, layouts = (None, ()) if obstacle is None else _solid(obstacle, read_vol(obstacle), flags=False)
     return StoredFrame(
         density=grid,
-        velocity=None if velocity is None else read_vol(velocity),
+        velocity=_vectors(velocity, [read_vol(path) for path in velocity]) if velocity else None,
         obstacle=solid,
         scene_up="z",
         taken=taken,
@@ -57,32 +58,52 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
         return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
     velocity, obstacle, taken = _companions(file, wanted)
     frame = StoredFrame(density=grid, up=up, up_because=because, taken=taken)
-    if velocity is not None:
-        frame = _with_velocity(frame, *read_uni(velocity))
+    if velocity:
+        headers, grids = zip(*(read_uni(path) for path in velocity), strict=True)
+        frame = _with_velocity(frame, headers[0], _vectors(velocity, grids))
     if obstacle is not None:
         solid, _ = _solid(obstacle, read_uni(obstacle)[1], flags=True)
         frame = replace(frame, obstacle=solid)
     return frame
 
 
-def _companions(file: Path, wanted: Wanted) -> tuple[Path | None, Path | None, Taken]:
+def _companions(file: Path, wanted: Wanted) -> tuple[tuple[Path, ...], Path | None, Taken]:
     """The files of velocity and obstacle beside that of a density, and the words by which they are found."""
     if wanted.density is not None:
         raise InputError(
             f"{file}: --density {wanted.density!r}: a {file.suffix} file holds one grid; give the density's as INPUT"
         )
-    found = []
-    for role, name, usual in (
-        ("velocity", wanted.velocity, companions.VELOCITY),
-        ("obstacle", wanted.obstacle, companions.OBSTACLE),
-    ):
-        path = None if name == NONE else companions.found_companion(file, usual if name is None else (name,))
-        if path is None and name not in (None, NONE):
+    velocity: tuple[Path, ...] = ()
+    obstacle = None
+    if wanted.velocity != NONE:
+        words = companions.VELOCITY if wanted.velocity is None else (wanted.velocity,)
+        velocity = companions.found_velocity(file, words)
+    if wanted.obstacle != NONE:
+        words = companions.OBSTACLE if wanted.obstacle is None else (wanted.obstacle,)
+        obstacle = companions.found_companion(file, words)
+    for role, name, found in (("velocity", wanted.velocity, velocity), ("obstacle", wanted.obstacle, obstacle)):
+        if not found and name not in (None, NONE):
             raise InputError(f"{file}: --{role} {name!r}: no file {companions.companion(file, name).name} beside it")
-        found.append(path)
-    velocity, obstacle = found
-    named = [None if path is None else companions.numberless(path) for path in found]
-    return velocity, obstacle, Taken(companions.numberless(file), named[0], named[1])
+    named = companions.all_numberless(velocity) or None
+    solid = None if obstacle is None else companions.numberless(obstacle)
+    return velocity, obstacle, Taken(companions.numberless(file), named, solid)
+
+
+def _vectors(files: Sequence[Path], grids: Sequence[np.ndarray]) -> np.ndarray:
+    """A velocity (D, H, W, 3), of one grid or of the three grids (D, H, W) of its components.
+
+    Raises:
+        InputError: the components are vectors themselves, or differ in shape.
+    """
+    if len(grids) == 1:
+        return grids[0]
+    for file, grid in zip(files, grids, strict=True):
+        if grid.ndim != 3 or grid.shape != grids[0].shape:
+            raise InputError(
+                f"{file}: has shape {grid.shape}, expected a component of the velocity, of the shape of the others "
+                f"({grids[0].shape}); --velocity none goes without it"
+            )
+    return np.stack(grids, axis=-1)
 
 
 def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:

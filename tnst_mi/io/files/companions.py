@@ -5,13 +5,15 @@ obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`, …). If the den
 as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. For files of other
 programs, other words for density are replaced too (`smoke_0012.npz` beside `velocity_0012.npz`, as PhiFlow writes), and
 the word may be at the end (`NAME_0012_vel.npz`). Words may also be capitalised or in upper case, extensions in upper
-case. The noise of Blender's caches, `noise/fluid_noise_0012.vdb`, has its velocity in `data/fluid_data_0012.vdb`.
+case. A velocity may be in three files, one for each component: `vel_x_0012.uni` and so on, or with `u`, `v`
+and `w`. The noise of Blender's caches, `noise/fluid_noise_0012.vdb`, has its velocity in `data/fluid_data_0012.vdb`.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 #: Words for the grids, the one that we write first.
@@ -26,7 +28,7 @@ def _words(*words: str) -> re.Pattern[str]:
 
 _DENSITY = _words("density")
 _OTHER_DENSITY = _words("dens", "smoke", "rho", "d")
-_COMPANION = _words(*VELOCITY, *OBSTACLE, "(?:velocity|vel)[xyz]", "[uw]")
+_COMPANION = _words(*VELOCITY, *OBSTACLE, "(?:velocity|vel|v)[xyz]", "[uw]")
 #: Grids of a simulation that neither are density nor belong to a frame.
 _OTHER_GRID = _words("temperature", "temp", "heat", "fuel", "flame", "react", "pressure", "shadow", "burn", "phi", "cd")
 
@@ -49,6 +51,20 @@ def found_companion(file: Path, words: tuple[str, ...]) -> Path | None:
     return next((path for path in possible if path is not None and path.is_file()), None)
 
 
+def found_velocity(file: Path, words: tuple[str, ...] = VELOCITY) -> tuple[Path, ...]:
+    """The existing files of a density's velocity, of whatever program: one, or those of its three components, or none.
+
+    Args:
+        file: of the density.
+        words: for the velocity.
+    """
+    whole, components = found_companion(file, words), _found_components(file, words)
+    # What is called v is the velocity, but beside u and w it is a component.
+    if components and (whole is None or whole in components):
+        return components
+    return () if whole is None else (whole,)
+
+
 def simulation_of(noise: Path) -> Path | None:
     """The file with the simulation to which Blender has added noise, or would be; None if this is no such noise."""
     number = re.fullmatch(r"fluid_noise_(\d+)", noise.stem)
@@ -59,8 +75,13 @@ def simulation_of(noise: Path) -> Path | None:
 
 def companions_of(file: Path) -> list[Path]:
     """The existing files beside that of a density from which its velocity and its obstacle may be read."""
-    found = (found_companion(file, words) for words in (VELOCITY, OBSTACLE))
-    return [path for path in found if path is not None]
+    return [path for group in companion_groups(file) for path in group]
+
+
+def companion_groups(file: Path) -> list[tuple[Path, ...]]:
+    """The same, those of a velocity's components together."""
+    obstacle = found_companion(file, OBSTACLE)
+    return [group for group in (found_velocity(file), () if obstacle is None else (obstacle,)) if group]
 
 
 def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
@@ -87,13 +108,44 @@ def numberless(file: Path) -> str:
     return re.sub(r"\d", "#", file.name)
 
 
+def all_numberless(files: Sequence[Path]) -> str:
+    """The names of some files without their numbers, in one text."""
+    return ", ".join(numberless(file) for file in files)
+
+
 def _all_possible(file: Path, words: tuple[str, ...]) -> list[Path]:
     """All paths at which companions of a density file are looked for, in order of preference."""
+    return _spelled(file, _forms(file), words)
+
+
+def _forms(file: Path) -> list[str]:
+    """The names that companions of a density file may have, with {} for the word."""
     before, after = _around_the_word(file.stem)
     forms = [f"{before}{{}}{after}"]
     for match in _OTHER_DENSITY.finditer(file.stem):
         forms.append(f"{file.stem[: match.start()]}{{}}{file.stem[match.end() :]}")
-    return _spelled(file, [*forms, f"{file.stem}_{{}}"], words)
+    return [*forms, f"{file.stem}_{{}}"]
+
+
+def _found_components(file: Path, words: tuple[str, ...]) -> tuple[Path, ...]:
+    """The existing files of the three components of a density's velocity, or none."""
+    for names in _component_names(words):
+        for form in _forms(file):
+            before, _, after = form.partition("{}")
+            if all(file.with_name(f"{before}{name}{after}{file.suffix}").is_file() for name in names):
+                return tuple(file.with_name(f"{before}{name}{after}{file.suffix}") for name in names)
+    return ()
+
+
+def _component_names(words: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """What components may be called, in threes, in order of preference: `vel_x`, `velX`, `VEL.X`, `x_vel`, `u`, …"""
+    for word in words:
+        for spelling in dict.fromkeys((word, word.capitalize(), word.upper())):
+            for axes, separator in itertools.product(("xyz", "XYZ"), ("_", "", ".")):
+                yield tuple(f"{spelling}{separator}{axis}" for axis in axes)
+            yield tuple(f"{axis}_{spelling}" for axis in "xyz")
+    if "v" in words:
+        yield from (("u", "v", "w"), ("U", "V", "W"))
 
 
 def _spelled(file: Path, forms: Sequence[str], words: tuple[str, ...]) -> list[Path]:

@@ -5,8 +5,10 @@ digits alone are compared, and of their groups of digits the number is the one t
 these if there are several. Except:
 
 - a version, digits after a separator and a `v` (`_v003`, `.v2`), is no number;
-- in `smoke.0001.50`, the last digits are the fraction of frame 1.5 if there also are whole frames (`smoke.0001`), or if
-  they are fewer than those before them, which vary: a sub-frame;
+- in `smoke.0001.50`, the last digits are the fraction of frame 1.5, a sub-frame, if there also are whole frames
+  (`smoke.0001`), if both groups vary and the last has fewer digits, or if the names count evenly as fractions (1.25,
+  1.5, 1.75) and not better as whole numbers. Where one of the groups is the same in all names, either reading may be
+  meant, and the other one is told;
 - a `-` before the number is a minus if it starts the name or follows another separator (`smoke.-003`, `smoke_-3`), or
   if other files have the same name without it (`smoke-003` beside `smoke003`); else it separates (`smoke-003` alone).
 """
@@ -27,6 +29,12 @@ Number = int | float
 _SEPARATORS = "._- "
 _VERSION = re.compile(rf"[{re.escape(_SEPARATORS)}][vV]$")
 
+# Names without whole frames beside them are sub-frames only if there may be so many in a frame, in so many digits.
+_MOST_IN_A_FRAME, _MOST_DIGITS = 25, 3
+
+# Fractions that decimals cut short: parts of a frame, and from how many digits on they are recognised.
+_ENDLESS = ((3, 2), (6, 3))
+
 
 @dataclass(frozen=True)
 class NumberedName:
@@ -37,12 +45,14 @@ class NumberedName:
         before, after: the name around the digits and the sign of the number. Names that agree in both are of one
             series.
         digits: how many digits the whole part of the number has.
+        otherwise: where the digits may as well mean another number, a pattern by which they do, and that number.
     """
 
     number: Number | None
     before: str
     after: str = ""
     digits: int = 0
+    otherwise: tuple[str, Number] | None = None
 
     @property
     def series(self) -> tuple[str, str]:
@@ -81,9 +91,16 @@ def numbered(names: Sequence[str]) -> list[NumberedName]:
     alike: dict[tuple[str, ...], list[_Name]] = defaultdict(list)
     for part in parts:
         alike[part.texts].append(part)
-    fractions = {texts for texts, group in alike.items() if _are_sub_frames(group, alike)}
-    places = {texts: _place_of_number(group) for texts, group in alike.items() if texts not in fractions}
-    found = [_sub_frame(part) if part.texts in fractions else _numbered_at(part, places[part.texts]) for part in parts]
+    fractions = {texts: _are_sub_frames(group, alike) for texts, group in alike.items()}
+    places = {texts: _place_of_number(group) for texts, group in alike.items()}
+    found = []
+    for part in parts:
+        are, doubtful = fractions[part.texts]
+        whole = _numbered_at(part, places[part.texts])
+        if are:
+            found.append(_sub_frame(part, whole if doubtful else None))
+        else:
+            found.append(replace(whole, otherwise=_as_pattern(_sub_frame(part))) if doubtful else whole)
     return _with_signs_of_words(found)
 
 
@@ -119,8 +136,15 @@ def missing(numbers: Sequence[Number], most: int = 11) -> list[Number]:
 
 
 def _exact(number: Number) -> Fraction:
-    """A number as it is written in a name: floats of sub-frames are not exact."""
-    return Fraction(str(number))
+    """A number as it is meant in a name: floats of sub-frames are not exact, and decimals cut thirds short."""
+    exact = Fraction(str(number))
+    size, digits = abs(exact), len(str(number).partition(".")[2])
+    for parts, least in _ENDLESS:
+        nearest = Fraction(round(size * parts), parts)
+        # Rounded, or cut off.
+        if digits >= least and nearest.denominator == parts and -5 <= (nearest - size) * 10 ** (digits + 1) < 10:
+            return nearest if exact > 0 else -nearest
+    return exact
 
 
 def plain_number(number: Fraction) -> Number:
@@ -149,22 +173,50 @@ def _taken_apart(name: str) -> _Name:
     return _Name(tuple(texts), runs, tuple(negative))
 
 
-def _are_sub_frames(group: Sequence[_Name], alike: dict[tuple[str, ...], list[_Name]]) -> bool:
-    """Whether the last digits of names with the same texts are fractions of the digits before them."""
+def _are_sub_frames(group: Sequence[_Name], alike: dict[tuple[str, ...], list[_Name]]) -> tuple[bool, bool]:
+    """Whether the last digits of names with the same texts are fractions of the digits before them; and whether they
+    may as well be the opposite."""
     texts = group[0].texts
     if len(texts) < 3 or texts[-2:] != (".", "") or _VERSION.search(texts[-3]) or any(n.negative[-1] for n in group):
-        return False
+        return False, False
     if (*texts[:-2], "") in alike:
-        return True
+        return True, False
     shorter = all(len(name.runs[-1]) < len(name.runs[-2]) for name in group)
-    return shorter and (len(group) == 1 or len({name.runs[-2] for name in group}) > 1)
+    if len(group) == 1:
+        return shorter, False
+    even = _count_evenly(group)
+    befores, lasts = ({name.runs[place] for name in group} for place in (-2, -1))
+    if len(befores) > 1 and len(lasts) > 1:
+        return shorter or even, False
+    one_after_another = len(lasts) > 1 and step_of(sorted(map(int, lasts))) == 1
+    return even and (shorter or (len(lasts) > 1 and not one_after_another)), even
 
 
-def _sub_frame(name: _Name) -> NumberedName:
+def _count_evenly(group: Sequence[_Name]) -> bool:
+    """Whether names count as sub-frames without gaps, in steps that sub-frames have; those of each series by itself."""
+    series: dict[str, list[Number]] = defaultdict(list)
+    for name in group:
+        found = _sub_frame(name)
+        series[found.before].append(found.number or 0)
+    for numbers in series.values():
+        parts = math.lcm(*(_exact(number).denominator for number in numbers))
+        if len(set(numbers)) < len(numbers) or parts > _MOST_IN_A_FRAME or missing(sorted(numbers)):
+            return False
+    return all(len(name.runs[-1]) <= _MOST_DIGITS for name in group)
+
+
+def _sub_frame(name: _Name, whole: NumberedName | None = None) -> NumberedName:
+    """A name as that of a sub-frame; `whole` is its other reading, if it may be meant."""
     number = Fraction(f"{name.runs[-2]}.{name.runs[-1]}")
     last = len(name.runs) - 2
-    before = name.joined(0, last)
-    return NumberedName(plain_number(-number if name.negative[last] else number), before, "", len(name.runs[last]))
+    before, digits = name.joined(0, last), len(name.runs[last])
+    otherwise = None if whole is None else _as_pattern(whole)
+    return NumberedName(plain_number(-number if name.negative[last] else number), before, "", digits, otherwise)
+
+
+def _as_pattern(name: NumberedName) -> tuple[str, Number] | None:
+    """A pattern by which a name has its number, and this number; None if it has none."""
+    return None if name.number is None else (f"{name.before}#{name.after}", name.number)
 
 
 def _place_of_number(group: Sequence[_Name]) -> int | None:

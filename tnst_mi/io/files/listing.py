@@ -43,14 +43,14 @@ class Listing:
     Attributes:
         files: of the densities, in the order of their numbers.
         numbers: of these; None for a single file without one.
-        sequence: the density files of the whole sequence, which `files` may be a part of.
+        sequence: the density files of the whole sequence, which `files` may be a part of, with their numbers.
         velocities: in the layout of the paper's authors, the folder of the velocities.
         notes: what was decided and what was left, to be said.
     """
 
     files: list[Path]
     numbers: list[Number | None]
-    sequence: list[Path]
+    sequence: dict[Path, Number | None]
     velocities: Path | None
     notes: tuple[str, ...]
 
@@ -122,11 +122,12 @@ def _listing(
     ordered = sorted(named, key=lambda pair: (pair[1].number or 0, pair[0].name))
     chosen = _selected(ordered, span)
     _require_complete(source, chosen)
-    remarks = [*notes, *_left_alone(left)]
+    remarks = [*notes, *_left_alone(left), *_in_doubt(chosen)]
     if span is None and len(chosen) < len(ordered):
         remarks.append(_of_sub_frames([name.number for _, name in ordered if name.number is not None]))
     of_chosen = [name.number for _, name in chosen]
-    return Listing([file for file, _ in chosen], of_chosen, [file for file, _ in ordered], velocities, tuple(remarks))
+    sequence = {file: name.number for file, name in ordered}
+    return Listing([file for file, _ in chosen], of_chosen, sequence, velocities, tuple(remarks))
 
 
 def _require_one_series(source: Path, named: Sequence[_Named]) -> None:
@@ -207,6 +208,16 @@ def _left_alone(files: Sequence[Path]) -> list[str]:
             groups[name.series].append(name)
         series |= dict.fromkeys(pattern_of(names) + suffix for names in groups.values())
     return [f"left alone in {files[0].parent}: {some_of(list(series))}"]
+
+
+def _in_doubt(chosen: Sequence[_Named]) -> list[str]:
+    """How to read numbers otherwise that may as well be others; of the first file, as an example of all."""
+    for file, name in chosen:
+        if name.otherwise is not None:
+            pattern, number = name.otherwise
+            whole = file.with_name(pattern + file.suffix)
+            return [f"{file.name} is taken as frame {name.number}; if it is frame {number}, give '{whole}'"]
+    return []
 
 
 def _of_sub_frames(numbers: Sequence[Number]) -> str:

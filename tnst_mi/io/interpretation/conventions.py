@@ -97,7 +97,9 @@ class StoredFrame:
         obstacle: (D, H, W), or None.
         staggered: whether component c of the velocity lies on the lower face of each cell along axis c. Then it may
             have one entry more along each axis, for the upper faces of the last cells.
-        known: (D, H, W) bool, the cells whose velocities are stored; None for all.
+        from_faces: whether the velocity was on the faces of voxels that are not the cells, and has been brought to the
+            centres of the cells.
+        known: (D, H, W) bool, the cells whose velocities are stored; None for all, or where it makes no difference.
         up: the up axis of the file.
         up_because: the evidence for it, in words; empty if the format says it.
         scene_up: the up axis of the scene that the grid is placed in, for formats without a scene; else None.
@@ -120,6 +122,7 @@ class StoredFrame:
     velocity: np.ndarray | None = None
     obstacle: np.ndarray | None = None
     staggered: bool = False
+    from_faces: bool = False
     known: np.ndarray | None = None
     up: str = "y"
     up_because: str = ""
@@ -173,9 +176,7 @@ class StoredFrame:
         with np.errstate(over="ignore", invalid="ignore"):
             centres = self._centres(self.velocity)
             centres = centres if factor == 1.0 else centres * np.float32(factor)
-            if self.drift is not None:
-                centres = centres - self.drift.astype(np.float32)
-            return self._turned(centres, given)
+            return self._turned(centres if self.drift is None else self._relative(centres, self.drift), given)
 
     def reading(self, given: Conventions) -> str:
         """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
@@ -185,7 +186,9 @@ class StoredFrame:
         words = [axes]
         if self.velocity is not None:
             units, dt = self._units(given)
-            words.append(f"velocity {'on faces' if self.staggered else 'at centres'} in {units}")
+            place = "on faces" if self.staggered else "at centres"
+            place = "on the faces of its own voxels, brought to the cells," if self.from_faces else place
+            words.append(f"velocity {place} in {units}")
             words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
         words += [] if size is None else [f"voxel size {size:g}"]
@@ -208,6 +211,17 @@ class StoredFrame:
         if self.density is not None and velocity.shape[:3] == tuple(extent + 1 for extent in self.density.shape):
             return velocity_of_all_faces(velocity)
         return centred_velocity(velocity, self.known)
+
+    def _relative(self, centres: np.ndarray, drift: np.ndarray) -> np.ndarray:
+        """Velocities relative to the grid, which follows the smoke: where none is known, that of all smoke."""
+        relative = centres - drift.astype(np.float32)
+        if self.known is None or self.density is None:
+            return relative
+        smoke = self.known & (self.density > 0) & np.isfinite(relative).all(axis=-1)
+        average = np.zeros(3)
+        if smoke.any():
+            average = np.average(relative[smoke], axis=0, weights=self.density[smoke].astype(np.float64))
+        return np.where(self.known[..., None], relative, average.astype(np.float32))
 
     def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
         if array.ndim < 3:  # wrong shape: Frame reports it
@@ -247,7 +261,12 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         if size is None:
             return None
-        placement = Placement(size, self.corner, self.scene_up or given.up or self.up, self.own, self.source)
+        drift = None
+        if self.drift is not None:
+            x, y, z = self._turned(self.drift.reshape(1, 1, 1, 3), given).ravel().tolist()
+            drift = x, y, z
+        up = self.scene_up or given.up or self.up
+        placement = Placement(size, self.corner, up, self.own, self.source, drift)
         untrue = self.own is not None and self.own.placed is not None
         if given.flip or size != self.voxel_size or (untrue and given.voxel_size is not None):
             # Such a grid is another one than that of the file.

@@ -23,6 +23,9 @@ _ELSE = (
     *("color", "colour", "cd", "sdf", "phi", "mask", "shadow", "emission", "normal", "gradient", "force", "rest"),
 )
 
+# Words of what is made from or for a velocity.
+_ABOUT_MOVING = ("noise", "curl", "vorticity", "turbulence", "source", "target", "magnitude", "speed", "error")
+
 # Names of the axis after or before that of the vector, such as vel.x, velocityX, vel[0] and x_velocity.
 _AXIS_LAST = re.compile(r"(.*?)[\s._:\-\[(]*([xyzuvw012])[\])]?$", re.DOTALL)
 _AXIS_FIRST = re.compile(r"([xyz])[\s._:\-]*(.*)$", re.DOTALL)
@@ -55,8 +58,10 @@ def is_partly_density(name: str) -> bool:
 
 
 def is_partly_velocity(name: str) -> bool:
-    """Whether a part of a name says that it is a velocity, and no other part that it is something else."""
-    return _says(name, _MOVING) and not set(plain_name(name).split()) & {*_ELSE}
+    """Whether a part of a name says that it is a velocity, and no other part that it is something else about it, or one
+    of its components."""
+    others = {*_ELSE, *_ABOUT_MOVING}
+    return _says(name, _MOVING) and not set(plain_name(name).split()) & others and component(name) is None
 
 
 def component(name: str, vector: str | None = None) -> tuple[str, int] | None:

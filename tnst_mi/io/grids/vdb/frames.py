@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,14 +21,15 @@ from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
 from tnst_mi.io.grids.vdb.adaptive_domain import domain_corner, placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
+from tnst_mi.io.grids.vdb.component_files import read_parts
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
-from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
+from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, known_on, solid_on, stored_velocity, velocity_on
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
-from tnst_mi.io.grids.vdb.quantities import Quantities, quantities_of, type_in_words
+from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
 from tnst_mi.io.grids.vdb.run_grid import RunGrid, run_grid
-from tnst_mi.io.grids.vdb.span import Span
+from tnst_mi.io.grids.vdb.span import Span, require_one_up
 from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Boxing, StoredFrame
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.machine.gate import gate
@@ -42,6 +43,7 @@ def read_vdb_frame(
     smoke: bool = False,
     fog: bool = False,
     name: str | None = None,
+    others: Sequence[Path] = (),
 ) -> StoredFrame:
     """Read a frame at the cells of a run.
 
@@ -52,11 +54,12 @@ def read_vdb_frame(
         smoke: whether other frames of its sequence have a density, so that one without is a frame without smoke.
         fog: whether the inside of a level set is its density.
         name: of the frame; None for that of the file without its ending.
+        others: where the file holds one component of a velocity, those of the other two.
 
     Raises:
-        InputError: the file cannot be used, or it has no active voxel and no box.
+        InputError: a file cannot be used, or it has no active voxel and no box.
     """
-    file = placed(read_vdb(path))
+    file = read_parts((path, *others))
     found = quantities_of(file, wanted or Wanted(), fog)
     density, velocity, obstacle, main = found.density, found.velocity, found.obstacle, found.main
     notes: tuple[Note, ...] = ()
@@ -69,19 +72,22 @@ def read_vdb_frame(
     cells = run.box_of(name or path.stem)
     require_small(path, cells, found.components or 1)
     if main is None:
-        return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
+        return StoredFrame(
+            density=_nothing(cells), up=run.up, up_because=run.up_because, taken=found.taken, notes=notes
+        )
     grid = main.main
     own = OwnVoxels(grid.stored_affine, _from(cells, between(run.cells, grid.affine)), grid.placed)
     values = None
     if density is not None:
         values, own = density_on(density, cells, run.cells, own)
-    motion, known, staggered = None, None, False
+    motion, known, staggered, drift = None, None, False, run.drift_of(name or path.stem)
     if velocity is not None:
         staggered = is_as_stored(velocity, main.main, run.cells)
         if staggered:
             motion, known = stored_velocity(velocity, main.main, cells, run.cells)
         else:
             motion = velocity_on(velocity, cells, run.cells)
+            known = None if drift is None else known_on(velocity, cells, run.cells)
     solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
     program = program_of(file, main.main)
     x, y, z = run.cells(cells[0]).tolist()
@@ -90,13 +96,14 @@ def read_vdb_frame(
         velocity=motion,
         obstacle=solid,
         staggered=staggered,
+        from_faces=velocity is not None and not staggered and on_faces(velocity, main.main),
         # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
         known=known,
-        up=program.up,
-        up_because=program.up_because,
+        up=run.up,
+        up_because=program.up_because if program.up == run.up else run.up_because,
         velocity_units=program.velocity_units,
         velocity_cell=1.0 if velocity is None else _ratio(velocity.main.affine.edge, run.cells.edge),
-        drift=run.drift_of(name or path.stem),
+        drift=drift,
         voxel_size=run.cells.edge,
         corner=(x, y, z),
         own=own,
@@ -183,7 +190,8 @@ def run_grid_of(
     boxing: Boxing | None = None,
     fog: bool = False,
     numbers: Mapping[Path, float] | None = None,
-    beside: Sequence[Path] = (),
+    beside: Sequence[Sequence[Path]] = (),
+    up: str | None = None,
 ) -> RunGrid | None:
     """The grid on which the files of a sequence are read; None if none has a density or velocity with voxels.
 
@@ -195,12 +203,18 @@ def run_grid_of(
         boxing: which part of the grids is read.
         fog: whether the inside of a level set is its density.
         numbers: of the frames, as far as they are known.
-        beside: files of which velocities alone are read. They have a say only where no density has voxels.
+        beside: files of which velocities alone are read, those of components in threes. They have a say only where no
+            density has voxels.
+        up: the axis that the user says is up; None to take it from the files.
 
     Raises:
-        InputError: the grid would be too large, or out of proportion to the files.
+        InputError: the grid would be too large, or out of proportion to the files; or these differ in which axis is up.
     """
-    spans = list(_spans(paths, lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {}))
+    spans = list(
+        _spans([(path,) for path in paths], lambda file: quantities_of(file, wanted or Wanted(), fog), numbers or {})
+    )
+    if up is None:
+        require_one_up(spans)
     spans_beside = list(_spans(beside, lambda file: replace(quantities_of(file, Wanted()), density=None), {}))
     if any(span.box is not None for span in spans):
         return run_grid(spans, boxing, spans_beside)
@@ -208,13 +222,13 @@ def run_grid_of(
 
 
 def _spans(
-    paths: Sequence[Path], quantities: Callable[[VdbFile], Quantities], numbers: Mapping[Path, float]
+    groups: Iterable[Sequence[Path]], quantities: Callable[[VdbFile], Quantities], numbers: Mapping[Path, float]
 ) -> Iterator[Span]:
-    """What those files span that can be read and have a density or a velocity."""
-    for path in paths:
-        with contextlib.suppress(InputError), gate(path, "a .vdb file"):
-            file = placed(read_vdb(path))
-            span = _span_of(file, quantities(file), numbers.get(path))
+    """What those files span that can be read and have a density or a velocity; of components, each three together."""
+    for paths in groups:
+        with contextlib.suppress(InputError), gate(paths[0], "a .vdb file"):
+            file = read_parts(paths)
+            span = _span_of(file, quantities(file), numbers.get(paths[0]))
             if span is not None:
                 yield span
 
@@ -259,7 +273,7 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         return None
     grid, density, velocity = found.main.main, found.density, found.velocity
     voxels = grid.affine
-    trees = [] if density is None else [grid.tree for grid in density.grids]
+    trees = [] if density is None else list(density.placed_trees())
     told = _told_box(file, found)
     boxes = [told, *(tree.active_box() for tree in trees)]
     moves = None if velocity is None else between(velocity.main.affine, voxels)
@@ -267,6 +281,7 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
     if velocity is not None and moves is not None and told is None and (moves.whole or density is None):
         active = velocity.active_box()
         boxes.append(None if active is None else image(active, moves))
+    program = program_of(file, grid)
     return Span(
         file.path,
         voxels,
@@ -279,6 +294,8 @@ def _span_of(file: VdbFile, found: Quantities, number: float | None = None) -> S
         number,
         found.components,
         file.path.stat().st_size,
+        program.up,
+        program.up_because,
     )
 
 

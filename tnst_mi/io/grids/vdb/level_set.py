@@ -15,10 +15,33 @@ from tnst_mi.machine.terminal import quoted
 _CLASS = "level set"
 _WORDS = ("sdf", "levelset", "level_set")
 
+# The share of half the width of the narrow band that is rounding, in half precision too.
+_ROUNDING = 1e-3
+
 
 def is_level_set(grid: Grid) -> bool:
     """Whether a grid holds signed distances from a surface: its class says so, or its name."""
     return grid.metadata.get("class") == _CLASS or any(word in grid.name.lower() for word in _WORDS)
+
+
+def looks_like_level_set(grid: Grid) -> bool:
+    """Whether a grid holds what signed distances are in the narrow band of a level set, whatever its class and name.
+
+    They are negative inside and the background outside, and reach as far to either side.
+
+    Raises:
+        InputError: the tree is damaged.
+    """
+    if isinstance(grid.transform, str):
+        return False  # of a transform of unknown length, not even the tree is found
+    half_width = float(grid.topology.background)
+    if not 0.0 < half_width < np.inf:
+        return False
+    tree = grid.tree
+    values = np.concatenate([tree.leaf_values.ravel(), tree.tile_values])
+    farthest = half_width * (1.0 + _ROUNDING)
+    inside = values.size > 0 and -farthest <= float(values.min()) < -_ROUNDING * half_width
+    return inside and float(values.max()) <= farthest
 
 
 class FogVolume(Grid):

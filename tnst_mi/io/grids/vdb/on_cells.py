@@ -16,7 +16,6 @@ from tnst_mi.io.grids.vdb.file_format.reader import Grid
 from tnst_mi.io.grids.vdb.limits import is_out_of_proportion, require_small
 from tnst_mi.io.grids.vdb.quantities import Quantity, on_faces, solid_voxels
 from tnst_mi.io.interpretation.staggered import centred_velocity
-from tnst_mi.machine.terminal import quoted
 
 #: A cell, or a voxel, is solid if at least this share of it is.
 SOLID = 0.5
@@ -31,7 +30,7 @@ def density_on(density: Quantity, cells: Box, run: Affine, own: OwnVoxels) -> tu
     Raises:
         InputError: it takes too much memory, or its grids have different voxels.
     """
-    voxels_of = _one_map(density, run)
+    voxels_of = between(run, density.main.affine)
     box = _voxels_for(density, cells, voxels_of)
     values = density.values_in(box)
     own = replace(own, outside=float(density.main.tree.background))
@@ -46,7 +45,7 @@ def solid_on(obstacle: Quantity, cells: Box, run: Affine) -> tuple[np.ndarray, s
     Raises:
         InputError: it takes too much memory, or its values do not say what is solid.
     """
-    voxels_of = _one_map(obstacle, run)
+    voxels_of = between(run, obstacle.main.affine)
     box = _voxels_for(obstacle, cells, voxels_of)
     solid, words = solid_voxels(obstacle, box)
     return resampled(solid, box, cells, voxels_of) >= SOLID, words
@@ -78,7 +77,7 @@ def velocity_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
         InputError: it takes too much memory.
     """
     if velocity.split:
-        parts = [Quantity((grid,), 1) for grid in velocity.grids]
+        parts = [Quantity((grid,), 1, velocity.role) for grid in velocity.grids]
         components = [_averaged(part, cells, between(run, part.main.affine), lambda v, _: v) for part in parts]
         components += [np.zeros_like(components[0])] * (3 - len(components))
         return np.stack(components, axis=-1)
@@ -95,7 +94,22 @@ def velocity_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
             values = values @ directions.T.astype(np.float32)
         return values
 
-    return _averaged(velocity, cells, _one_map(velocity, run), centred)
+    return _averaged(velocity, cells, between(run, grid.affine), centred)
+
+
+def known_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
+    """At which cells a velocity is known in all components, (Z, Y, X) bool: where voxels are active.
+
+    Raises:
+        InputError: it takes too much memory.
+    """
+    parts = [Quantity((grid,), 1, velocity.role) for grid in velocity.grids] if velocity.split else [velocity]
+    known = []
+    for part in parts:
+        voxels_of = between(run, part.main.affine)
+        box = _voxels_for(part, cells, voxels_of)
+        known.append(resampled(part.active_in(box), box, cells, voxels_of) > 0)
+    return np.logical_and.reduce(known)
 
 
 def _averaged(
@@ -122,23 +136,6 @@ def _spread_to_centres(known: np.ndarray) -> None:
     lower = known.copy()
     for axis in range(3):
         np.moveaxis(known, axis, 0)[:-1] |= np.moveaxis(lower, axis, 0)[1:]
-
-
-def _one_map(quantity: Quantity, run: Affine) -> Affine:
-    """The map from cells to the voxels that all grids of a quantity share.
-
-    Raises:
-        InputError: they have different voxels.
-    """
-    first, *others = quantity.grids
-    for grid in others:
-        map = between(first.affine, grid.affine)
-        if not map.whole or (map.matrix != np.eye(3)).any() or map.offset.any():
-            raise InputError(
-                f"{first.path}: {len(quantity.grids)} grids are called {quoted(first.name)} and have different voxels, "
-                f"expected the same; choose one of them, such as with --density '{first.name}[0]'"
-            )
-    return between(run, first.affine)
 
 
 def _voxels_for(quantity: Quantity, cells: Box, voxels_of: Affine) -> Box:

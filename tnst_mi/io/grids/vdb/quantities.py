@@ -1,20 +1,24 @@
 """The density, velocity and obstacle of an OpenVDB file, each made of one grid or several.
 
-Several grids of one name are parts of one quantity if their active voxels do not overlap; three scalar grids may be the
-components of a velocity, at the centres of the density's voxels or, half a voxel lower along their own axes, on faces.
+Several grids of one name are parts of one quantity if their voxels lie on one lattice and the active ones do not
+overlap, such as those of a cluster, each with a translation of its own; three scalar grids may be the components of a
+velocity, at the centres of the density's voxels or, half a voxel lower along their own axes, on faces.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from tnst_mi.errors import InputError, naming
-from tnst_mi.geometry.affine import PLACE_TOLERANCE
+from tnst_mi.geometry.affine import PLACE_TOLERANCE, lattice_offset
 from tnst_mi.geometry.boxes import Box, union
 from tnst_mi.io.grids.vdb.file_format.reader import HALF, Grid, VdbFile
-from tnst_mi.io.grids.vdb.level_set import fog_volume, is_level_set
+from tnst_mi.io.grids.vdb.file_format.tree import Tree
+from tnst_mi.io.grids.vdb.level_set import fog_volume, is_level_set, looks_like_level_set
 from tnst_mi.io.grids.vdb.programs import NAME
 from tnst_mi.io.interpretation.conventions import Taken
 from tnst_mi.io.interpretation.grid_names import FLAGS, listed, plain_name
@@ -30,10 +34,12 @@ class Quantity:
     Attributes:
         grids: in the order of the file, or of the components.
         components: of a value: 1 or 3.
+        role: what it is, "density", "velocity" or "obstacle".
     """
 
     grids: tuple[Grid, ...]
     components: int
+    role: str
 
     @property
     def name(self) -> str:
@@ -55,15 +61,51 @@ class Quantity:
         """Whether the components lie on the faces of the voxels of a grid from which each is half a voxel lower."""
         return self.main.staggered and not self.split
 
-    def active_box(self) -> Box | None:
-        """The smallest box around all active voxels; None if there are none."""
-        return union(grid.topology.active_box() for grid in self.grids)
-
-    def values_in(self, box: Box) -> np.ndarray:
-        """The values of all voxels of a box, (Z, Y, X) or (Z, Y, X, 3).
+    @cached_property
+    def offsets(self) -> tuple[np.ndarray, ...]:
+        """What takes voxels of the first grid to those of each, of grids that are parts of one quantity.
 
         Raises:
-            InputError: grids of one name overlap, or a tree is damaged.
+            InputError: their voxels do not lie on one lattice.
+        """
+        found = [lattice_offset(self.main.affine, grid.affine) for grid in self.grids]
+        offsets = tuple(offset for offset in found if offset is not None)
+        if len(offsets) < len(found):
+            raise InputError(
+                f"{self.main.path}: {len(self.grids)} grids are called {quoted(self.main.name)} and have different voxels, "
+                f"expected the same; {self._remedy}"
+            )
+        return offsets
+
+    def placed_trees(self) -> Iterator[Tree]:
+        """The trees of grids that are parts of one quantity, placed in voxels of the first grid.
+
+        They tell where voxels are, but are not to be expanded: their leaves need not be aligned.
+
+        Raises:
+            InputError: their voxels do not lie on one lattice, or a tree is damaged.
+        """
+        for grid, offset in zip(self.grids, self.offsets, strict=True):
+            tree = grid.tree
+            yield replace(tree, leaf_origins=tree.leaf_origins - offset, tile_origins=tree.tile_origins - offset)
+
+    def active_box(self) -> Box | None:
+        """The smallest box around all active voxels, in voxels of the first grid; None if there are none.
+
+        Raises:
+            InputError: the voxels of its grids do not lie on one lattice, or a tree is damaged.
+        """
+        if self.split:
+            return union(grid.topology.active_box() for grid in self.grids)
+        boxes = [grid.topology.active_box() for grid in self.grids]
+        pairs = zip(boxes, self.offsets, strict=True)
+        return union(None if box is None else _moved(box, -offset) for box, offset in pairs)
+
+    def values_in(self, box: Box) -> np.ndarray:
+        """The values of all voxels of a box of the first grid, (Z, Y, X) or (Z, Y, X, 3).
+
+        Raises:
+            InputError: grids of one name overlap or do not lie on one lattice, or a tree is damaged.
         """
         first, *others = self.grids
         values = first.tree.values_in(box)
@@ -71,20 +113,27 @@ class Quantity:
             components = [values, *(grid.tree.values_in(box) for grid in others)]
             return np.stack([*components, *(np.zeros_like(values) for _ in range(3 - len(components)))], axis=-1)
         taken = first.tree.active_in(box) if others else None
-        for grid in others:
-            active = grid.tree.active_in(box)
+        for grid, offset in zip(others, self.offsets[1:], strict=True):
+            place = _moved(box, offset)
+            active = grid.tree.active_in(place)
             if taken is None or (both := int((taken & active).sum())):
                 raise InputError(
                     f"{grid.path}: {len(self.grids)} grids are called {quoted(grid.name)} and overlap in {both} "
-                    f"voxels; choose one of them, such as with --density '{grid.name}[0]'"
+                    f"voxels; {self._remedy}"
                 )
-            values[active] = grid.tree.values_in(box)[active]
+            values[active] = grid.tree.values_in(place)[active]
             taken |= active
         return values
 
     def active_in(self, box: Box) -> np.ndarray:
-        """Which voxels of a box are active in any grid, (Z, Y, X) bool."""
-        return np.logical_or.reduce([grid.tree.active_in(box) for grid in self.grids])
+        """Which voxels of a box of the first grid are active in any grid, (Z, Y, X) bool."""
+        offsets = (np.zeros(3, np.int64),) * len(self.grids) if self.split else self.offsets
+        places = (_moved(box, offset) for offset in offsets)
+        return np.logical_or.reduce([grid.tree.active_in(at) for grid, at in zip(self.grids, places, strict=True)])
+
+    @property
+    def _remedy(self) -> str:
+        return f"choose one of them, such as with --{self.role} '{self.main.name}[0]'"
 
 
 @dataclass(frozen=True)
@@ -138,8 +187,12 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
         roles = chosen_roles(entries, wanted)
     roles = _with_level_set(file, roles, fog)
     density, velocity, obstacle = (
-        Quantity(tuple(file.grids[index] for index in chosen), components) if chosen else None
-        for chosen, components in ((roles.density, 1), (roles.velocity, 3), (roles.obstacle, 1))
+        Quantity(tuple(file.grids[index] for index in chosen), components, role) if chosen else None
+        for role, chosen, components in (
+            ("density", roles.density, 1),
+            ("velocity", roles.velocity, 3),
+            ("obstacle", roles.obstacle, 1),
+        )
     )
     if velocity is not None and len(velocity.grids) == 1 and velocity.split:
         raise InputError(
@@ -147,8 +200,10 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
             "goes without it, or choose another with --velocity NAME"
         )
     if density is not None and fog:
-        grids = tuple(fog_volume(grid) if is_level_set(grid) else grid for grid in density.grids)
-        density = Quantity(grids, density.components)
+        grids = tuple(
+            fog_volume(grid) if is_level_set(grid) or looks_like_level_set(grid) else grid for grid in density.grids
+        )
+        density = replace(density, grids=grids)
     names = [None if quantity is None else quantity.name for quantity in (density, velocity, obstacle)]
     left = tuple(_in_words(file.grids[index]) for index in roles.left)
     taken = Taken(names[0], names[1], names[2], left)
@@ -172,12 +227,16 @@ def _with_level_set(file: VdbFile, roles: Roles, fog: bool) -> Roles:
         InputError: the density is a level set, and its inside is not asked for.
     """
     if roles.density:
-        grid = file.grids[roles.density[0]]
-        if is_level_set(grid) and not fog:
-            raise InputError(
-                f"{file.path}: grid {quoted(grid.name)} is a level set (signed distances), expected a density; --fog "
-                "takes its inside as one, or choose another grid with --density NAME"
-            )
+        for grid in () if fog else (file.grids[index] for index in roles.density):
+            named = is_level_set(grid)
+            if named or looks_like_level_set(grid):
+                what = "is a level set (signed distances)"
+                if not named:
+                    what = f"looks like a level set (negative inside, {float(grid.tree.background):g} outside)"
+                raise InputError(
+                    f"{file.path}: grid {quoted(grid.name)} {what}, expected a density; --fog takes its inside as "
+                    "one, or choose another grid with --density NAME"
+                )
         return roles
     found = tuple(index for index in roles.left if is_level_set(file.grids[index]))
     if fog and len(found) == 1:
@@ -193,10 +252,14 @@ def solid_voxels(obstacle: Quantity, box: Box) -> tuple[np.ndarray, str]:
         InputError: its values do not say so.
     """
     values = obstacle.values_in(box)
-    if is_level_set(obstacle.main):
+    if is_level_set(obstacle.main) or looks_like_level_set(obstacle.main):
         return values < 0.0, "obstacle is the inside of a level set"
     with naming(obstacle.main.path):
         return solid_cells(values, plain_name(obstacle.main.name) == FLAGS)
+
+
+def _moved(box: Box, offset: np.ndarray) -> Box:
+    return box[0] + offset, box[1] + offset
 
 
 def _in_words(grid: Grid) -> str:

@@ -61,6 +61,9 @@ def write_vdb_frame(path: Path, arrays: Mapping[str, np.ndarray], placement: Pla
         placement: where they lie, and what is kept of the file that they came from.
     """
     placement = placement or Placement()
+    if placement.drift is not None and "density" in arrays and "velocity" in arrays:
+        # The grid of a file rests. What is written without a density is no velocity of smoke.
+        arrays = {**arrays, "velocity": arrays["velocity"] + np.array(placement.drift, np.float32)}
     if placement.up == "z":
         arrays = {role: to_z_up(array) for role, array in arrays.items()}
     own = placement.own or _plain(placement)

@@ -41,6 +41,8 @@ class RunGrid:
         lows: where the box moves, the lowest cell of each frame, by the names of files without endings.
         drifts: by how many cells per frame it moves after each frame, likewise.
         notes: what is assumed, in words.
+        up: the axis of the scene that is up, "y" or "z", which files without voxels do not tell.
+        up_because: the evidence for it, in words.
     """
 
     cells: Affine
@@ -48,6 +50,8 @@ class RunGrid:
     lows: Mapping[str, np.ndarray] = field(default_factory=dict)
     drifts: Mapping[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    up: str = "y"
+    up_because: str = ""
 
     def box_of(self, name: str) -> Box:
         """The cells of a frame."""
@@ -98,7 +102,8 @@ def run_grid(spans: Sequence[Span], boxing: Boxing | None = None, beside: Sequen
                 f"the smoke travels: a grid of {words(box)} cells moves with it in whole cells (--crop off takes "
                 f"{words(whole)} cells at rest)"
             )
-    grid = RunGrid(cells, box, lows, _drifts(spans, lows), tuple(notes))
+    telling = next((span for span in spans if span.box is not None), spans[0])
+    grid = RunGrid(cells, box, lows, _drifts(spans, lows), tuple(notes), telling.up, telling.up_because)
     _require_small(grid, spans, crop)
     return grid
 
@@ -151,13 +156,17 @@ def _moving(reached: Sequence[Box | None]) -> tuple[Box, list[np.ndarray]] | Non
 
 
 def _drifts(spans: Sequence[Span], lows: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """By how many cells per frame the box moves after each frame; frames without a number are consecutive."""
-    drifts = {}
+    """By how many cells per frame the box moves after each frame; frames without a number are consecutive.
+
+    No frame follows the last one, which goes on as the one before.
+    """
+    drifts: dict[str, np.ndarray] = {}
     for span, following in itertools.pairwise(spans if lows else ()):
         frames = 1.0
         if span.number is not None and following.number is not None:
             frames = following.number - span.number
-        drifts[span.path.stem] = (lows[following.path.stem] - lows[span.path.stem]) / frames
+        drift = (lows[following.path.stem] - lows[span.path.stem]) / frames
+        drifts[span.path.stem] = drifts[following.path.stem] = drift
     return drifts
 
 
