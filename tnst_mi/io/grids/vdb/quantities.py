@@ -72,8 +72,8 @@ class Quantity:
         offsets = tuple(offset for offset in found if offset is not None)
         if len(offsets) < len(found):
             raise InputError(
-                f"{self.main.path}: {len(self.grids)} grids are called {quoted(self.main.name)} and have different voxels, "
-                f"expected the same; {self._remedy}"
+                f"{self.main.path}: {len(self.grids)} grids are called {quoted(self.main.name)} and have different "
+                f"voxels, expected the same; {self._remedy}"
             )
         return offsets
 
