@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 import torch
@@ -15,6 +17,21 @@ from tnst_mi.losses.terms import ClassTag, Content, Semantic, Style
 @pytest.fixture
 def net() -> SmallNetwork:
     return SmallNetwork()
+
+
+def test_measuring_what_is_saved_keeps_nothing(net: SmallNetwork) -> None:
+    """tanh saves its own result: kept by a hook as it is, that would hold the graph for ever, in each run anew."""
+
+    def alive() -> int:
+        gc.collect()
+        return sum(issubclass(type(kept), torch.Tensor) for kept in gc.get_objects())
+
+    def measured() -> int:
+        return TERMS["style"].bind(net, HEIGHT, WIDTH).saved_bytes
+
+    expected, before = measured(), alive()
+    assert [measured() for _ in range(3)] == [expected] * 3
+    assert alive() == before and expected > 0
 
 
 # ---- gradients and symmetries ----------------------------------------------------------------------------

@@ -155,7 +155,8 @@ class BoundObjective:
         def record(tensor: Tensor) -> Tensor:
             block = tensor.untyped_storage()
             blocks[block.data_ptr()] = block.nbytes()
-            return tensor
+            # Not itself: what an operation saves of its own result would then hold the operation, for ever.
+            return tensor.detach()
 
         weight = next(self._net.parameters())
         view = torch.zeros(1, *self._size, dtype=weight.dtype, device=weight.device)
