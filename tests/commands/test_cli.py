@@ -6,6 +6,7 @@ import errno
 import importlib
 import inspect
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,8 +23,9 @@ from tnst_mi.commands import doctor
 from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
+from tnst_mi.recipe.keyframes import KEYABLE
 from tnst_mi.recipe.paths import STYLES
-from tnst_mi.recipe.recipe import KINDS
+from tnst_mi.recipe.recipe import KINDS, Recipe
 
 __all__ = ["optimiser", "run", "smoke"]
 
@@ -41,7 +43,31 @@ def test_help_names_every_command_and_every_flag(run: Run) -> None:
     for name in (*KINDS, "out", "recipe", "resume", "overwrite", "debug"):
         assert f"--{name.replace('_', '-')} " in ran.out
     for name in COMMANDS:
-        assert run(name, "--help").code == 0
+        ran = run(name, "--help")
+        assert ran.code == 0 and "(default: )" not in ran.out
+
+
+def test_help_says_how_to_write_keyframes_where_they_are_taken(run: Run) -> None:
+    def flags(*command: str) -> dict[str, str]:
+        lines = [line.strip("│ ") for line in run(*command, "--help").out.splitlines()]
+        texts = re.split(r" (?=--[a-z])", " ".join(lines))
+        return {text.split()[0][2:].replace("-", "_"): text for text in texts if text.startswith("--")}
+
+    of_stylize = flags("stylize")
+    assert {key for key in KINDS if "Keyframes, in quotes: {49 = " in of_stylize[key]} == set(KEYABLE)
+    assert not any("Keyframes" in text for text in flags("render").values())
+
+
+def test_info_takes_a_part_of_a_sequence(run: Run, smoke: Path) -> None:
+    ran = run("info", smoke, "--frames", "8:9")
+    assert ran.code == 0 and "f_08" in ran.out and "f_09" in ran.out and "f_07" not in ran.out
+
+
+@pytest.mark.parametrize(("text", "value"), [("on", True), ("true", True), ("off", False), ("false", False)])
+def test_switches_are_on_or_off(text: str, value: bool) -> None:
+    recipe = Recipe().updated_by_flags({"crop": text, "fit": text})
+    assert (recipe.crop, recipe.fit) == (value, value)
+    assert KINDS["crop"].show(value) == ("on" if value else "off")
 
 
 def test_the_overview_says_what_the_help_of_each_command_says(run: Run) -> None:
@@ -98,7 +124,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --gamma x", "--gamma x: expected a number above 0"),
         ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers LOW,HIGH, in this order, from"),
         ("stylize a --out b --azimuth -10", "--azimuth -10: expected two numbers"),
-        ("stylize a --out b --quadrature Paper", '--quadrature Paper: expected one of "paper"'),
+        ("stylize a --out b --quadrature Paper", "--quadrature Paper: expected paper, exact"),
         ("stylize a --out b --steps 0", "--steps 0: expected an integer"),
         ("stylize a --out b --semantic conv2", "--semantic conv2: expected a list of layers"),
         ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
@@ -374,6 +400,31 @@ def test_the_version(run: Run) -> None:
         ("stylize a --out b --output c", "did you mean --out?"),
         ("convert a b --time-step 2", "unexpected '--time-step'; did you mean --dt?"),
         ("convert a b --camera 2", "unexpected '--camera'; tnst-mi convert --help lists what is known"),
+        # A guess that is unlike is worse than none, and one that the command refuses too.
+        ("info a --bogus", "unexpected '--bogus'; tnst-mi info --help lists what is known"),
+        ("stylize a --files x --out b", "unexpected '--files'; INPUT is given without a flag"),
+        ("stylize --input a --out b", "unexpected '--input'; INPUT is given without a flag"),
+        ("convert --input=a b", "unexpected '--input'; INPUT is given without a flag"),
+        ("convert a --out b", "unexpected '--out'; OUTPUT is given without a flag"),
+        ("info --files a", "unexpected '--files'; FILE… is given without a flag"),
+        ("info a --frame 9:12", "unexpected '--frame'; did you mean --frames?"),
+        ("stylize a -o b", "unexpected '-o'; did you mean --out?"),
+        # Choices are listed alike, with the likeliest; other words for a range and a table are seen through.
+        ("render a --out b --look thcik", "--look thcik: expected thin, medium or thick; did you mean thick?"),
+        ("render a --out b --integrator volpth", "--integrator volpth: expected .* or volpath; did you mean volpath?"),
+        ("convert a b --format vbd", "--format vbd: expected npz, vol, uni or vdb; did you mean vdb?"),
+        ("render a --out b --spp x --look thin", "--spp x: expected an integer from 1 to 1000000$"),
+        ("render a --out b --turntable 1.5", "--turntable 1.5: expected an integer from 1 to 100000$"),
+        ("info a --frames 1-2", '--frames 1-2: expected a range of frame numbers, such as "70:89"; write 1:2$'),
+        ("stylize a --out b --tag x --frames -3..-1", "; write -3:-1$"),
+        ("compare a --out b --frames 1,2", "; write 1:2$"),
+        ("info a --crop maybe", r"--crop maybe: expected on or off \(true or false in a recipe\)$"),
+        (
+            "stylize a --out b --tag x --gamma 0=0.1,3=1.0",
+            "--gamma 0=0.1,3=1.0: .*; keyframes are written in braces: '{0=0.1,3=1.0}'$",
+        ),
+        ("stylize a --out b --tag x --gamma 0:0.1", "keyframes are written in braces: '{0:0.1}'$"),
+        ("render a --out b --gamma {0:0.1,3:1}", "--gamma {0:0.1,3:1}: render takes one value, keyframes are of styl"),
         ("stylize a --out b --tag x --eta {0:1", "--eta {0:1: expected a value for each frame, such as '{49: 0.1, 72"),
         ("stylize a --out b --tag x --octaves {0:1}", "--octaves: octaves = .*: cannot be keyframed"),
         ("stylize a --out b --tag x --eta {0:-1}", "--eta: frame 0: eta = -1: expected a number above 0"),

@@ -103,9 +103,9 @@ def test_an_earlier_name_of_a_flag_still_works(run: Run, heat: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["--up", "x"], '--up x: expected one of "y", "z"'),
+        (["--up", "x"], "--up x: expected y or z"),
         (["--flip", "w"], "--flip w: expected axes out of x, y and z"),
-        (["--units", "knots"], '--units knots: expected one of "cells-per-frame"'),
+        (["--units", "knots"], "--units knots: expected cells-per-frame, cells-per-time or length-per-time"),
         (["--dt", "0"], "--dt 0: expected a number above 0"),
         (["--fps", "0"], "--fps 0: expected a number above 0"),
         (["--scale", "-1"], "--scale -1: expected a number above 0"),

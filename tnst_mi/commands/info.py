@@ -31,17 +31,18 @@ def run(arguments: InfoArguments) -> int:
     recipe = Recipe().updated_by_flags(given(arguments.reading))
     for path in arguments.files:
         try:
-            _describe_sequence(path, conventions_of(recipe), recipe.skip_bad)
+            _describe_sequence(path, recipe)
         except SeveralSequencesError as error:
             for pattern in error.patterns:
-                _describe_sequence(pattern, conventions_of(recipe), recipe.skip_bad)
+                _describe_sequence(pattern, recipe)
             raise
     return 0
 
 
-def _describe_sequence(path: Path, conventions: Conventions, skip_bad: bool) -> None:
+def _describe_sequence(path: Path, recipe: Recipe) -> None:
     """Print a paragraph for every file of an input, and what is true of all."""
-    frames = open_frames(path, given=conventions)
+    conventions, skip_bad = conventions_of(recipe), recipe.skip_bad
+    frames = open_frames(path, recipe.frame_range, conventions)
     reference = ReferenceDensity()
     for frame in checked_shapes(_described(frames, conventions, skip_bad)):
         reference.add(frame.density)
