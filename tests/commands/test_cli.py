@@ -94,6 +94,40 @@ def test_what_is_not_needed_is_not_imported(tmp_path: Path) -> None:
         assert done.stdout.splitlines()[-1] == imported
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "stylize smoke --out b --style nett",
+        "stylize smoke --out b --tag x --iterations 3.5",
+        "stylize smoke --out b --tag x --window 4",
+        "stylize smoke --out b --tag x --frames 40:50",
+        "stylize smoke --out b --tag x --transport flow --steps 2",
+        "stylize smoke --out b",
+        "stylize smoke --out b --recipe bad.toml",
+        "stylize smoke --out full --tag x",
+        "stylize nowhere --out b --tag x",
+        "demo --out full",
+        "render smoke --out full",
+        "render smoke --out b --frames 40:50",
+        "compare smoke --out full",
+        "convert smoke full",
+        "info smoke --frames 40:50",
+    ],
+)
+def test_mistakes_in_flags_are_found_before_anything_large_is_imported(line: str, smoke: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text("eta")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes").touch()
+    program = (
+        "import sys; from tnst_mi.cli import main; code = main(sys.argv[1:]); import mitsuba; "
+        "sys.exit(f'{code} {mitsuba.variant()} ' + ', '.join({'torch', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *line.split()], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.stderr.splitlines()[-1] == "2 None "
+
+
 def test_help_loads_no_torch_and_starts_no_variant() -> None:
     program = (
         "import sys; from tnst_mi.cli import main; code = main(['stylize', '--help']); "

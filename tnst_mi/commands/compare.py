@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import statistics
 import sys
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
 from tnst_mi.commands.base import checked, given, say, unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
-from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.io import open_frames
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.environment import device, peak_memory, versions
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
+
+if TYPE_CHECKING:
+    from tnst_mi.compare import report as written
+else:
+    # It imports matplotlib, and mistakes in flags are found without it.
+    written = LazyModule("tnst_mi.compare.report")
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
@@ -62,11 +69,11 @@ def run(arguments: CompareArguments) -> int:
             "seconds": bar.format_dict["elapsed"],
             "peak_memory": peak_memory(),
         }
-        passed = write_report(arguments.out, frame.name, settings, results, environment)
+        passed = written.write_report(arguments.out, frame.name, settings, results, environment)
     for study in results.studies:
         print(study.in_words())
     print(f"report    {arguments.out / 'report.html'}")
-    print(f"verdict   {verdict_line(results)}")
+    print(f"verdict   {written.verdict_line(results)}")
     return 0 if passed else 1
 
 
