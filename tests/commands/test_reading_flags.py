@@ -204,7 +204,10 @@ def test_info_tells_what_can_be_chosen(run: Run, heat: Path, tmp_path: Path) -> 
     assert ran.code == 0
     assert "array 'density': uint8, shape (1, 1, 2), 0 to 255" in ran.out
     assert "array 'notes': object, shape (1,), pickled objects, which are never read" in ran.out
-    assert "density times 1/255 (whole numbers, as in pictures; --scale)" in ran.out
+    assert "density times 1/255 (uint8, as in pictures; --scale)" in ran.out
+    np.savez(tmp_path / "b.npz", density=np.int16([[[0, 1177]]]))
+    assert "density as stored (int16; --scale)" in run("info", tmp_path / "b.npz").out
+    assert "as stored" not in run("info", tmp_path / "b.npz", "--scale", "0.1").out
     assert "not read: notes, title" in ran.out
 
 

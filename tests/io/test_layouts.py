@@ -218,7 +218,7 @@ def test_planes_do_not_make_planes_of_volumes(tmp_path: Path) -> None:
 def test_arrays_are_described_with_their_ranges(tmp_path: Path) -> None:
     arrays = {"density": DENSITY, "mask": DENSITY > 0.5, "flux": np.array([1.0, np.nan]), "name": np.array("smoke")}
     np.savez(tmp_path / "a.npz", **arrays, empty=np.empty((0, 3)))
-    assert describe(tmp_path / "a.npz") == [
+    assert [f"  {contents}" for contents in describe(tmp_path / "a.npz")] == [
         f"  array 'density': float32, shape (3, 5, 4), {DENSITY.min():g} to {DENSITY.max():g}",
         "  array 'mask': bool, shape (3, 5, 4), 0 to 1",
         "  array 'flux': float64, shape (2,), 1 to 1, 1 NaN or infinite",

@@ -10,6 +10,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Note
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
@@ -144,14 +145,14 @@ def shape_of_density(path: Path, wanted: Wanted) -> tuple[int, ...] | None:
     return shape if shape is None or len(shape) == 3 else (1, *shape)
 
 
-def describe_arrays(path: Path) -> list[str]:
-    """The arrays in a file: name, type, shape and range, one line each.
+def describe_arrays(path: Path) -> list[Contents]:
+    """The arrays in a file: name, type, shape and range.
 
     Raises:
         InputError: the file cannot be used.
     """
     return [
-        f"  array {name!r}: {header.dtype}, shape {header.shape}{_range(path, name, header)}"
+        Contents(f"array {name!r}: {header.dtype}", numbers=f"shape {header.shape}{_range(path, name, header)}")
         for name, header in _headers(path).items()
     ]
 

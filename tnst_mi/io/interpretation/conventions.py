@@ -189,8 +189,12 @@ class StoredFrame:
             words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
         words += [] if size is None else [f"voxel size {size:g}"]
-        if self.scale != 1.0 and given.scale is None:
-            words.append(f"density times 1/{1.0 / self.scale:.0f} (whole numbers, as in pictures; --scale)")
+        if self.density is not None and self.density.dtype.kind in "iu" and given.scale is None:
+            kind = self.density.dtype.name
+            if self.scale != 1.0:
+                words.append(f"density times 1/{1.0 / self.scale:.0f} ({kind}, as in pictures; --scale)")
+            else:
+                words.append(f"density as stored ({kind}; --scale)")
         taken = [
             f"no {role}" if name is None else f"{role} from {name}"
             for role, name in (

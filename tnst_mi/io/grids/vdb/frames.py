@@ -19,6 +19,7 @@ from tnst_mi.frame import Note
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.vdb.adaptive_domain import placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
@@ -155,20 +156,18 @@ def has_density(path: Path, wanted: Wanted) -> bool:
     return not quantities_of(read_vdb(path), wanted).lacking
 
 
-def describe_vdb(path: Path) -> list[str]:
-    """The contents of a file, one line per grid."""
-    lines = []
+def describe_vdb(path: Path) -> list[Contents]:
+    """The grids of a file."""
+    contents = []
     for grid in read_vdb(path).grids:
-        words = [type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec]
-        words.append(_voxels(grid))
+        kind = ", ".join((type_in_words(grid), str(grid.metadata.get("class", "unknown")), grid.codec))
+        numbers, box = [_voxels(grid)], None
         if grid.kind is not None:
             box = grid.topology.active_box()
-            words.append(f"{grid.topology.active_voxels} active voxels")
-            if box is not None:
-                words.append(f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}")
-            words += _range(grid)
-        lines.append(f"  grid {grid.name!r}: {', '.join(words)}")
-    return lines
+            numbers += [f"{grid.topology.active_voxels} active voxels", *_range(grid)]
+        span = "" if box is None else f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}"
+        contents.append(Contents(f"grid {grid.name!r}: {kind}", span, ", ".join(numbers)))
+    return contents
 
 
 def run_grid_of(
