@@ -86,8 +86,8 @@ def test_the_velocity_of_a_run_is_no_frame(
     out = tmp_path / "run"
     tnst_mi.stylize(moving, Recipe(style=("spirals",), format=format), out, progress=False)
     message = (
-        rf"^tnst-mi: 3 of 3 frames cannot be read \(f_07\.{format}, f_08\.{format}, f_09\.{format}\): holds the velocity "
-        rf"v\* of a run and is no frame; its frames are in .*density$"
+        rf"^tnst-mi: 3 of 3 frames cannot be read \(f_07\.{format}, f_08\.{format}, f_09\.{format}\): "
+        r"holds the velocity v\* of a run and is no frame; its frames are in .*density$"
     )
     refused(run, tmp_path, ["convert", out / "velocity", tmp_path / "frames"], message)
     ran = run("info", out / "velocity")

@@ -129,7 +129,10 @@ def test_whole_numbers_of_pictures_are_shares_of_one(dtype: str, largest: int, t
     stored = (DENSITY * largest).astype(dtype)
     frame = frame_of(tmp_path, density=stored)
     np.testing.assert_allclose(frame.density, stored / largest, rtol=1e-6)
-    assert f"density times 1/{largest} (whole numbers, as in pictures; --scale)" in frame.reading
+    assert (
+        f"density times 1/{largest} ({np.dtype(dtype).newbyteorder('=').name}, as in pictures; --scale)"
+        in frame.reading
+    )
     scaled = open_frames(tmp_path / "a.npz", given=Conventions(scale=2.0))[0]
     np.testing.assert_allclose(scaled.density, 2.0 * stored, rtol=1e-6)
 

@@ -45,10 +45,8 @@ def test_many_are_counted(tmp_path: Path) -> None:
     save_frames(tmp_path, frames(*(0.1,) * 9))
     for number in range(8, 16):
         (tmp_path / f"f_{number:02d}.npz").write_bytes(b"PK")
-    with pytest.raises(
-        InputError,
-        match=r"8 of 9 frames cannot be read \(f_08\.npz, .* and 5 more\): not an npz .*; --skip-bad leaves them out$",
-    ):
+    message = r"8 of 9 frames cannot be read \(f_08\.npz, .* and 5 more\): not an npz .*; --skip-bad leaves them out$"
+    with pytest.raises(InputError, match=message):
         list(Readable(open_frames(tmp_path)))
 
 

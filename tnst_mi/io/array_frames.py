@@ -237,6 +237,7 @@ def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequenc
             listed(parts, quoted=False) if parts else None,
             solid,
             tuple(names[index] for index in roles.left),
+            tuple(names[index] for index in roles.like_velocity),
         ),
         layouts=tuple(words for words in layouts if words),
     )

@@ -79,12 +79,14 @@ class Taken:
         velocity: that of the velocity's, or of its components.
         obstacle: that of the obstacle's.
         left: the names of the other grids.
+        like_velocity: where there is no velocity, those that may be one by another name.
     """
 
     density: str | None = None
     velocity: str | None = None
     obstacle: str | None = None
     left: tuple[str, ...] = ()
+    like_velocity: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +151,9 @@ class StoredFrame:
         scale = self.scale if given.scale is None else given.scale
         density = self._turned(self.density, given)
         notes = self.notes if self.notes or density.any() else (Note("no smoke in it"),)
+        if self.velocity is None and self.taken.like_velocity:
+            names = listed(list(self.taken.like_velocity))
+            notes = (*notes, Note(f"looks like a velocity, which --velocity NAME takes it for: {names}"))
         if scale != 1.0:
             with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
                 density = density.astype(np.float32) * np.float32(scale)
