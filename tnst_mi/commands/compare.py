@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import statistics
-import sys
 from typing import TYPE_CHECKING
-
-from tqdm import tqdm
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
 from tnst_mi.commands.base import checked, given, say, unit_of, view_of
@@ -19,6 +16,7 @@ from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.optix import require_optix
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
@@ -54,7 +52,7 @@ def run(arguments: CompareArguments) -> int:
     say(readable.lines())
     unit.note()
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-    with tqdm(total=1.0, bar_format=layout, dynamic_ncols=True, file=sys.stderr) as bar:
+    with progress_bar(total=1.0, bar_format=layout) as bar:
 
         def report(name: str, share: float) -> None:
             bar.set_description_str(name, refresh=False)

@@ -15,6 +15,7 @@ from tnst_mi.io import open_frames
 from tnst_mi.io.formats import FORMATS, files_around, require_format
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
 from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
@@ -36,8 +37,8 @@ def run(arguments: ConvertArguments) -> int:
     say(readable.lines())
     suffix, lost = files[0].suffix.lower(), None
     try:
-        for file, frame in tqdm(
-            zip(files, checked_shapes(frames), strict=True), total=len(files), unit="frame", dynamic_ncols=True
+        for file, frame in progress_bar(
+            zip(files, checked_shapes(frames), strict=True), total=len(files), unit="frame"
         ):
             lost = lost or _lost(frame, suffix)
             save_frame(file, frame)

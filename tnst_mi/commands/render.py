@@ -20,6 +20,7 @@ from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
@@ -94,7 +95,7 @@ def _write(
 ) -> None:
     """Render and write every picture, and add it to the video of a turntable."""
     out = arguments.out
-    with tqdm(total=len(shots), unit="picture", dynamic_ncols=True) as bar:
+    with progress_bar(total=len(shots), unit="picture") as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
             image = painter.paint(frame.density, shot.view, number)
             picture = painter.shown(image)

@@ -22,9 +22,10 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_space
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
-from tnst_mi.optimisation.goals import objective_of, require_meant
+from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
@@ -118,11 +119,12 @@ def load_network(recipe: Recipe) -> Network:
     """The network that a recipe names, or else the first that is found.
 
     Raises:
-        InputError: it cannot be found or read, or the recipe's channels are those of another network.
+        InputError: it cannot be found or read, or lacks or does not mean what the recipe names.
     """
     weights = find_weights(recipe.weights)
     network = GoogLeNet.from_file(weights.path)
     require_meant(recipe, network, weights.fallback)
+    require_known(recipe, network, weights.fallback)
     return Network(network, weights.fallback)
 
 
@@ -239,7 +241,7 @@ def prepare(
 def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
     """The frames, with a progress bar on stderr while they are read; a single one needs none."""
     shown = shown and len(frames) > 1
-    return tqdm(frames, doing, unit="frame", disable=not shown, dynamic_ncols=True, leave=False, delay=1.0)
+    return progress_bar(frames, doing, unit="frame", disable=not shown, leave=False, delay=1.0)
 
 
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from tqdm import tqdm
 
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.machine.terminal import printable
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.time_left import OctaveSize, TimeLeft
@@ -25,9 +26,7 @@ class ProgressBar:
         if self._bar is None:
             # A resumed run begins where the earlier one stopped.
             begin = progress.done - 1
-            self._bar = tqdm(
-                total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
-            )
+            self._bar = progress_bar(total=progress.total, initial=begin, unit="it", disable=not self._shown)
         left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))
         self._bar.bar_format = f"{{l_bar}}{{bar}}| {{n_fmt}}/{{total_fmt}} [{{elapsed}}<{left}{{postfix}}]"
         self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
