@@ -25,6 +25,9 @@ else:
 #: Share of a frame's smoke whose loss or gain is remarked upon.
 _MASS_REMARKED = 0.05
 
+#: Relative change of the density below which nobody sees one, flickering or not.
+_TOO_LITTLE = 0.01
+
 
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
@@ -81,9 +84,13 @@ def reported(frames: job.Run, remedy: str = "--resume continues the run in {out}
 
 def sequence_summary(sequence: dict[str, Any]) -> str:
     """One line on a sequence: its flicker, loss and change."""
-    parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
-    parts.append(f"mean loss {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
-    parts.append(f"relative change {_number(sequence['relative_change'])}")
+    change = sequence["relative_change"]
+    if change is not None and change < _TOO_LITTLE:
+        parts = ["flicker: too little changed to measure it"]
+    else:
+        parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
+    parts.append(f"mean loss in the fixed views {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
+    parts.append(f"relative change {_number(change)}")
     return f"sequence  {', '.join(parts)}"
 
 
@@ -118,7 +125,7 @@ def summary(frame: job.StylizedFrame) -> str:
     parts = []
     if record["losses"]:
         last = record["losses"][-1]
-        parts.append(f"loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
+        parts.append(f"scaled loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
     change = f" ({_mass_change(record):+.1%})" if record["mass_before"] > 0 else ""
     parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}{change}")
     parts.append(f"largest displacement {record['largest_displacement']:.3g} cells")
