@@ -76,12 +76,12 @@ def require_known(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
         try:
             network.class_index(tag)
         except InputError as error:
-            raise InputError(f"{error}; {_which(recipe, network, fallback)}{_where_else(tag, network)}") from None
+            raise InputError(f"{_which(recipe, network, fallback)}: {error}{_where_else(tag, network)}") from None
     for layer, channels in recipe.semantic_channels:
         try:
             network.check_channels(layer, channels)
         except InputError as error:
-            raise InputError(f"{error}; {_which(recipe, network, fallback)}") from None
+            raise InputError(f"{_which(recipe, network, fallback)}: {error}") from None
 
 
 def _which(recipe: Recipe, network: GoogLeNet, fallback: bool) -> str:
@@ -92,7 +92,7 @@ def _which(recipe: Recipe, network: GoogLeNet, fallback: bool) -> str:
         reason = f"as ${ENVIRONMENT_VARIABLE} says"
     else:
         reason = "as no other was found" if fallback else f"found at {network.source}"
-    return f"the network is {network.flavour}, {reason}"
+    return f"network {network.flavour} ({reason})"
 
 
 def _where_else(tag: str, network: GoogLeNet) -> str:
