@@ -16,10 +16,11 @@ import errno
 import importlib
 import io
 import os
+import re
 import sys
 import textwrap
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -169,6 +170,7 @@ def _parsed(name: str, arguments: list[str]) -> Arguments:
 
     from tnst_mi.commands.arguments import ARGUMENTS
 
+    _require_known_flags(name, arguments)
     framed = io.StringIO()
     try:
         with contextlib.redirect_stderr(framed):
@@ -184,30 +186,49 @@ def _parsed(name: str, arguments: list[str]) -> Arguments:
             raise InputError(_unframed(framed.getvalue())) from None
         raise
     if unknown:
-        word = unknown[0].partition("=")[0]
-        raise InputError(f"{name}: unexpected {word!r}; {_hint(name, word, parsed)}")
+        hint = f"tnst-mi {name} --help lists what is known"
+        if os.path.exists(unknown[0]):
+            hint = "files of a sequence are given as their folder, or as a pattern in quotes, such as 'smoke_*.vdb'"
+        raise InputError(f"{name}: unexpected {unknown[0]!r}; {hint}")
     _expand_home(parsed)
     return parsed
 
 
-def _hint(name: str, word: str, arguments: Arguments) -> str:
-    """What an argument that a command does not know probably means."""
+def _require_known_flags(name: str, arguments: Sequence[str]) -> None:
+    """Check the names of the flags: of unknown ones, tyro may take the values for other arguments.
+
+    Raises:
+        InputError: a command does not have one of them.
+    """
+    from tnst_mi.commands.arguments import ARGUMENTS, POSITIONAL
+    from tnst_mi.commands.base import OTHER_FLAGS
+
+    fields = list(_fields(ARGUMENTS[name]))
+    flags = {"-h", "--help"} | {f"--{field.replace('_', '-')}" for field in fields if field not in POSITIONAL}
+    flags |= {other for field in fields for other in OTHER_FLAGS.get(field, ())}
+    for word in arguments:
+        flag = re.match(r"--?[a-zA-Z][^=]*", word)
+        if flag and flag[0].replace("_", "-") not in flags:
+            raise InputError(f"{name}: unexpected {flag[0]!r}; {_hint(name, flag[0], fields)}")
+
+
+def _hint(name: str, flag: str, known: Collection[str]) -> str:
+    """What a flag that a command does not have probably means, of the arguments that it knows."""
+    from tnst_mi.commands.arguments import POSITIONAL
     from tnst_mi.recipe.synonyms import advice, meant
 
-    if not word.startswith("-") and os.path.exists(word):
-        return "files of a sequence are given as their folder, or as a pattern in quotes, such as 'smoke_*.vdb'"
-    flags = list(_fields(arguments))
-    if word.startswith("--") and (known := meant(word[2:], flags)):
-        return f"did you mean --{known.replace('_', '-')}?"
-    return (word.startswith("--") and advice(word[2:], flags)) or f"tnst-mi {name} --help lists what is known"
+    if found := meant(flag, known):
+        if found in POSITIONAL:
+            return f"{POSITIONAL[found]} is given without a flag"
+        return f"did you mean --{found.replace('_', '-')}?"
+    return advice(flag, known) or f"tnst-mi {name} --help lists what is known"
 
 
 def _fields(arguments: Any) -> Iterator[str]:
-    """The names of the arguments of a command, including those of nested dataclasses."""
+    """The names of the arguments that a dataclass defines, including those of nested ones."""
     for field in dataclasses.fields(arguments):
-        value = getattr(arguments, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from _fields(value)
+        if dataclasses.is_dataclass(field.default_factory):
+            yield from _fields(field.default_factory)
         else:
             yield field.name
 

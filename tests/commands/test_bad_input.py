@@ -34,7 +34,7 @@ GRID = np.full((4, 6, 5), 0.5, np.float32)
         (b"no zip", "frame.npz: not an npz file"),
         (npz(density=GRID)[:300], "frame.npz: not an npz file, truncated"),
         (npz(density=np.array([{}], object)), "array 'density' holds pickled objects"),
-        (npz(rho=GRID), "no array 'density'.*: rho"),
+        (npz(heat=GRID), "no array 'density'.*: heat"),
         (npz(density=GRID[0, 0]), r"frame.npz: density has shape \(5,\), expected \(D, H, W\)"),
         (npz(density=np.stack([GRID, GRID])), r"frame.npz: density has shape \(2, 4, 6, 5\), expected \(D, H, W\)"),
         (npz(density=GRID[:0]), r"density has shape \(0, 6, 5\), expected at least one cell"),
@@ -51,7 +51,7 @@ def test_bad_frames(run: Run, tmp_path: Path, tiny_weights: Path, content: bytes
     goal = ["--style", "spirals", "--weights", tiny_weights]
     refused(run, tmp_path, ["stylize", path, "--out", tmp_path / "out", *goal], message)
     refused(run, tmp_path, ["render", path, "--out", tmp_path / "out"], message)
-    if "rho" not in message and "vectors" not in message:  # info tells what else is there
+    if "heat" not in message and "vectors" not in message:  # info tells what else is there
         refused(run, tmp_path, ["info", path], message)
 
 

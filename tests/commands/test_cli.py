@@ -6,6 +6,7 @@ import errno
 import importlib
 import inspect
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -23,8 +24,10 @@ from tnst_mi.commands import doctor
 from tnst_mi.commands.arguments import ARGUMENTS
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
+from tnst_mi.io.grids.vdb import DenseGrid, write_vdb
+from tnst_mi.recipe.keyframes import KEYABLE
 from tnst_mi.recipe.paths import STYLES
-from tnst_mi.recipe.recipe import KINDS
+from tnst_mi.recipe.recipe import KINDS, Recipe
 
 __all__ = ["optimiser", "run", "smoke"]
 
@@ -42,7 +45,31 @@ def test_help_names_every_command_and_every_flag(run: Run) -> None:
     for name in (*KINDS, "out", "recipe", "resume", "overwrite", "debug"):
         assert f"--{name.replace('_', '-')} " in ran.out
     for name in COMMANDS:
-        assert run(name, "--help").code == 0
+        ran = run(name, "--help")
+        assert ran.code == 0 and "(default: )" not in ran.out
+
+
+def test_help_says_how_to_write_keyframes_where_they_are_taken(run: Run) -> None:
+    def flags(*command: str) -> dict[str, str]:
+        lines = [line.strip("│ ") for line in run(*command, "--help").out.splitlines()]
+        texts = re.split(r" (?=--[a-z])", " ".join(lines))
+        return {text.split()[0][2:].replace("-", "_"): text for text in texts if text.startswith("--")}
+
+    of_stylize = flags("stylize")
+    assert {key for key in KINDS if "Keyframes, in quotes: {49 = " in of_stylize[key]} == set(KEYABLE)
+    assert not any("Keyframes" in text for text in flags("render").values())
+
+
+def test_info_takes_a_part_of_a_sequence(run: Run, smoke: Path) -> None:
+    ran = run("info", smoke, "--frames", "8:9")
+    assert ran.code == 0 and "f_08" in ran.out and "f_09" in ran.out and "f_07" not in ran.out
+
+
+@pytest.mark.parametrize(("text", "value"), [("on", True), ("true", True), ("off", False), ("false", False)])
+def test_switches_are_on_or_off(text: str, value: bool) -> None:
+    recipe = Recipe().updated_by_flags({"crop": text, "fit": text})
+    assert (recipe.crop, recipe.fit) == (value, value)
+    assert KINDS["crop"].show(value) == ("on" if value else "off")
 
 
 def test_the_overview_says_what_the_help_of_each_command_says(run: Run) -> None:
@@ -67,6 +94,40 @@ def test_what_is_not_needed_is_not_imported(tmp_path: Path) -> None:
             [sys.executable, "-c", program, *line.split()], capture_output=True, text=True, check=True
         )
         assert done.stdout.splitlines()[-1] == imported
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "stylize smoke --out b --style nett",
+        "stylize smoke --out b --tag x --iterations 3.5",
+        "stylize smoke --out b --tag x --window 4",
+        "stylize smoke --out b --tag x --frames 40:50",
+        "stylize smoke --out b --tag x --transport flow --steps 2",
+        "stylize smoke --out b",
+        "stylize smoke --out b --recipe bad.toml",
+        "stylize smoke --out full --tag x",
+        "stylize nowhere --out b --tag x",
+        "demo --out full",
+        "render smoke --out full",
+        "render smoke --out b --frames 40:50",
+        "compare smoke --out full",
+        "convert smoke full",
+        "info smoke --frames 40:50",
+    ],
+)
+def test_mistakes_in_flags_are_found_before_anything_large_is_imported(line: str, smoke: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text("eta")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes").touch()
+    program = (
+        "import sys; from tnst_mi.cli import main; code = main(sys.argv[1:]); import mitsuba; "
+        "sys.exit(f'{code} {mitsuba.variant()} ' + ', '.join({'torch', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *line.split()], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.stderr.splitlines()[-1] == "2 None "
 
 
 def test_help_loads_no_torch_and_starts_no_variant() -> None:
@@ -99,7 +160,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --gamma x", "--gamma x: expected a number above 0"),
         ("stylize a --out b --azimuth 10,-10", "--azimuth 10,-10: expected two numbers LOW,HIGH, in this order, from"),
         ("stylize a --out b --azimuth -10", "--azimuth -10: expected two numbers"),
-        ("stylize a --out b --quadrature Paper", '--quadrature Paper: expected one of "paper"'),
+        ("stylize a --out b --quadrature Paper", "--quadrature Paper: expected paper, exact"),
         ("stylize a --out b --steps 0", "--steps 0: expected an integer"),
         ("stylize a --out b --semantic conv2", "--semantic conv2: expected a list of layers"),
         ("stylize a --out b --style nowhere.png", "--style: style = 'nowhere.png': no such picture"),
@@ -318,17 +379,57 @@ def test_info_describes_frames(run: Run, tmp_path: Path) -> None:
     ran = run("info", tmp_path / "a.npz")
     assert ran.code == 0 and ran.errors == []
     assert "array 'velocity': float64, shape (2, 2, 2, 3)" in ran.out
-    assert "density: 0 to 1.5, mass 2, 75.0% of cells empty" in ran.out
-    assert "velocity: at most 5 cells per frame" in ran.out
+    lines = ran.out.splitlines()
+    assert (lines[0], lines[1][:12], lines[2][:20]) == (str(tmp_path / "a.npz"), "  read as: y", "  reference density:")
+    assert lines[3] == (
+        "  a.npz: shape (z, y, x) (2, 2, 2), density 0 to 1.5, mass 2, 75.0% of cells empty, "
+        "velocity at most 5 cells per frame"
+    )
     np.savez(tmp_path / "v.npz", velocity=np.full((2, 2, 2, 3), [0.0, 3.0, 4.0], np.float32))
     ran = run("info", tmp_path / "v.npz")
     assert (ran.code, ran.errors) == (0, [])
     assert ran.out.splitlines()[1:] == [
-        "  array 'velocity': float32, shape (2, 2, 2, 3), 0 to 4",
         "  read as: y up, velocity at centres in cells-per-frame; no density, velocity from velocity, no obstacle",
-        "  velocity: at most 5 cells per frame",
-        "  no frame: no array 'density' (or 'x'), the arrays found are: velocity",
+        "  v.npz: no frame, no array 'density' (or 'x'), the arrays found are: velocity, "
+        "velocity at most 5 cells per frame",
+        "    array 'velocity': float32, shape (2, 2, 2, 3), 0 to 4",
     ]
+
+
+def test_info_says_once_what_is_true_of_all_frames(run: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "smoke"
+    folder.mkdir()
+    for number in range(5):
+        density = np.full((2, 3, 4), 0.1 * (number + 1), np.float32)
+        density[0, 0, 0] = -1e-9
+        other = {"heat": density} if number in (2, 3) else {}
+        np.savez(folder / f"f_{number}.npz", density=density, **other)
+    lines = run("info", folder).out.splitlines()
+    assert lines[0] == f"{folder}: 5 frames, 0 to 4"
+    assert [line.partition(":")[0] for line in lines[1:5]] == [
+        "  read as",
+        "  read as",
+        "  note",
+        "  reference density",
+    ]
+    assert lines[1].endswith(" (f_0, f_1, f_4)") and "not read: heat (f_2, f_3)" in lines[2]
+    assert "f_0 (1 cell down to -1e-09), f_1 (1 cell" in lines[3] and lines[3].endswith("and 2 more")
+    # A line for each frame, and the arrays only where they are others than before.
+    assert [line.split(":")[0] for line in lines[5:]] == [
+        *("  f_0.npz", "    array 'density'", "  f_1.npz"),
+        *("  f_2.npz", "    array 'density'", "    array 'heat'", "  f_3.npz"),
+        *("  f_4.npz", "    array 'density'"),
+    ]
+
+
+def test_info_keeps_the_box_of_every_frame(run: Run, tmp_path: Path) -> None:
+    for number in (1, 2):
+        grid = DenseGrid("density", np.ones((2, 3, 4), np.float32), (number, 0, 0), 0.5)
+        write_vdb(tmp_path / f"s_{number}.vdb", [grid], {})
+    lines = run("info", tmp_path).out.splitlines()
+    assert [line.split(":")[0] for line in lines if "grid" in line] == ["    grid 'density'"]
+    assert "s_1.vdb: shape (z, y, x) (2, 3, 5), active from (1, 0, 0) to (4, 2, 1)" in lines[3]
+    assert "s_2.vdb: shape (z, y, x) (2, 3, 5), active from (2, 0, 0) to (5, 2, 1)" in lines[5]
 
 
 def test_weights_says_where_they_come_from(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,6 +478,31 @@ def test_the_version(run: Run) -> None:
         ("stylize a --out b --output c", "did you mean --out?"),
         ("convert a b --time-step 2", "unexpected '--time-step'; did you mean --dt?"),
         ("convert a b --camera 2", "unexpected '--camera'; tnst-mi convert --help lists what is known"),
+        # A guess that is unlike is worse than none, and one that the command refuses too.
+        ("info a --bogus", "unexpected '--bogus'; tnst-mi info --help lists what is known"),
+        ("stylize a --files x --out b", "unexpected '--files'; INPUT is given without a flag"),
+        ("stylize --input a --out b", "unexpected '--input'; INPUT is given without a flag"),
+        ("convert --input=a b", "unexpected '--input'; INPUT is given without a flag"),
+        ("convert a --out b", "unexpected '--out'; OUTPUT is given without a flag"),
+        ("info --files a", "unexpected '--files'; FILE… is given without a flag"),
+        ("info a --frame 9:12", "unexpected '--frame'; did you mean --frames?"),
+        ("stylize a -o b", "unexpected '-o'; did you mean --out?"),
+        # Choices are listed alike, with the likeliest; other words for a range and a table are seen through.
+        ("render a --out b --look thcik", "--look thcik: expected thin, medium or thick; did you mean thick?"),
+        ("render a --out b --integrator volpth", "--integrator volpth: expected .* or volpath; did you mean volpath?"),
+        ("convert a b --format vbd", "--format vbd: expected npz, vol, uni or vdb; did you mean vdb?"),
+        ("render a --out b --spp x --look thin", "--spp x: expected an integer from 1 to 1000000$"),
+        ("render a --out b --turntable 1.5", "--turntable 1.5: expected an integer from 1 to 100000$"),
+        ("info a --frames 1-2", '--frames 1-2: expected a range of frame numbers, such as "70:89"; write 1:2$'),
+        ("stylize a --out b --tag x --frames -3..-1", "; write -3:-1$"),
+        ("compare a --out b --frames 1,2", "; write 1:2$"),
+        ("info a --crop maybe", r"--crop maybe: expected on or off \(true or false in a recipe\)$"),
+        (
+            "stylize a --out b --tag x --gamma 0=0.1,3=1.0",
+            "--gamma 0=0.1,3=1.0: .*; keyframes are written in braces: '{0=0.1,3=1.0}'$",
+        ),
+        ("stylize a --out b --tag x --gamma 0:0.1", "keyframes are written in braces: '{0:0.1}'$"),
+        ("render a --out b --gamma {0:0.1,3:1}", "--gamma {0:0.1,3:1}: render takes one value, keyframes are of styl"),
         ("stylize a --out b --tag x --eta {0:1", "--eta {0:1: expected a value for each frame, such as '{49: 0.1, 72"),
         ("stylize a --out b --tag x --octaves {0:1}", "--octaves: octaves = .*: cannot be keyframed"),
         ("stylize a --out b --tag x --eta {0:-1}", "--eta: frame 0: eta = -1: expected a number above 0"),

@@ -79,6 +79,21 @@ def test_what_files_do_not_say_is_said_by_flags(run: Run, tmp_path: Path) -> Non
     assert converted("--voxel-size", "0.25", "--up", "y").placement == Placement(0.25)
 
 
+@pytest.mark.parametrize("format", FORMATS)
+def test_the_velocity_of_a_run_is_no_frame(
+    format: str, run: Run, moving: Path, tmp_path: Path, optimiser: FakeOptimiser
+) -> None:
+    out = tmp_path / "run"
+    tnst_mi.stylize(moving, Recipe(style=("spirals",), format=format), out, progress=False)
+    message = (
+        rf"^tnst-mi: 3 of 3 frames cannot be read \(f_07\.{format}, f_08\.{format}, f_09\.{format}\): "
+        r"holds the velocity v\* of a run and is no frame; its frames are in .*density$"
+    )
+    refused(run, tmp_path, ["convert", out / "velocity", tmp_path / "frames"], message)
+    ran = run("info", out / "velocity")
+    assert (ran.code, ran.errors) == (0, []) and ran.out.count("no frame") == 3
+
+
 def test_where_the_grid_lies_is_told_once_before_it_is_lost(run: Run, tmp_path: Path) -> None:
     frames = [Frame(np.ones(SHAPE), None, None, f"f_{n}", n, Placement(0.5, (1.0, 2.0, 3.0), "y")) for n in (1, 2)]
     save_frames(tmp_path / "in", frames, format="vdb")
@@ -152,7 +167,7 @@ def test_what_was_written_before_a_bad_frame_is_told(run: Run, moving: Path, tmp
 def test_info_describes_every_file_of_a_mixed_folder(run: Run, moving: Path) -> None:
     save_frames(moving / "f_10.uni", load_frames(moving)[0])
     out = run("info", moving).out
-    assert out.count("read as: z up") == out.count("shape (z, y, x): (4, 6, 5)") == 1
+    assert out.count("read as: z up") == out.count("f_10.uni: shape (z, y, x) (4, 6, 5)") == 1
 
 
 def test_info_describes_every_sequence_of_a_folder_and_asks_as_the_others_do(
@@ -162,7 +177,7 @@ def test_info_describes_every_sequence_of_a_folder_and_asks_as_the_others_do(
         save_frames(moving / f"{frame.name}.vol", frame)
         save_frames(moving / f"g_{frame.number}.npz", frame)
     ran = run("info", moving)
-    described = {Path(line).name for line in ran.out.splitlines() if line.startswith("/") and ": " not in line}
+    described = {line.split(":")[0][2:] for line in ran.out.splitlines() if ": shape (z, y, x)" in line}
     assert described == {f"f_{number:02}.{kind}" for number in (7, 8, 9) for kind in ("npz", "vol")} | {
         f"g_{number}.npz" for number in (7, 8, 9)
     }
@@ -175,14 +190,17 @@ def test_info_describes_every_format(run: Run, moving: Path, tmp_path: Path) -> 
     (frame,) = load_frames(moving / "f_07.npz")
     contents = f"mass {frame.mass:g}, 0.0% of cells empty"
     for format, expected in (
-        ("vol", ["f_velocity_07.vol: shape (4, 6, 5, 3)", "read as: y up, velocity at centres in cells-per-frame"]),
-        ("uni", ["f_07.uni: float32, shape (6, 4, 5) in its own axes", "read as: z up"]),
-        ("vdb", ["grid 'velocity': vec3s, unknown, blosc, voxel size 1, 120 active voxels", "from (0, 0, 0)"]),
+        (
+            "vol",
+            ["f_velocity_##.vol: float32, shape (4, 6, 5, 3)", "read as: y up, velocity at centres in cells-per-frame"],
+        ),
+        ("uni", ["f_##.uni: float32, shape (6, 4, 5) in its own axes", "read as: z up"]),
+        ("vdb", ["grid 'velocity': vec3s, unknown, blosc, from (0, 0, 0)", "voxel size 1, 120 active voxels"]),
     ):
         save_frames(tmp_path / f"f_07.{format}", frame)
         ran = run("info", tmp_path / f"f_07.{format}")
         assert (ran.code, ran.errors) == (0, [])
-        for words in (*expected, contents, "shape (z, y, x): (4, 6, 5)", "velocity: at most", "obstacle: "):
+        for words in (*expected, contents, "shape (z, y, x) (4, 6, 5)", "velocity at most", "obstacle of "):
             assert words in ran.out
 
 

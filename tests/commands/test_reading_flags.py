@@ -103,9 +103,9 @@ def test_an_earlier_name_of_a_flag_still_works(run: Run, heat: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["--up", "x"], '--up x: expected one of "y", "z"'),
+        (["--up", "x"], "--up x: expected y or z"),
         (["--flip", "w"], "--flip w: expected axes out of x, y and z"),
-        (["--units", "knots"], '--units knots: expected one of "cells-per-frame"'),
+        (["--units", "knots"], "--units knots: expected cells-per-frame, cells-per-time or length-per-time"),
         (["--dt", "0"], "--dt 0: expected a number above 0"),
         (["--fps", "0"], "--fps 0: expected a number above 0"),
         (["--scale", "-1"], "--scale -1: expected a number above 0"),
@@ -137,7 +137,7 @@ BAD: dict[str, Callable[[Path], tuple[str, bytes]]] = {
     "empty": lambda folder: ("a.vdb", b""),
     "another format": lambda folder: ("a.npz", b"no zip"),
     "cut short": lambda folder: ("a.npz", npz(density=DENSITY)[:300]),
-    "no density": lambda folder: ("a.npz", npz(rho=DENSITY)),
+    "no density": lambda folder: ("a.npz", npz(temp=DENSITY)),
     "only a temperature": lambda folder: ("a.vdb", vdb(folder / "t.vdb", DenseGrid("temperature", DENSITY))),
     "a velocity and a temperature": lambda folder: ("a.npz", npz(velocity=VELOCITY, temperature=DENSITY)),
     "a velocity and an obstacle": lambda folder: (
@@ -187,7 +187,8 @@ def test_info_fails_on_sequences_as_stylize_does(run: Run, tmp_path: Path, optim
     assert len({answer.errors[-1] for answer in answers}) == 1
     assert "2 of 4 frames cannot be read: " in answers[0].errors[-1]
     skipping = run("info", tmp_path, "--skip-bad")
-    assert skipping.code == 0 and "f_0.npz" in skipping.out and "f_1.npz" not in skipping.out
+    assert skipping.code == 0 and "  f_0.npz: shape" in skipping.out and "  f_1.npz" not in skipping.out
+    assert "  note: left out, since they cannot be read: f_1.npz: is empty" in skipping.out
     ran = run("convert", tmp_path, tmp_path.parent / f"{tmp_path.name}_out", "--format", "vol", "--skip-bad")
     assert ran.code == 0 and [line.split("/")[-1] for line in ran.out.splitlines()] == ["f_0.vol", "f_2.vol"]
     assert any(line.startswith("note: left out, since they cannot be read: f_1.npz: is empty") for line in ran.errors)
@@ -204,8 +205,33 @@ def test_info_tells_what_can_be_chosen(run: Run, heat: Path, tmp_path: Path) -> 
     assert ran.code == 0
     assert "array 'density': uint8, shape (1, 1, 2), 0 to 255" in ran.out
     assert "array 'notes': object, shape (1,), pickled objects, which are never read" in ran.out
-    assert "density times 1/255 (whole numbers, as in pictures; --scale)" in ran.out
+    assert "density times 1/255 (uint8, as in pictures; --scale)" in ran.out
+    np.savez(tmp_path / "b.npz", density=np.int16([[[0, 1177]]]))
+    assert "density as stored (int16; --scale)" in run("info", tmp_path / "b.npz").out
+    assert "as stored" not in run("info", tmp_path / "b.npz", "--scale", "0.1").out
     assert "not read: notes, title" in ran.out
+
+
+def test_what_looks_like_a_velocity_is_said(run: Run, tmp_path: Path) -> None:
+    note = "note: looks like a velocity, which --velocity NAME takes it for: 'wind': a"
+    np.savez(tmp_path / "a.npz", rho=DENSITY, wind=VELOCITY)
+    write_vdb(tmp_path / "a.vdb", [DenseGrid("density", DENSITY), DenseGrid("wind", VELOCITY)], {})
+    for name in ("a.npz", "a.vdb"):
+        ran = run("convert", tmp_path / name, tmp_path / "b.npz")
+        assert ran.code == 0 and note in ran.errors
+        ran = run("convert", tmp_path / name, tmp_path / "b.npz", "--velocity", "wind")
+        assert ran.code == 0 and note not in ran.errors and load_frames(tmp_path / "b.npz")[0].velocity is not None
+
+
+@pytest.mark.parametrize("word", ["density", "dens", "rho", "d", "smoke", "fog", "Rho"])
+def test_names_of_densities_are_the_same_for_grids_and_files(word: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "whole.npz", **{word: DENSITY, "velocity": VELOCITY})
+    np.savez(tmp_path / f"{word}_0001.npz", data=DENSITY)
+    np.savez(tmp_path / "velocity_0001.npz", data=VELOCITY)
+    for name in ("whole.npz", f"{word}_0001.npz"):
+        (frame,) = load_frames(tmp_path / name)
+        np.testing.assert_array_equal(frame.density, DENSITY)
+        np.testing.assert_array_equal(frame.velocity, VELOCITY)
 
 
 def test_frames_without_smoke_are_said(run: Run, tmp_path: Path, optimiser: FakeOptimiser) -> None:

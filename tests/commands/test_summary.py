@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tnst_mi
-from tnst_mi.commands.stylize import mass_remark
+from tnst_mi.commands.stylize import mass_remark, sequence_summary
 
 
 @pytest.mark.parametrize(
@@ -34,3 +34,12 @@ def test_a_changed_mass_is_remarked_upon_with_what_keeps_it(keys: dict, after: f
     ]
     said = mass_remark(recipe, records)
     assert said == (remedy and f"a {remedy} would keep more of it (docs/transport.md)")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [(0.2, "flicker 2.36 at window 1, "), (0.005, "flicker: too little changed to measure it, ")]
+)
+def test_flicker_is_not_told_of_what_hardly_changed(change: float, said: str) -> None:
+    sequence = {"flicker": 2.36, "window": 1, "loss_before": 14.5, "loss_after": 13.5, "relative_change": change}
+    losses = f"mean loss in the fixed views 14.5 → 13.5, relative change {change}"
+    assert sequence_summary(sequence) == f"sequence  {said}{losses}"

@@ -221,8 +221,8 @@ def test_a_flipped_byte_is_harmless_or_an_input_error(
 
 
 def test_missing_keys_are_listed(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", rho=np.ones(SHAPE), heat=np.ones(SHAPE))
-    with pytest.raises(InputError, match=r"no array 'density' \(or 'x'\).*rho, heat"):
+    np.savez(tmp_path / "a.npz", temp=np.ones(SHAPE), heat=np.ones(SHAPE))
+    with pytest.raises(InputError, match=r"no array 'density' \(or 'x'\).*temp, heat"):
         load_frames(tmp_path / "a.npz")
 
 

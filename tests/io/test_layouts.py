@@ -129,7 +129,10 @@ def test_whole_numbers_of_pictures_are_shares_of_one(dtype: str, largest: int, t
     stored = (DENSITY * largest).astype(dtype)
     frame = frame_of(tmp_path, density=stored)
     np.testing.assert_allclose(frame.density, stored / largest, rtol=1e-6)
-    assert f"density times 1/{largest} (whole numbers, as in pictures; --scale)" in frame.reading
+    assert (
+        f"density times 1/{largest} ({np.dtype(dtype).newbyteorder('=').name}, as in pictures; --scale)"
+        in frame.reading
+    )
     scaled = open_frames(tmp_path / "a.npz", given=Conventions(scale=2.0))[0]
     np.testing.assert_allclose(scaled.density, 2.0 * stored, rtol=1e-6)
 
@@ -218,7 +221,7 @@ def test_planes_do_not_make_planes_of_volumes(tmp_path: Path) -> None:
 def test_arrays_are_described_with_their_ranges(tmp_path: Path) -> None:
     arrays = {"density": DENSITY, "mask": DENSITY > 0.5, "flux": np.array([1.0, np.nan]), "name": np.array("smoke")}
     np.savez(tmp_path / "a.npz", **arrays, empty=np.empty((0, 3)))
-    assert describe(tmp_path / "a.npz") == [
+    assert [f"  {contents}" for contents in describe(tmp_path / "a.npz")] == [
         f"  array 'density': float32, shape (3, 5, 4), {DENSITY.min():g} to {DENSITY.max():g}",
         "  array 'mask': bool, shape (3, 5, 4), 0 to 1",
         "  array 'flux': float64, shape (2,), 1 to 1, 1 NaN or infinite",

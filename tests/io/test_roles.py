@@ -32,7 +32,21 @@ def chosen(entries: list[Entry], wanted: Wanted | None = None, noun: str = "grid
 
 @pytest.mark.parametrize(
     "name",
-    ["density", "Density", "DENSITY", " density ", "density[0]", "density_01", "smokeDensity", "density_noise", "dens"],
+    [
+        "density",
+        "Density",
+        "DENSITY",
+        " density ",
+        "density[0]",
+        "density_01",
+        "smokeDensity",
+        "density_noise",
+        "dens",
+        "rho",
+        "Rho",
+        "rho_001",
+        "d",
+    ],
 )
 def test_densities_in_any_spelling(name: str) -> None:
     assert chosen(scalars("heat", name, "flame"))[0] == [name]
@@ -44,7 +58,7 @@ def test_smoke_by_another_name(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("temperature",), ("",), ("rho",), ("smoke_temperature",), ("density_gradient",), ("heat", "fuel")]
+    "names", [("temperature",), ("",), ("smoke_temperature",), ("density_gradient",), ("heat", "fuel")]
 )
 def test_what_is_not_smoke_by_name_is_not_taken(names: tuple[str, ...]) -> None:
     roles = chosen_roles(scalars(*names), Wanted())
@@ -101,6 +115,16 @@ def test_velocities_in_three_scalars(form: str) -> None:
 )
 def test_velocities_in_three_scalars_by_other_axes(names: tuple[str, ...]) -> None:
     assert chosen(scalars("density", *names[::-1]))[1] == list(names)
+
+
+@pytest.mark.parametrize("name", ["wind", "flow", "arr", "smoke_motion"])
+def test_vectors_by_another_name_may_be_the_velocity(name: str) -> None:
+    """They are not taken, but pointed out, unless there is a velocity, or the user has said something about it."""
+    entries = [*scalars("density"), *vectors("Cd", "force", "vorticity", name)]
+    assert chosen_roles(entries, Wanted()).like_velocity == (4,)
+    assert chosen_roles([*entries, *vectors("vel")], Wanted()).like_velocity == ()
+    assert chosen_roles(entries, Wanted(velocity=NONE)).like_velocity == ()
+    assert chosen(entries, Wanted(velocity=name))[1] == [name]
 
 
 def test_half_a_velocity_is_left() -> None:

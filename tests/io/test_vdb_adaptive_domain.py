@@ -186,9 +186,9 @@ def test_the_configuration_of_another_bake_is_none(tmp_path: Path) -> None:
 def test_info_says_how_results_get_to_the_domain(tmp_path: Path) -> None:
     data = cache(tmp_path)
     lines = describe_vdb(data / "fluid_data_0001.vdb")
-    assert lines[-1].endswith("; --origin=-1,-1,-1 --voxel-size=0.2 places results as in its object")
+    assert str(lines[-1]).endswith("; --origin=-1,-1,-1 --voxel-size=0.2 places results as in its object")
     shutil.rmtree(tmp_path / "config")
-    assert "domain" not in "".join(describe_vdb(data / "fluid_data_0001.vdb"))
+    assert "domain" not in "".join(map(str, describe_vdb(data / "fluid_data_0001.vdb")))
 
 
 def test_any_changed_bit_of_a_configuration_is_found(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.goals import objective_of, require_meant, term_weights
+from tnst_mi.optimisation.goals import objective_of, require_known, require_meant, term_weights
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.measure import file_digests
 
@@ -99,3 +100,27 @@ def test_maps_are_of_one_network_as_channels_are(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^match 'conv2/3x3:.*map.npz': "):
         require_meant(recipe, patterns, fallback=True)
     require_meant(recipe.updated({"match": []}, "", tmp_path), patterns, fallback=True)
+
+
+def test_a_class_or_channel_that_is_not_there_says_which_network_was_taken_and_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = GoogLeNet.from_file(random_googlenet(tmp_path / "tiny.safetensors", narrow=8))
+    monkeypatch.delenv("TNST_MI_WEIGHTS", raising=False)
+    with pytest.raises(InputError) as error:
+        require_known(Recipe(tag=("flower",)), network, fallback=False)
+    message = str(error.value)
+    which = f"network {network.flavour} (found at {tmp_path / 'tiny.safetensors'}): "
+    assert message.startswith(f"{which}class tag 'flower': unknown; the nearest are 'cauliflower', ")
+    assert message.endswith("; --weights patterns has this tag")
+    message = rf"^{re.escape(which)}channel 9999 of layer 'conv2/3x3': expected 0 to \d+$"
+    with pytest.raises(InputError, match=message):
+        require_known(Recipe(semantic=("conv2/3x3:9999",)), network, fallback=False)
+    with pytest.raises(
+        InputError, match=r"^network \w+ \(as weights says\): class tag 'zzzz'(?!.*patterns)"
+    ):  # patterns has none of that name
+        require_known(Recipe(tag=("zzzz",), weights="tiny.safetensors"), network, fallback=False)
+    monkeypatch.setenv("TNST_MI_WEIGHTS", "tiny.safetensors")
+    with pytest.raises(InputError, match=r"\(as \$TNST_MI_WEIGHTS says\): .*; --weights patterns has"):
+        require_known(Recipe(tag=("flower",)), network, fallback=False)
+    require_known(Recipe(tag=("volcano",), semantic=("conv2/3x3:1",)), network, fallback=False)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe.keyframes import KEYABLE, value_at
+from tnst_mi.recipe.flag_values import value_of_flag
+from tnst_mi.recipe.keyframes import KEYABLE, converted, value_at
 from tnst_mi.recipe.paths import STYLES
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 
@@ -181,9 +182,16 @@ def test_the_last_one_given_wins() -> None:
 
 def test_help_names_the_keys_that_can_be_keyframed() -> None:
     assert not {"keyframes", "style_shares"} & (set(KINDS) | set(documentation()))
-    assert all(name in documentation()["frames"] for name in KEYABLE)
-    example = tomllib.loads(documentation()["frames"].partition(": ")[2].rstrip("."))
-    assert Recipe.from_dict(example).at(72).gamma == 1.0
+    text = {line.partition(" = ")[0]: block for block in Recipe().to_toml().split("\n\n") for line in block.split("\n")}
+    for name in KINDS:
+        assert ("Keyframes: " in text.get(name, "").replace("\n# ", " ")) == (name in KEYABLE), name
+
+
+@pytest.mark.parametrize("name", KEYABLE)
+def test_the_example_of_keyframes_of_every_key_is_one(name: str) -> None:
+    table = value_of_flag(name, KEYABLE[name])
+    assert table == tomllib.loads(f"{name} = {KEYABLE[name]}")[name]
+    assert list(converted(name, table, "", lambda key, value, _: KINDS[key].check(value))) == [49, 72]
 
 
 # --- Refusals ---------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from tnst_mi.io import open_frames, save_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
-from tnst_mi.run.readable import Readable
+from tnst_mi.run.readable import Readable, require_readable
 
 __all__ = ["optimiser"]
 
@@ -45,8 +45,46 @@ def test_many_are_counted(tmp_path: Path) -> None:
     save_frames(tmp_path, frames(*(0.1,) * 9))
     for number in range(8, 16):
         (tmp_path / f"f_{number:02d}.npz").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"8 of 9 frames cannot be read: .*; and 5 more; --skip-bad leaves them out"):
+    message = r"8 of 9 frames cannot be read \(f_08\.npz, .* and 5 more\): not an npz .*; --skip-bad leaves them out$"
+    with pytest.raises(InputError, match=message):
         list(Readable(open_frames(tmp_path)))
+
+
+def test_a_reason_that_frames_share_is_said_once_with_its_remedy(tmp_path: Path) -> None:
+    for number in range(4):
+        np.savez(tmp_path / f"s_{number}.npz", temp=np.ones(SHAPE), wind=np.ones((*SHAPE, 3)))
+    with pytest.raises(InputError) as error:
+        list(Readable(open_frames(tmp_path)))
+    assert str(error.value) == (
+        "4 of 4 frames cannot be read (s_0.npz, s_1.npz, s_2.npz and 1 more): no array 'density' (or 'x'), "
+        "the arrays found are: temp, wind; choose with --density NAME"
+    )
+
+
+@pytest.mark.parametrize("letters", [20, 60, 120])
+def test_long_messages_keep_their_remedies(letters: int) -> None:
+    """What goes first is the names of the files, then the middle of the reason."""
+    reason = f"no array 'density', the arrays found are: {'abcdefghi ' * 16}; choose with --density NAME"
+    bad = [f"/a folder/{'f' * letters}_{number}.npz: {reason}" for number in range(5)]
+    for total, remedy in ((5, ""), (9, "; --skip-bad leaves them out")):
+        with pytest.raises(InputError) as error:
+            require_readable(bad, total, False)
+        message = str(error.value)
+        assert len(message) <= 300 and message.endswith(f"; choose with --density NAME{remedy}")
+        assert message.startswith(f"5 of {total} frames cannot be read ({'f' * letters}_0.npz")
+    with pytest.raises(InputError) as error:
+        require_readable([bad[0] + " " * 200 + "; mend it"], 9, False)
+    assert len(str(error.value)) <= 300 and str(error.value).endswith("; mend it; --skip-bad leaves it out")
+
+
+def test_different_reasons_are_grouped() -> None:
+    bad = [f"/folder/f_{number}.npz: {'is empty' if number < 4 else 'is cut short'}" for number in range(6)]
+    with pytest.raises(InputError) as error:
+        require_readable(bad, 8, False)
+    assert str(error.value) == (
+        "6 of 8 frames cannot be read: f_0.npz and 3 more: is empty; f_4.npz and 1 more: is cut short; "
+        "--skip-bad leaves them out"
+    )
 
 
 def test_they_are_left_out_where_that_is_asked_for(damaged: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
@@ -62,10 +100,10 @@ def test_they_are_left_out_where_that_is_asked_for(damaged: Path, tmp_path: Path
 def test_a_single_one_is_told_as_it_is(damaged: Path, tmp_path: Path) -> None:
     for name in ("f_09.npz", "f_11.npz"):
         (damaged / name).unlink()
-    for selection in ((7, 8), (8, 8)):
+    for selection, remedy in (((7, 8), "; --skip-bad leaves it out"), ((8, 8), "")):
         with pytest.raises(InputError) as error:
             list(Readable(open_frames(damaged, selection)))
-        assert str(error.value) == f"{damaged}/f_08.npz: is empty (0 bytes), expected an npz file"
+        assert str(error.value) == f"{damaged}/f_08.npz: is empty (0 bytes), expected an npz file{remedy}"
 
 
 def test_none_is_not_enough(damaged: Path) -> None:

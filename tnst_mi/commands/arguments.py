@@ -7,13 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
+from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
+from tnst_mi.recipe.keys import Choice
 from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
+
+#: What renders the pictures of `render`, and how dense smoke appears in the studio.
+INTEGRATOR, LOOK = Choice(("emission_absorption", "prbvolpath", "volpath")), Choice(LOOKS)
 
 #: Defaults of `compare` without --quick.
 FULL_SPP, FULL_DIRECTIONS = 256, 64
@@ -25,8 +30,8 @@ _GoalFlags = recipe_flags(Goals.__annotations__)
 _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _InputFlags = recipe_flags(Reading.__annotations__)
-_ReadingFlags = recipe_flags((*Reading.__annotations__, "fps"))
-_RendererFlags = recipe_flags(("gamma", "quadrature", "variant"))
+_ReadingFlags = recipe_flags(("frames", *Reading.__annotations__, "fps"))
+_RendererFlags = recipe_flags(("gamma", "quadrature", "variant"), keyframes=False)
 
 _DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
 _NetworkFlags = recipe_flags(("weights", "variant"))
@@ -71,9 +76,9 @@ class StylizeArguments(Arguments):
 class StudioFlags:
     """Options of the path tracers."""
 
-    spp: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: 64)")] = None
+    spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint="(default: 64)")] = None
     """Paths per pixel; four times as many halve the noise and take four times as long."""
-    seed: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: 0)")] = None
+    seed: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint="(default: 0)")] = None
     """Seed of the noise; the same seed gives the same pictures."""
     resolution: Annotated[
         str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 288x384)")
@@ -99,19 +104,21 @@ class RenderArguments(Arguments):
     """New or empty folder for the pictures."""
     views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0",)
     """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
-    turntable: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: no video)")] = None
+    turntable: Annotated[str | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: no video)")] = None
     """Make a video of one turn around the smoke in N pictures, from the given view, while a sequence plays once."""
     fit: bool = False
     """Make room for all of the grid in every view: without --look, pictures have the columns and rows of the grid, and
     views from the side may cut off some of the smoke."""
     integrator: Annotated[
-        Literal["emission_absorption", "prbvolpath", "volpath"] | None,
-        tyro.conf.arg(help_behavior_hint="(default: emission_absorption; volpath with --look)"),
+        str | None,
+        tyro.conf.arg(
+            metavar=INTEGRATOR.placeholder, help_behavior_hint="(default: emission_absorption; volpath with --look)"
+        ),
     ] = None
     """Emission and absorption alone, or one of Mitsuba's path tracers."""
     look: Annotated[
-        Literal["thin", "medium", "thick"] | None,
-        tyro.conf.arg(help_behavior_hint="(default: medium for a path tracer)"),
+        str | None,
+        tyro.conf.arg(metavar=LOOK.placeholder, help_behavior_hint="(default: medium for a path tracer)"),
     ] = None
     """How dense the smoke appears in the studio; for emission_absorption, the γ of the same optical thickness."""
     density_scale: Annotated[
@@ -178,12 +185,8 @@ class ConvertArguments(Arguments):
     """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
     """File, whose extension selects the format, or new or empty folder."""
-    format: Annotated[
-        Literal["npz", "vol", "uni", "vdb"] | None, tyro.conf.arg(help_behavior_hint="(default: npz)")
-    ] = None
+    format: Annotated[str | None, tyro.conf.arg(metavar="npz|vol|uni|vdb", help_behavior_hint="(default: npz)")] = None
     """Format of the files in a folder."""
-    frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: all)")] = None
-    """Numbers of the first and the last frame to convert, or of one; with decimal points, sub-frames are taken too."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
     """How to read the input."""
 
@@ -217,7 +220,7 @@ class InfoArguments(Arguments):
     A file without a density, such as the velocities of a run, is described by what it contains.
     """
 
-    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…")]
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…", help_behavior_hint="")]
     """Files, folders, or patterns such as 'smoke_####.vdb'."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
     """How to read the input."""
@@ -243,6 +246,9 @@ class WeightsArguments(Arguments):
 class DoctorArguments(Arguments):
     """Check Python, Mitsuba, Dr.Jit, LLVM, GPU, OptiX, torch, weights and memory; say how to get what is missing."""
 
+
+#: The arguments that are given without a flag, each with its name in the help.
+POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…"}
 
 ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,

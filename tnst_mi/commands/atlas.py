@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-
-from tqdm import tqdm
 
 from tnst_mi.atlas.layer_atlas import LayerAtlas, channel_numbers
 from tnst_mi.commands.arguments import ATLAS_FOLDER, AtlasArguments
 from tnst_mi.commands.base import given
 from tnst_mi.errors import StoppedError
 from tnst_mi.machine.backend import activate
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.recipe.recipe import Recipe
 
@@ -52,7 +50,7 @@ def _make(atlas: LayerAtlas, channels: list[int]) -> None:
     missing = atlas.missing(channels)
     layout = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     total = atlas.steps * len(missing)
-    with tqdm(total=total, bar_format=layout, dynamic_ncols=True, file=sys.stderr, disable=not missing) as bar:
+    with progress_bar(total=total, bar_format=layout, disable=not missing) as bar:
 
         def advance(channel: int, what: str) -> None:
             place = f"{missing.index(channel) + 1}/{len(missing)}"

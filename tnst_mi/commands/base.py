@@ -15,12 +15,14 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
 from tnst_mi.machine.terminal import printable
+from tnst_mi.recipe.expectation import expectation
+from tnst_mi.recipe.keyframes import with_keyframes
 from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.inputs import reference_density
 
 #: Earlier names of flags, which still work.
-_OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",)}
+OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",)}
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -33,25 +35,30 @@ class Arguments:
     """Show Python's traceback when something fails."""
 
 
-def recipe_flag(name: str) -> Any:
-    """The type of the flag for a recipe key: its text or texts; None or () if the flag is not given."""
-    kind = KINDS[name]
+def recipe_flag(name: str, keyframes: bool = True) -> Any:
+    """The type of the flag for a recipe key: its text or texts; None or () if the flag is not given.
+
+    Args:
+        name: the key.
+        keyframes: whether the help says how to give values that change over the frames, where the key may have some.
+    """
+    kind, text = KINDS[name], documentation()[name]
     if isinstance(kind, Switch) and kind.bare:
-        return Annotated[bool, tyro.conf.arg(help=documentation()[name])]
+        return Annotated[bool, tyro.conf.arg(help=text)]
     options = tyro.conf.arg(
         metavar=kind.placeholder,
-        help=documentation()[name],
+        help=with_keyframes(name, text, "Keyframes, in quotes") if keyframes else text,
         help_behavior_hint=f"(default: {kind.show(getattr(Recipe(), name))})",
-        aliases=_OTHER_FLAGS.get(name),
+        aliases=OTHER_FLAGS.get(name),
     )
     if isinstance(kind, Texts):
         return Annotated[tuple[str, ...], tyro.conf.UseAppendAction, options]
     return Annotated[str | None, options]
 
 
-def recipe_flags(keys: Iterable[str]) -> type:
-    """A dataclass of the flags for some keys of the recipe."""
-    fields = [(key, recipe_flag(key), field(default=_not_given(KINDS[key]))) for key in keys]
+def recipe_flags(keys: Iterable[str], keyframes: bool = True) -> type:
+    """A dataclass of the flags for some keys of the recipe, see `recipe_flag`."""
+    fields = [(key, recipe_flag(key, keyframes), field(default=_not_given(KINDS[key]))) for key in keys]
     return make_dataclass("RecipeFlags", fields)
 
 
@@ -99,13 +106,21 @@ def unit_of(frames: Iterable[Frame], density_scale: str) -> Unit:
     Raises:
         InputError: it is not a number above 0 nor "auto", or a frame cannot be read.
     """
-    kind = KINDS["density_scale"]
-    try:
-        given = kind.check(kind.read(density_scale))
-    except (ValueError, OverflowError):
-        raise InputError(f"--density-scale {density_scale}: expected {kind.expected}") from None
+    given = checked("density-scale", density_scale, KINDS["density_scale"])
     reference = reference_density(frames)
     return Unit(reference.value, reference.scale(given))
+
+
+def checked(flag: str, text: str, kind: Kind) -> Any:
+    """The value of a flag that is no key of the recipe, from its text.
+
+    Raises:
+        InputError: it is none of its kind.
+    """
+    try:
+        return kind.check(kind.read(text))
+    except (ValueError, OverflowError):
+        raise InputError(f"--{flag} {text}: {expectation(kind, text)}") from None
 
 
 def say(lines: Iterable[str]) -> None:

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import statistics
-import sys
-from typing import Any
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING
 
 from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import given, say, unit_of, view_of
+from tnst_mi.commands.base import checked, given, say, unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
-from tnst_mi.compare.report import verdict_line, write_report
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.io import open_frames
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.environment import device, peak_memory, versions
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.optix import require_optix
-from tnst_mi.recipe.keys import Integer, Kind
+from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
+
+if TYPE_CHECKING:
+    from tnst_mi.compare import report as written
+else:
+    # It imports matplotlib, and mistakes in flags are found without it.
+    written = LazyModule("tnst_mi.compare.report")
 
 _QUICK_SPP, _QUICK_DIRECTIONS = 64, 16
 
@@ -36,7 +40,7 @@ def run(arguments: CompareArguments) -> int:
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
     recipe = Recipe().updated_by_flags(given(arguments.reading))
-    readable = Readable(open_frames(arguments.input, given=conventions_of(recipe))[:1])
+    readable = Readable(open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))[:1])
     frame = next(iter(readable))
     unit = unit_of([frame], arguments.density_scale)
     density = scaled(frame.density, unit.factor)
@@ -48,7 +52,7 @@ def run(arguments: CompareArguments) -> int:
     say(readable.lines())
     unit.note()
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-    with tqdm(total=1.0, bar_format=layout, dynamic_ncols=True, file=sys.stderr) as bar:
+    with progress_bar(total=1.0, bar_format=layout) as bar:
 
         def report(name: str, share: float) -> None:
             bar.set_description_str(name, refresh=False)
@@ -63,11 +67,11 @@ def run(arguments: CompareArguments) -> int:
             "seconds": bar.format_dict["elapsed"],
             "peak_memory": peak_memory(),
         }
-        passed = write_report(arguments.out, frame.name, settings, results, environment)
+        passed = written.write_report(arguments.out, frame.name, settings, results, environment)
     for study in results.studies:
         print(study.in_words())
     print(f"report    {arguments.out / 'report.html'}")
-    print(f"verdict   {verdict_line(results)}")
+    print(f"verdict   {written.verdict_line(results)}")
     return 0 if passed else 1
 
 
@@ -75,11 +79,11 @@ def _settings(arguments: CompareArguments) -> Settings:
     """What to compare, and how precisely; raises InputError for invalid values."""
     quick = arguments.quick
     views = tuple(view_of(text) for text in arguments.views)
-    gammas = tuple(_checked("gamma", text, KINDS["gamma"]) for text in arguments.gamma)
-    spp = _checked("spp", arguments.spp or (_QUICK_SPP if quick else FULL_SPP), Integer(32, 1 << 24))
-    directions = arguments.directions or (_QUICK_DIRECTIONS if quick else FULL_DIRECTIONS)
-    directions = _checked("directions", directions, Integer(3, 10_000))
-    seed = _checked("seed", arguments.seed, KINDS["seed"])
+    gammas = tuple(checked("gamma", text, KINDS["gamma"]) for text in arguments.gamma)
+    spp = checked("spp", arguments.spp or str(_QUICK_SPP if quick else FULL_SPP), Integer(32, 1 << 24))
+    directions = arguments.directions or str(_QUICK_DIRECTIONS if quick else FULL_DIRECTIONS)
+    directions = checked("directions", directions, Integer(3, 10_000))
+    seed = checked("seed", arguments.seed, KINDS["seed"])
     for flag, values in (("views", views), ("gamma", gammas)):
         if len(set(values)) < max(len(values), 1):
             raise InputError(f"--{flag}: expected one or more different values")
@@ -92,10 +96,3 @@ def _settings(arguments: CompareArguments) -> Settings:
         directions=directions,
         seed=seed,
     )
-
-
-def _checked(flag: str, given: str | int, kind: Kind) -> Any:
-    try:
-        return kind.check(kind.read(str(given)))
-    except (ValueError, OverflowError):
-        raise InputError(f"--{flag} {given}: expected {kind.expected}") from None

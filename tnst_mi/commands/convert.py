@@ -8,23 +8,25 @@ from pathlib import Path
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import ConvertArguments
-from tnst_mi.commands.base import given, say
+from tnst_mi.commands.base import checked, given, say
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.formats import FORMATS, files_around, require_format
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
 from tnst_mi.machine.disk import require_names, require_writable
-from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
 
 
 def run(arguments: ConvertArguments) -> int:
     """Convert every frame."""
-    selection = {} if arguments.frames is None else {"frames": arguments.frames}
+    if arguments.format is not None:
+        checked("format", arguments.format, KINDS["format"])
     # Other programs expect the whole grid, at rest.
-    recipe = Recipe().updated_by_flags({"crop": "off"} | selection | given(arguments.reading))
+    recipe = Recipe().updated_by_flags({"crop": "off"} | given(arguments.reading))
     every = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
     _files(arguments, every)  # what is asked for is checked before anything is read
     readable = Readable(every, recipe.skip_bad)
@@ -35,8 +37,8 @@ def run(arguments: ConvertArguments) -> int:
     say(readable.lines())
     suffix, lost = files[0].suffix.lower(), None
     try:
-        for file, frame in tqdm(
-            zip(files, checked_shapes(frames), strict=True), total=len(files), unit="frame", dynamic_ncols=True
+        for file, frame in progress_bar(
+            zip(files, checked_shapes(frames), strict=True), total=len(files), unit="frame"
         ):
             lost = lost or _lost(frame, suffix)
             save_frame(file, frame)

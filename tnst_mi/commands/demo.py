@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from tnst_mi.commands.arguments import DemoArguments
-from tnst_mi.commands.stylize import reported
+from tnst_mi.commands.stylize import job, prepare, reported
 from tnst_mi.errors import InputError
 from tnst_mi.io import open_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import scene_file
 from tnst_mi.run.folder import frame_names, holds_run
-from tnst_mi.run.job import Run
-from tnst_mi.run.prepare import prepare
+from tnst_mi.run.request import requested_frames
 
 
 def run(arguments: DemoArguments) -> int:
@@ -21,7 +20,9 @@ def run(arguments: DemoArguments) -> int:
     earlier = holds_run(out)
     if earlier and set(frame_names(out)) != {file.stem for file in open_frames(scene).files}:
         raise InputError(f"{out}: holds a run that is no demo; give another folder")
-    code = reported(Run(prepare(scene, recipe, out, overwrite=earlier, progress=True)), "the same command begins anew")
+    requested_frames(scene, recipe, out, overwrite=earlier)
+    prepared = prepare.prepare(scene, recipe, out, overwrite=earlier, progress=True)
+    code = reported(job.Run(prepared), "the same command begins anew")
     for picture in sorted((out / "images").glob("*.png")):
         print(f"picture   {picture}")
     return code

@@ -1,8 +1,12 @@
-"""`tnst-mi info`: what is in density files."""
+"""`tnst-mi info`: what is in density files.
+
+Of each input it is said first how its frames are read, then what each of them is: a line for a frame, and below it the
+grids or arrays of its file, where they are others than those of the file before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,47 +17,115 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
-from tnst_mi.io.array_frames import ARRAY_FORMATS
 from tnst_mi.io.files.listing import SeveralSequencesError
 from tnst_mi.io.formats import describe
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.io.sequence import FrameFiles, checked_shapes
 from tnst_mi.machine.terminal import printable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import conventions_of
-from tnst_mi.run.readable import require_readable
+from tnst_mi.run.readable import Readable
 
 
 def run(arguments: InfoArguments) -> int:
-    """Print a paragraph for every file; fails as the commands that read frames do, with their words."""
+    """Describe every input; fails as the commands that read frames do, with their words."""
     if not arguments.files:
         raise InputError("info: expected one or more files or folders")
     recipe = Recipe().updated_by_flags(given(arguments.reading))
     for path in arguments.files:
         try:
-            _describe_sequence(path, conventions_of(recipe), recipe.skip_bad)
+            _describe_sequence(path, recipe)
         except SeveralSequencesError as error:
             for pattern in error.patterns:
-                _describe_sequence(pattern, conventions_of(recipe), recipe.skip_bad)
+                _describe_sequence(pattern, recipe)
             raise
     return 0
 
 
-def _describe_sequence(path: Path, conventions: Conventions, skip_bad: bool) -> None:
-    """Print a paragraph for every file of an input, and what is true of all."""
-    frames = open_frames(path, given=conventions)
-    reference = ReferenceDensity()
-    for frame in checked_shapes(_described(frames, conventions, skip_bad)):
-        reference.add(frame.density)
-    of_grid = frames.grid_notes if reference.value > 0 else ()
-    _show([f"{path}: note: {note}" for note in (*frames.notes, *of_grid)])
+def _describe_sequence(path: Path, recipe: Recipe) -> None:
+    """Print what is true of all frames of an input, then a line for each.
+
+    Raises:
+        InputError: frames cannot be read; what is in the files is printed nevertheless if they have no density, so that
+            one can be chosen.
+    """
+    conventions = conventions_of(recipe)
+    frames = open_frames(path, recipe.frame_range, conventions)
+    described = _Described(frames, conventions)
+    readable, reference = Readable(frames, recipe.skip_bad), ReferenceDensity()
+    try:
+        for frame in checked_shapes(described.frames(readable)):
+            reference.add(frame.density)
+        readable.require()
+    except InputError:
+        if described.lines:
+            _show([_heading(path, frames), *described.lines])
+        raise
+    _show([_heading(path, frames), *described.readings, *(f"  {line}" for line in readable.lines())])
     if reference.value > 0:
         _show(
             [
-                f"{path}: reference density {reference.value:.4g}: the 99th percentile of the smoky cells, which "
-                f"stylize takes as 1 (density_scale = {reference.scale():.4g})"
+                f"  reference density: {reference.value:.4g}, the 99th percentile of the smoky cells, which stylize "
+                f"takes as 1 (density_scale = {reference.scale():.4g})"
             ]
         )
+    _show(described.lines)
+
+
+class _Described:
+    """The frames of an input, and what is printed of each.
+
+    Attributes:
+        lines: of the frames and the contents of their files.
+        readings: how velocities without a density are read.
+    """
+
+    def __init__(self, frames: FrameFiles, conventions: Conventions) -> None:
+        self._frames, self._conventions = frames, conventions
+        self.lines: list[str] = []
+        self.readings: list[str] = []
+        self._kinds: list[str] = []
+
+    def frames(self, readable: Readable) -> Iterable[Frame]:
+        """Read the frames, one after the other, and note how that went.
+
+        Of a file without a density its contents are listed. One that holds but a velocity, as those that runs write, is
+        left at that: nothing is wrong with it.
+        """
+        for index, file in enumerate(self._frames.files):
+            try:
+                stored = self._frames.stored(index)
+                if stored.density is None:
+                    contents = describe(file)
+                    if stored.velocity is not None and not (stored.taken.left or stored.taken.obstacle):
+                        self._add_velocity(file, stored, contents)
+                        continue
+                    self._add(f"{file.name}: no density", contents)
+                frame = self._frames.frame_of(index, stored)
+                contents = describe(file)
+            except InputError as error:
+                readable.reject(error)
+                continue
+            readable.keep(index, frame)
+            self._add(f"{file.name}: {', '.join(_parts(frame, _box_of(stored, contents)))}", contents)
+            yield frame
+
+    def _add_velocity(self, file: Path, stored: StoredFrame, contents: list[Contents]) -> None:
+        velocity, words = stored.velocity, []
+        if velocity is not None and velocity.ndim == 4 and velocity.shape[-1] == 3 and velocity.size > 0:
+            centred = stored.centred_velocity(self._conventions)
+            words = [] if centred is None else [_velocity_in_words(centred)]
+        reading = f"  read as: {stored.reading(self._conventions)}"
+        self.readings += [reading] if reading not in self.readings else []
+        self._add(f"{file.name}: {', '.join(['no frame', stored.lacking, *words])}", contents)
+
+    def _add(self, line: str, contents: list[Contents]) -> None:
+        kinds = [grid.kind for grid in contents]
+        self.lines.append(f"  {line}")
+        if kinds != self._kinds:
+            self.lines += [f"    {grid}" for grid in contents]
+        self._kinds = kinds
 
 
 def _show(lines: Iterable[str]) -> None:
@@ -61,61 +133,33 @@ def _show(lines: Iterable[str]) -> None:
         print(printable(line))
 
 
-def _described(frames: FrameFiles, conventions: Conventions, skip_bad: bool) -> Iterator[Frame]:
-    """The frames that can be read, of each of which it is printed what is in its file and how that is read.
-
-    Of a file without a density it is printed what is there instead, so that it can be chosen. One that holds but a
-    velocity, as those that runs write, is left at that.
-    """
-    bad = []
-    for index, file in enumerate(frames.files):
-        try:
-            stored = frames.stored(index)
-            if stored.density is None:
-                _show([str(file), *describe(file), *_describe_alone(stored, conventions)])
-                if stored.velocity is not None and not (stored.taken.left or stored.taken.obstacle):
-                    print(f"  no frame: {stored.lacking}")
-                    continue  # nothing is wrong with it: runs write velocities by themselves
-            frame = frames.frame_of(index, stored)
-        except InputError as error:
-            bad.append(str(error))
-            continue
-        _show([str(file), *describe(file), f"  read as: {frame.reading}", *_describe_notes(frame)])
-        # The shape of plain arrays has been described already.
-        if file.suffix.lower() not in ARRAY_FORMATS:
-            print(f"  shape (z, y, x): {frame.density.shape}")
-        _show(describe_frame(frame))
-        yield frame
-    require_readable(bad, len(frames), skip_bad)
+def _heading(path: Path, frames: FrameFiles) -> str:
+    if len(frames) == 1:
+        return str(path)
+    return f"{path}: {len(frames)} frames, {frames.numbers[0]} to {frames.numbers[-1]}"
 
 
-def _describe_alone(stored: StoredFrame, conventions: Conventions) -> list[str]:
-    """The velocity of a file without a density."""
-    velocity = stored.velocity
-    if velocity is None or velocity.ndim != 4 or velocity.shape[-1] != 3 or velocity.size == 0:
-        return []
-    centred = stored.centred_velocity(conventions)
-    return [] if centred is None else [f"  read as: {stored.reading(conventions)}", *describe_velocity(centred)]
+def _box_of(stored: StoredFrame, contents: list[Contents]) -> str:
+    """Where the density of a file is."""
+    named = f"grid {stored.taken.density}: "
+    return next((grid.box for grid in contents if grid.kind.startswith(named)), "")
 
 
-def _describe_notes(frame: Frame) -> list[str]:
-    return [f"  note: {note.text}" + (f" ({note.detail})" if note.detail else "") for note in frame.notes]
-
-
-def describe_frame(frame: Frame) -> list[str]:
-    """The contents of the arrays of a frame, one line each."""
+def _parts(frame: Frame, box: str) -> list[str]:
+    """The arrays of a frame, in words."""
     density = frame.density
-    empty = 100.0 * float((density == 0.0).mean())
-    lines = [f"  density: {density.min():g} to {density.max():g}, mass {frame.mass:g}, {empty:.1f}% of cells empty"]
+    parts = [f"shape (z, y, x) {density.shape}", *([f"active {box}"] if box else [])]
+    parts.append(f"density {density.min():g} to {density.max():g}, mass {frame.mass:g}")
+    parts.append(f"{100.0 * float((density == 0.0).mean()):.1f}% of cells empty")
     if frame.velocity is not None:
         # Beyond the smoke a velocity matters little, and may be anything.
         smoke = density > 0.0
-        lines += describe_velocity(frame.velocity[smoke] if smoke.any() else frame.velocity)
+        parts.append(_velocity_in_words(frame.velocity[smoke] if smoke.any() else frame.velocity))
     if frame.obstacle is not None:
-        lines.append(f"  obstacle: {int(frame.obstacle.sum())} cells")
-    return lines
+        parts.append(f"obstacle of {int(frame.obstacle.sum())} cells")
+    return parts
 
 
-def describe_velocity(velocity: np.ndarray) -> list[str]:
-    """The largest of some velocities (…, 3), in one line."""
-    return [f"  velocity: at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"]
+def _velocity_in_words(velocity: np.ndarray) -> str:
+    """The largest of some velocities (…, 3)."""
+    return f"velocity at most {np.linalg.norm(velocity, axis=-1).max():g} cells per frame"

@@ -10,8 +10,8 @@ from contextlib import nullcontext
 
 from tqdm import tqdm
 
-from tnst_mi.commands.arguments import RenderArguments
-from tnst_mi.commands.base import given, say, unit_of, view_of
+from tnst_mi.commands.arguments import INTEGRATOR, LOOK, RenderArguments
+from tnst_mi.commands.base import checked, given, say, unit_of, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
@@ -20,7 +20,9 @@ from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_names, require_writable
-from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
@@ -37,21 +39,26 @@ def run(arguments: RenderArguments) -> int:
     integrator = arguments.integrator or ("volpath" if look else "emission_absorption")
     path_traced = integrator != "emission_absorption"
     _check_flags(arguments, path_traced)
+    turntable = None if arguments.turntable is None else checked("turntable", arguments.turntable, Integer(1, 100_000))
+    samples = checked("spp", studio.spp or "64", Integer(1, 1_000_000))
+    seed = checked("seed", studio.seed or "0", KINDS["seed"])
     recipe = Recipe().updated_by_flags(given(arguments.renderer) | given(arguments.reading))
+    if recipe.keyframes:
+        raise InputError(f"--gamma {arguments.renderer.gamma}: render takes one value, keyframes are of stylize")
     views = [view_of(text) for text in arguments.views]
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    stored = open_frames(arguments.input, given=conventions_of(recipe))
+    stored = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
     require_names(arguments.out, [file.stem for file in stored.files])
     readable = Readable(stored, recipe.skip_bad)
     unit = unit_of(readable, arguments.density_scale or ("auto" if path_traced else "1"))
     frames = ScaledFrames(readable.frames(), unit.factor)
     activate(recipe.variant)
-    if arguments.turntable is None:
+    if turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
     else:
-        shots = pictures.shots_of_turn(len(frames), views[0], arguments.turntable)
+        shots = pictures.shots_of_turn(len(frames), views[0], turntable)
     if path_traced:
         painter = pictures.PathTracedPainter(
             frames,
@@ -59,8 +66,8 @@ def run(arguments: RenderArguments) -> int:
             look=look or "medium",
             integrator=integrator,
             size=size,
-            samples=_or(studio.spp, 64),
-            seed=_or(studio.seed, 0),
+            samples=samples,
+            seed=seed,
             denoise=studio.denoise,
         )
         if studio.denoise and not painter.denoised:
@@ -74,13 +81,12 @@ def run(arguments: RenderArguments) -> int:
             recipe.quadrature,
             arguments.fit,
         )
-    turning = arguments.turntable is not None
     film = arguments.out / f"{stored.title}_turntable.mp4"
-    with open_video(film, recipe.fps or FRAMES_PER_SECOND) if turning else nullcontext() as video:
+    with open_video(film, recipe.fps or FRAMES_PER_SECOND) if turntable else nullcontext() as video:
         say(readable.lines())
         unit.note()
         _write(arguments, frames, shots, painter, video)
-    if turning:
+    if turntable:
         print(f"video     {film}")
     return 0
 
@@ -90,7 +96,7 @@ def _write(
 ) -> None:
     """Render and write every picture, and add it to the video of a turntable."""
     out = arguments.out
-    with tqdm(total=len(shots), unit="picture", dynamic_ncols=True) as bar:
+    with progress_bar(total=len(shots), unit="picture") as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
             image = painter.paint(frame.density, shot.view, number)
             picture = painter.shown(image)
@@ -112,15 +118,11 @@ def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[S
 
 
 def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
-    """Raise InputError for values out of range, and for flags that would have no effect."""
+    """Raise InputError for choices that are none, and for flags that would have no effect."""
     studio, renderer = arguments.studio, arguments.renderer
-    for flag, value, low, high in (
-        ("turntable", arguments.turntable, 1, 100_000),
-        ("spp", studio.spp, 1, 1_000_000),
-        ("seed", studio.seed, 0, 2**32 - 1),
-    ):
-        if value is not None and not low <= value <= high:
-            raise InputError(f"--{flag} {value}: expected a whole number from {low} to {high}")
+    for flag, text, kind in (("integrator", arguments.integrator, INTEGRATOR), ("look", arguments.look, LOOK)):
+        if text is not None:
+            checked(flag, text, kind)
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
     if path_traced and arguments.fit:
@@ -130,7 +132,7 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
         remedy = "is of emission_absorption; for a path tracer use --look"
     else:
         others = {"spp": studio.spp, "seed": studio.seed, "resolution": studio.resolution}
-        others["denoise"] = studio.denoise or None
+        others["denoise"] = "on" if studio.denoise else None
         remedy = "is of the path tracers, and emission_absorption has no noise and one pixel per cell; add --look"
         if arguments.look is not None and renderer.gamma is not None:
             raise InputError(f"--look {arguments.look} and --gamma {renderer.gamma}: both say how dense; give one")
@@ -147,7 +149,3 @@ def _size(text: str) -> tuple[int, int]:
             f"--resolution {text}: expected WIDTHxHEIGHT in pixels, 2 to {_LARGEST_SIDE} each, such as 576x768"
         )
     return size
-
-
-def _or(value: int | None, default: int) -> int:
-    return default if value is None else value

@@ -5,20 +5,29 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import StylizeArguments
 from tnst_mi.commands.base import given
 from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import holds_run, input_of_run
-from tnst_mi.run.job import Run, StylizedFrame
-from tnst_mi.run.prepare import prepare
+from tnst_mi.run.request import requested_frames
+
+if TYPE_CHECKING:
+    from tnst_mi.run import job, prepare
+else:
+    # They import torch, and most mistakes are found without it.
+    job, prepare = LazyModule("tnst_mi.run.job"), LazyModule("tnst_mi.run.prepare")
 
 #: Share of a frame's smoke whose loss or gain is remarked upon.
 _MASS_REMARKED = 0.05
+
+#: Relative change of the density below which nobody sees one, flickering or not.
+_TOO_LITTLE = 0.01
 
 
 def run(arguments: StylizeArguments) -> int:
@@ -26,14 +35,15 @@ def run(arguments: StylizeArguments) -> int:
     source, recipe = _input_and_recipe(arguments)
     for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
-    resume, overwrite = arguments.resume, arguments.overwrite
+    out, resume, overwrite = arguments.out, arguments.resume, arguments.overwrite
     try:
-        prepared = prepare(source, recipe, arguments.out, resume=resume, overwrite=overwrite, progress=True)
+        requested_frames(source, recipe, out, resume=resume, overwrite=overwrite)
+        prepared = prepare.prepare(source, recipe, out, resume=resume, overwrite=overwrite, progress=True)
     except KeyboardInterrupt:
         raise StoppedError(
             "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
-    return reported(Run(prepared))
+    return reported(job.Run(prepared))
 
 
 def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
@@ -55,7 +65,7 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
     return source, Recipe.from_toml(arguments.out / "recipe.toml") if resumed else Recipe()
 
 
-def reported(frames: Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:
+def reported(frames: job.Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:
     """Iterate over a run, which writes its results, and report every frame on stdout; 3 if it was interrupted."""
     out, record = frames.prepared.out, frames.record
     with closing(frames):
@@ -76,9 +86,13 @@ def reported(frames: Run, remedy: str = "--resume continues the run in {out} whe
 
 def sequence_summary(sequence: dict[str, Any]) -> str:
     """One line on a sequence: its flicker, loss and change."""
-    parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
-    parts.append(f"mean loss {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
-    parts.append(f"relative change {_number(sequence['relative_change'])}")
+    change = sequence["relative_change"]
+    if change is not None and change < _TOO_LITTLE:
+        parts = ["flicker: too little changed to measure it"]
+    else:
+        parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
+    parts.append(f"mean loss in the fixed views {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
+    parts.append(f"relative change {_number(change)}")
     return f"sequence  {', '.join(parts)}"
 
 
@@ -107,13 +121,13 @@ def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3g}"
 
 
-def summary(frame: StylizedFrame) -> str:
+def summary(frame: job.StylizedFrame) -> str:
     """One line on a frame: how the loss and the mass changed and how far the smoke moved."""
     record = frame.record
     parts = []
     if record["losses"]:
         last = record["losses"][-1]
-        parts.append(f"loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
+        parts.append(f"scaled loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
     change = f" ({_mass_change(record):+.1%})" if record["mass_before"] > 0 else ""
     parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}{change}")
     parts.append(f"largest displacement {record['largest_displacement']:.3g} cells")

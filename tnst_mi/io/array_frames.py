@@ -10,6 +10,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Note
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
@@ -168,14 +169,14 @@ def shape_of_density(path: Path, wanted: Wanted) -> tuple[int, ...] | None:
     return shape if shape is None or len(shape) == 3 else (1, *shape)
 
 
-def describe_arrays(path: Path) -> list[str]:
-    """The arrays in a file: name, type, shape and range, one line each.
+def describe_arrays(path: Path) -> list[Contents]:
+    """The arrays in a file: name, type, shape and range.
 
     Raises:
         InputError: the file cannot be used.
     """
     return [
-        f"  array {quoted(name)}: {header.dtype}, shape {header.shape}{_range(path, name, header)}"
+        Contents(f"array {quoted(name)}: {header.dtype}", numbers=f"shape {header.shape}{_range(path, name, header)}")
         for name, header in _headers(path).items()
     ]
 
@@ -260,6 +261,7 @@ def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequenc
             listed(parts, in_quotes=False) if parts else None,
             solid,
             tuple(names[index] for index in roles.left),
+            tuple(names[index] for index in roles.like_velocity),
         ),
         layouts=tuple(words for words in layouts if words),
     )

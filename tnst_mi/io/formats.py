@@ -18,6 +18,7 @@ from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_f
 from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
 from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.files import companions
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.grids.uni import FLAGS, INTEGER, OBSTACLE_FLAG, REAL, VECTOR, read_uni, write_uni
 from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame
@@ -138,8 +139,8 @@ def write_frame(
             write_vdb_frame(path, grids, placement)
 
 
-def describe(file: Path) -> list[str]:
-    """The arrays or grids in a file and its companions, one line each.
+def describe(file: Path) -> list[Contents]:
+    """The arrays or grids in a file and its companions.
 
     Raises:
         InputError: a file cannot be used.
@@ -149,22 +150,23 @@ def describe(file: Path) -> list[str]:
         return _described(file, suffix)
 
 
-def _described(file: Path, suffix: str) -> list[str]:
+def _described(file: Path, suffix: str) -> list[Contents]:
     if suffix in ARRAY_FORMATS:
         return describe_arrays(file)
     if suffix == ".vdb":
         return describe_vdb(file)
-    lines = []
+    contents = []
     for path in (file, *companions.companions_of(file)):
         if suffix == ".vol":
             values = read_vol(path)
-            words = f"shape {values.shape}, float32"
+            kind, shape = "float32", f"shape {values.shape}"
         else:
             header, values = read_uni(path)
-            faces = ", on faces" if header.staggered else ""
-            words = f"{header.dtype}, shape {values.shape} in its own axes{faces}"
-        lines.append(f"  {path.name}: {words}, {values.min():g} to {values.max():g}")
-    return lines
+            kind = f"{header.dtype}{', on faces' if header.staggered else ''}"
+            shape = f"shape {values.shape} in its own axes"
+        name = companions.numberless(path)
+        contents.append(Contents(f"file {name}: {kind}", numbers=f"{shape}, {values.min():g} to {values.max():g}"))
+    return contents
 
 
 def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:

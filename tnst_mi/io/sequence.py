@@ -20,6 +20,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.files.companions import companion_groups, companions_of
+from tnst_mi.io.files.folders import densities_of_run
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.files.listing import Listing, list_frames
 from tnst_mi.io.formats import (
@@ -144,6 +145,8 @@ class FrameFiles(Sequence[Frame]):
             InputError: it has no density, or its arrays cannot be used.
         """
         file = self.files[index]
+        if stored.density is None and (densities := densities_of_run(file)):
+            raise InputError(f"{file}: holds the velocity v* of a run and is no frame; its frames are in {densities}")
         name = displayable(file.stem)
         with gate(file, "a frame"):
             try:

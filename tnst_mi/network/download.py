@@ -9,9 +9,8 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-from tqdm import tqdm
-
 from tnst_mi.errors import InputError
+from tnst_mi.machine.progress_bar import progress_bar
 
 TIMEOUT = 10.0
 """Seconds without an answer after which the network counts as unreachable."""
@@ -70,7 +69,7 @@ def _fetch(url: str, part: Path) -> None:
         total = done + int(announced) if announced.isdecimal() else None
         with (
             part.open("ab" if done else "wb") as file,
-            tqdm(total=total, initial=done, unit="B", unit_scale=True, desc=part.stem) as bar,
+            progress_bar(total=total, initial=done, unit="B", unit_scale=True, desc=part.stem) as bar,
         ):
             while chunk := _read(response, url, bar.n):
                 if bar.n + len(chunk) > _LARGEST_DOWNLOAD:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.losses import terms as losses
 from tnst_mi.losses.feature_maps import read_map
 from tnst_mi.losses.objective import Objective
+from tnst_mi.network.class_names import matching_classes
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS
+from tnst_mi.network.readers import read_weights
+from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS, shipped_weights
 from tnst_mi.network.weights import ENVIRONMENT_VARIABLE
 from tnst_mi.recipe.recipe import Recipe
 
@@ -59,3 +62,41 @@ def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
         f'shipped {PATTERNS} ({reason}); {remedy}, or weights = "{PATTERNS}" if its own are '
         f"meant, or a tag, such as {tags}"
     )
+
+
+def require_known(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:
+    """Check that the network has the classes, layers and channels that a recipe names.
+
+    `fallback`: `patterns` is used because no other network was found.
+
+    Raises:
+        InputError: it lacks one; the message says which network that is, and why it was taken.
+    """
+    for tag in recipe.tag:
+        try:
+            network.class_index(tag)
+        except InputError as error:
+            raise InputError(f"{_which(recipe, network, fallback)}: {error}{_where_else(tag, network)}") from None
+    for layer, channels in recipe.semantic_channels:
+        try:
+            network.check_channels(layer, channels)
+        except InputError as error:
+            raise InputError(f"{_which(recipe, network, fallback)}: {error}") from None
+
+
+def _which(recipe: Recipe, network: GoogLeNet, fallback: bool) -> str:
+    """Which network is taken, and why."""
+    if recipe.weights is not None:
+        reason = "as weights says"
+    elif os.environ.get(ENVIRONMENT_VARIABLE):
+        reason = f"as ${ENVIRONMENT_VARIABLE} says"
+    else:
+        reason = "as no other was found" if fallback else f"found at {network.source}"
+    return f"network {network.flavour} ({reason})"
+
+
+def _where_else(tag: str, network: GoogLeNet) -> str:
+    """That the network that ships with the package has a tag which another one lacks."""
+    if network.flavour == PATTERNS or not matching_classes(read_weights(shipped_weights()).class_names or (), tag):
+        return ""
+    return f"; --weights {PATTERNS} has this tag"

@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave, Shape, octaves
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.optimisation.temporal.window import window_weights
+from tnst_mi.recipe.combinations import require_averageable, require_one_transport
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 
@@ -186,34 +186,3 @@ def _seed_number(index: int, number: int | float | None) -> int:
     if number >= 0 and number == int(number):
         return int(number)
     return (1 << 60) + round(number * 1_000_000)
-
-
-def require_averageable(recipe: Recipe) -> None:
-    """Check that a window can be averaged as a recipe says.
-
-    Raises:
-        InputError: an average over smoke is wanted of gradients, which no mask has weighted.
-    """
-    if recipe.window > 1 and recipe.step_order == "align_first" and recipe.window_average == "smoke":
-        raise InputError(
-            "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
-            "nothing to count smoke by; expected window_average = 'plain'"
-        )
-
-
-def require_one_transport(recipe: Recipe) -> None:
-    """Check that the keys of one kind of transport do not come with the other.
-
-    Raises:
-        InputError: they do.
-    """
-    if recipe.transport == "flow":
-        other, foreign = "step", {"steps": recipe.steps != 1}
-    else:
-        other, foreign = "flow", {"stages": recipe.stages != "auto", "conservative": recipe.conservative}
-    for name, given in foreign.items():
-        if given:
-            raise InputError(
-                f"{name} = {getattr(recipe, name)!r} belongs to transport = {other!r}, and transport is "
-                f"{recipe.transport!r}; expected one of them to be otherwise"
-            )

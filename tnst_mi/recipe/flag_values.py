@@ -11,6 +11,7 @@ import tomllib
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.sections import KINDS
 
 _KEY = re.compile(r"([{,]\s*)(-?[0-9]+)\s*:")
@@ -28,7 +29,7 @@ def value_of_flag(name: str, text: str | tuple[str, ...]) -> Any:
     try:
         return KINDS[name].check(KINDS[name].read(text))
     except (ValueError, OverflowError):
-        raise InputError(f"{flag} {shown}: expected {KINDS[name].expected}") from None
+        raise InputError(f"{flag} {shown}: {expectation(KINDS[name], text, name)}") from None
 
 
 def _table(flag: str, text: str) -> dict[str, Any]:

@@ -18,12 +18,32 @@ from tnst_mi.errors import InputError
 #: The values of one key as (frame number, value) pairs in frame order; at least one.
 Keyframes = tuple[tuple[int, Any], ...]
 
-#: The keys of a recipe whose values may change over the frames.
-KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth", "elevation", "eta", "blend")
+#: The keys of a recipe whose values may change over the frames, each with such a table.
+KEYABLE = {
+    "style": '{49 = "fire.png", 72 = "spirals"}',
+    "style_weight": "{49 = 1, 72 = 0.5}",
+    "semantic_weight": "{49 = 0, 72 = 1}",
+    "lam": "{49 = 1, 72 = 0}",
+    "gamma": "{49 = 0.1, 72 = 1.0}",
+    "azimuth": "{49 = [-10, 10], 72 = [30, 50]}",
+    "elevation": "{49 = [-5, 5], 72 = [10, 20]}",
+    "eta": "{49 = 0.001, 72 = 0.002}",
+    "blend": "{49 = 0, 72 = 1}",
+}
 
 
 #: The keys whose values are tables from layers to weights.
 LAYER_TABLES = ("style_layers", "content_layers")
+
+
+def with_keyframes(name: str, text: str, introduction: str) -> str:
+    """The documentation of a key, with an example of keyframes if it may have some.
+
+    Example:
+        >>> with_keyframes("gamma", "Extinction.", "Keyframes")
+        'Extinction. Keyframes: {49 = 0.1, 72 = 1.0}.'
+    """
+    return f"{text} {introduction}: {KEYABLE[name]}." if name in KEYABLE else text
 
 
 def is_keyframed(name: str, value: Any) -> bool:

@@ -45,7 +45,7 @@ class Number:
     def expected(self) -> str:
         """The allowed values in words."""
         number = "a number" + _range_in_words(self.low, self.high, self.above)
-        return f'{number} or "{self.word}"' if self.word else number
+        return f"{number} or {self.word}" if self.word else number
 
     @property
     def placeholder(self) -> str:
@@ -83,7 +83,7 @@ class Integer:
     def expected(self) -> str:
         """The allowed values in words."""
         number = f"an {'odd ' if self.odd else ''}integer{_range_in_words(self.low, self.high, None)}"
-        return f'{number} or "{self.word}"' if self.word else number
+        return f"{number} or {self.word}" if self.word else number
 
     @property
     def placeholder(self) -> str:
@@ -110,10 +110,10 @@ class Integer:
 
 @dataclass(frozen=True)
 class Switch:
-    """True or false; the flag of a `bare` one has no value, and means true."""
+    """True or false, as a flag on or off; the flag of a `bare` one has no value, and means on."""
 
-    placeholder: str = "true|false"
-    expected: str = "true or false"
+    placeholder: str = "on|off"
+    expected: str = "on or off (true or false in a recipe)"
     bare: bool = False
 
     def check(self, value: Any) -> bool:
@@ -123,14 +123,14 @@ class Switch:
         return value
 
     def read(self, text: str) -> bool:
-        """Read "true" or "on", "false" or "off"."""
+        """Read "on" or "true", "off" or "false"."""
         if text not in ("true", "false", "on", "off"):
             raise ValueError
         return text in ("true", "on")
 
     def show(self, value: bool) -> str:
-        """Write "true" or "false"."""
-        return str(value).lower()
+        """Write "on" or "off"."""
+        return "on" if value else "off"
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,8 @@ class Choice:
     @property
     def expected(self) -> str:
         """The allowed values in words."""
-        return "one of " + ", ".join(f'"{option}"' for option in self.options)
+        *others, last = self.options
+        return f"{', '.join(others)} or {last}" if others else last
 
     @property
     def placeholder(self) -> str:

@@ -22,8 +22,17 @@ import tomlkit
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.gate import decoding
+from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.flag_values import value_of_flag
-from tnst_mi.recipe.keyframes import Keyframes, converted, is_keyframed, pictures_of, shares_at, value_at
+from tnst_mi.recipe.keyframes import (
+    Keyframes,
+    converted,
+    is_keyframed,
+    pictures_of,
+    shares_at,
+    value_at,
+    with_keyframes,
+)
 from tnst_mi.recipe.paths import located, shipped_name
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.recipe_file import read_recipe_file
@@ -172,7 +181,7 @@ class Recipe(Reading, Resources, Method, Goals):
         """Write the recipe as TOML, every key under its documentation; keys that are not set become comments."""
         document = tomlkit.document()
         for name, text in documentation().items():
-            for line in textwrap.wrap(text, 100):
+            for line in textwrap.wrap(with_keyframes(name, text, "Keyframes"), 100):
                 document.add(tomlkit.comment(line))
             value = self._value_or_table(name)
             if value is None:
@@ -237,8 +246,7 @@ def _checked(name: str, value: Any, source: str) -> Any:
     try:
         return KINDS[name].check(value)
     except (ValueError, OverflowError):
-        shown = reprlib.repr(value)
-        raise InputError(f"{source}{name} = {shown}: expected {KINDS[name].expected}") from None
+        raise InputError(f"{source}{name} = {reprlib.repr(value)}: {expectation(KINDS[name], value, name)}") from None
 
 
 def _meant(name: str, value: Any) -> str:

@@ -69,7 +69,7 @@ class Goals:
 class Method:
     """How to get there."""
 
-    preset: Annotated[str | None, Text("paper", '"paper"', "paper")] = None
+    preset: Annotated[str | None, Unset(Choice(("paper",)))] = None
     """Other defaults: paper takes the formulas of the paper where ours differ (docs/paper.md). Keys that are given, in
     the recipe or as flags, stay as they are given."""
     lam: Annotated[float, Number(0.0, 1.0)] = 1.0
@@ -96,8 +96,8 @@ class Method:
     elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
     """Range of camera elevations in degrees, + upwards; the main view is its centre."""
     fit: Annotated[bool, Switch()] = False
-    """Size of the images: false is the paper's, the columns and rows of the grid, beyond which views from the side are
-    cut off; true has room for all of the grid in every view."""
+    """Size of the images: off is the paper's, the columns and rows of the grid, beyond which views from the side are
+    cut off; on has room for all of the grid in every view."""
     loss_scaling: Annotated[str, Choice(("gradient", "none"))] = "gradient"
     """Scale of a loss term before it is weighted: gradient divides it, in each octave, by the RMS of its first image
     gradient, so that terms of equal weight count equally; none leaves the weights plain factors (Eq. 1)."""
@@ -137,8 +137,8 @@ class Method:
     """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells per
     frame of the largest velocity that a path meets, up to 32."""
     conservative: Annotated[bool, Switch()] = False
-    """With transport flow, true makes smoke denser where it contracts and thinner where it expands (lam above 0), so
-    that its mass is kept as far as the grid resolves this; false keeps the densities, as in the paper."""
+    """With transport flow, on makes smoke denser where it contracts and thinner where it expands (lam above 0), so
+    that its mass is kept as far as the grid resolves this; off keeps the densities, as in the paper."""
     parameterisation: Annotated[str, Choice(("transport", "density"))] = "transport"
     """Optimise velocities that transport the smoke, or change density values in place."""
     integrator: Annotated[str, Choice(("emission_absorption", "prbvolpath"))] = "emission_absorption"
@@ -172,20 +172,16 @@ class Resources:
             r"-?\d{1,9}(\.\d{1,6})?(:-?\d{1,9}(\.\d{1,6})?)?",
         ),
     ] = None
-    """Numbers of the first and the last frame of a sequence to stylize, or of one; with decimal points, such as
-    1.0:2.5, sub-frames are taken too. All whole frames if not set. In a recipe file, and as flags in quotes, style,
-    style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
-    between keys: gamma = {49 = 0.1, 72 = 1.0}."""
+    """Numbers of the first and the last frame of a sequence to take, or of one; with decimal points, such as 1.0:2.5,
+    sub-frames are taken too. All whole frames if not set."""
     weights: Annotated[
-        str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
+        str | None, Text(f"FILE|FOLDER|{PATTERNS}", f"a file or folder with GoogLeNet weights, or {PATTERNS}")
     ] = None
     """GoogLeNet weights: a file, a folder, or patterns, the network that ships with the package. If not set, they are
     searched for (tnst-mi weights lists the places)."""
-    variant: Annotated[
-        str | None, Text("cuda_ad_rgb|llvm_ad_rgb", "cuda_ad_rgb or llvm_ad_rgb", "cuda_ad_rgb|llvm_ad_rgb")
-    ] = None
+    variant: Annotated[str | None, Unset(Choice(("cuda_ad_rgb", "llvm_ad_rgb")))] = None
     """Mitsuba variant: GPU or CPU. If not set, the GPU if one is available."""
-    format: Annotated[str | None, Text("npz|vol|uni|vdb", "npz, vol, uni or vdb", "npz|vol|uni|vdb")] = None
+    format: Annotated[str | None, Unset(Choice(("npz", "vol", "uni", "vdb")))] = None
     """File format of the results; the input's format if not set."""
     fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None
     """Frames per second of a sequence, above 0: of its preview video (24 if not set), and of velocities per time, of
@@ -215,8 +211,8 @@ class Reading:
     """Duration of a frame in that unit of time. If not set, it follows from fps, or is 0.1 for cells-per-time and 1/24
     for length-per-time."""
     scale: Annotated[float | None, Unset(Number(above=0.0, high=1e30))] = None
-    """Factor of the densities as they are stored. If not set, 1, but 1/255 for arrays of bytes and 1/65535 for those of
-    two bytes, as in pictures."""
+    """Factor of the densities as they are stored. If not set, 1, but 1/255 for arrays of unsigned bytes (uint8) and
+    1/65535 for those of two (uint16), as in pictures; other whole numbers are taken as they are."""
     voxel_size: Annotated[float | None, Unset(Number(above=0.0, high=1e9))] = None
     """Edge of a cell in the scene's unit of length, with which .vdb files are written too. If not set, the file's."""
     origin: Annotated[tuple[float, float, float] | None, Unset(Point())] = None

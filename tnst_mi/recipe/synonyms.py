@@ -7,6 +7,9 @@ from collections.abc import Collection
 
 #: By a known key or flag, without dashes, the names under which people look for it.
 _OTHER_NAMES: dict[str, str] = {
+    "input": "file files in i source src path in_dir input_dir input_file input_folder smoke_file",
+    "files": "file input in i source src path folder input_file input_folder",
+    "output": "out output_dir outdir out_dir dest destination output_file target o",
     "azimuth": "camera camera_angle angle angles view_angle rotation yaw orbit",
     "elevation": "pitch tilt camera_height",
     "views": "cameras num_views n_views view viewpoints",
@@ -47,7 +50,13 @@ _OTHER_NAMES: dict[str, str] = {
     "download": "get fetch",
 }
 
-_BY_OTHER_NAME = {other: name for name, others in _OTHER_NAMES.items() for other in others.split()}
+#: How alike two spellings must be, from 0 to 1: below it, a guess would mislead more often than help.
+_LIKENESS = 0.7
+
+_BY_OTHER_NAME: dict[str, list[str]] = {}
+for _name, _others in _OTHER_NAMES.items():
+    for _other in _others.split():
+        _BY_OTHER_NAME.setdefault(_other, []).append(_name)
 
 _QUICK = "a single octave gives a quick preview (octaves = 1, --octaves 1)"
 
@@ -66,22 +75,26 @@ def meant(name: str, known: Collection[str]) -> str | None:
     """The known name that an unknown one probably means: by meaning, else by spelling; None if there is none.
 
     Args:
-        name: a key, or a flag without its dashes; dashes inside count as underscores.
+        name: a key or a flag; dashes inside count as underscores.
         known: the names to choose from.
 
     Example:
-        >>> meant("camera", ["azimuth", "gamma"]), meant("gama", ["azimuth", "gamma"]), meant("xyz", ["gamma"])
+        >>> meant("--camera", ["azimuth", "gamma"]), meant("gama", ["azimuth", "gamma"]), meant("bogus", ["fog"])
         ('azimuth', 'gamma', None)
     """
-    plain = name.lower().replace("-", "_").lstrip("_")
+    plain = _plain(name)
     if plain in known:
         return plain
     if plain in _BY_OTHER_NAME or plain in _ADVICE:
-        return _BY_OTHER_NAME[plain] if _BY_OTHER_NAME.get(plain) in known else None
-    nearest = difflib.get_close_matches(plain, known, n=1, cutoff=0.5)
+        return next((other for other in _BY_OTHER_NAME.get(plain, ()) if other in known), None)
+    nearest = difflib.get_close_matches(plain, known, n=1, cutoff=_LIKENESS)
     return nearest[0] if nearest else None
 
 
 def advice(name: str, known: Collection[str]) -> str | None:
     """What does what an unknown name asks for, where no single known name does; None if nothing is known."""
-    return _ADVICE.get(name.lower().replace("-", "_")) if "octaves" in known else None
+    return _ADVICE.get(_plain(name)) if "octaves" in known else None
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "_").lstrip("_")

@@ -75,7 +75,7 @@ def _of_images(prepared: Prepared) -> Iterator[str]:
     if cut_off > _CUT_OFF:
         yield (
             f"warning: up to {cut_off:.0%} of the smoke is outside the images of views from the side; fit = true "
-            "(--fit true) makes room for it"
+            "(--fit on) makes room for it"
         )
     if faint := [plan.name for plan in frames if 0 < plan.step_scale < _FAINT]:
         names = ", ".join(faint[:3]) + (f" and {len(faint) - 3} others" if len(faint) > 3 else "")

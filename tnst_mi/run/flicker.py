@@ -3,8 +3,9 @@
     flicker_t = ‖SL(d*_t − d_t, u_t) − (d*_{t+1} − d_{t+1})‖₂ / ‖d*_{t+1} − d_{t+1}‖₂
 
 SL is one semi-Lagrangian step, clamped at the edge. 0 means that the change moves with the smoke; about √2 means that
-the changes of the two frames, if of equal size, are unrelated. The size of the changes does not enter: the value says
-little without it (`relative_change`) and without the reduction of the loss.
+the changes of the two frames, if of equal size, are unrelated; if the first is r times as large, that is √(1 + r²). The
+size of the changes does not enter otherwise: the value says little without it (`relative_change`) and without the
+reduction of the loss.
 """
 
 from __future__ import annotations

@@ -18,11 +18,9 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -32,11 +30,17 @@ from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import can_encode
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.lock import LOCK
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.before_after import side_by_side
-from tnst_mi.run.report import plot_sequence, write_contact_sheet, write_preview
+
+if TYPE_CHECKING:
+    from tnst_mi.run import report
+else:
+    # It draws with matplotlib, which takes long to import; what a folder holds is asked before that is needed.
+    report = LazyModule("tnst_mi.run.report")
 
 #: Files that a run writes for each frame, and for all frames together; overwriting removes these and no others.
 _FRAME_FILES = (
@@ -213,7 +217,7 @@ class RunFolder:
         append(self._metrics, "".join(json.dumps({"frame": name, **entry}) + "\n" for entry in history))
         sync(self._metrics)
         if history:
-            plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
+            report.plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
 
     def _keep_metrics(self, finished: Collection[str]) -> None:
         """Remove the iterations of other frames from metrics.jsonl, and a last line that is incomplete."""
@@ -237,13 +241,13 @@ class RunFolder:
 
         if can_encode():
             pairs = ((before, after) for _, before, after in pictures())
-            write_preview(images / "preview.mp4", pairs, frames_per_second)
+            report.write_preview(images / "preview.mp4", pairs, frames_per_second)
         else:
             print("note: preview.mp4 is not written: pip install imageio-ffmpeg", file=sys.stderr)
-        write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
+        report.write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
         before, after = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
         flickers, changes = sequence["flicker_pairs"], sequence["relative_changes"]
-        plot_sequence(images / "sequence.png", names, before, after, flickers, changes)
+        report.plot_sequence(images / "sequence.png", names, before, after, flickers, changes)
 
     def remove_work(self) -> None:
         """Remove the working state of a finished run."""
@@ -255,20 +259,6 @@ class RunFolder:
         self._may_write()
         with written_whole(self.out / "run.json") as temporary:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
-
-
-def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
-    """Plot the loss over the iterations as PNG, one panel per octave, since each scales its terms anew."""
-    octaves = sorted({entry["octave"] for entry in history})
-    figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
-    figure.suptitle(name, parse_math=False)
-    for axes, octave in zip(figure.subplots(1, len(octaves), squeeze=False)[0], octaves, strict=True):
-        entries = [entry for entry in history if entry["octave"] == octave]
-        axes.plot([entry["iteration"] for entry in entries], [entry["loss"] for entry in entries], marker=".")
-        axes.set(title=f"octave {octave + 1} of {len(octaves)}", xlabel="iteration", ylabel="loss")
-        axes.xaxis.get_major_locator().set_params(integer=True)
-    with written_whole(path) as temporary:
-        FigureCanvasAgg(figure).print_png(str(temporary))
 
 
 def _occupied(out: Path) -> bool:

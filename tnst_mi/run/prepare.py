@@ -21,18 +21,18 @@ from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
-from tnst_mi.machine.disk import require_names, require_space, require_writable
-from tnst_mi.machine.lock import require_unlocked
+from tnst_mi.machine.disk import require_names, require_space
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
-from tnst_mi.optimisation.goals import objective_of, require_meant
-from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, require_one_transport
+from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
+from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.resources import expanded
-from tnst_mi.run.folder import frame_names, holds_run, resumable_run
-from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames, sequence_of
+from tnst_mi.run.folder import resumable_run
+from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
 from tnst_mi.run.measure import (
     Measure,
     digests,
@@ -44,6 +44,7 @@ from tnst_mi.run.measure import (
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
+from tnst_mi.run.request import requested_frames
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -124,11 +125,12 @@ def load_network(recipe: Recipe) -> Network:
     """The network that a recipe names, or else the first that is found.
 
     Raises:
-        InputError: it cannot be found or read, or the recipe's channels are those of another network.
+        InputError: it cannot be found or read, or lacks or does not mean what the recipe names.
     """
     weights = find_weights(recipe.weights)
     network = GoogLeNet.from_file(weights.path)
     require_meant(recipe, network, weights.fallback)
+    require_known(recipe, network, weights.fallback)
     return Network(network, weights.fallback)
 
 
@@ -156,23 +158,10 @@ def prepare(
     Raises:
         InputError: something cannot be used, or another run writes to `out`.
     """
-    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
-        raise InputError(
-            "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
-        )
-    require_averageable(recipe)
-    require_one_transport(recipe)
-    if resume and overwrite:
-        raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
-    if out is not None:
-        require_unlocked(out)
-        require_writable(out, source, None if resume or overwrite else _remedy(out))
-        if overwrite:
-            frame_names(out)  # refuses anything but a run
-    sequence = sequence_of(frames, recipe)
+    sequence = requested_frames(frames, recipe, out, resume=resume, overwrite=overwrite)
     # Reading the first frame finds most bad inputs before the network is loaded.
     first = next(iter(Readable(sequence, recipe.skip_bad)))
     shape = first.density.shape
@@ -261,13 +250,7 @@ def prepare(
 def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
     """The frames, with a progress bar on stderr while they are read; a single one needs none."""
     shown = shown and len(frames) > 1
-    return tqdm(frames, doing, unit="frame", disable=not shown, dynamic_ncols=True, leave=False, delay=1.0)
-
-
-def _remedy(out: Path) -> str:
-    if holds_run(out):
-        return "continue its run with --resume, or replace it with --overwrite"
-    return "give an empty or new folder"
+    return progress_bar(frames, doing, unit="frame", disable=not shown, leave=False, delay=1.0)
 
 
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from tqdm import tqdm
 
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.machine.terminal import printable
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.time_left import OctaveSize, TimeLeft
@@ -34,9 +35,7 @@ class ProgressBar:
         if self._bar is None:
             # A resumed run begins where the earlier one stopped.
             begin = progress.done - 1
-            self._bar = tqdm(
-                total=progress.total, initial=begin, unit="it", disable=not self._shown, dynamic_ncols=True
-            )
+            self._bar = progress_bar(total=progress.total, initial=begin, unit="it", disable=not self._shown)
             self._begun = time.perf_counter()
         now = time.perf_counter()
         left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))

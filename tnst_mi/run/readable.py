@@ -8,7 +8,7 @@ from pathlib import Path
 from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.frame import Frame
 from tnst_mi.io.sequence import FrameFiles
-from tnst_mi.machine.terminal import some_of
+from tnst_mi.machine.terminal import LONGEST, some_of
 
 # Bounds of a message: frames that it names, and characters of a cause.
 _NAMED, _LONGEST = 3, 68
@@ -49,11 +49,31 @@ class Readable(Iterable[Frame]):
                 # It may be our fault: then leaving the frame out would hide it.
                 raise
             except InputError as error:
-                self._bad.append(str(error))
+                self.reject(error)
                 continue
-            self.kept.append(index)
-            self._note(frame)
+            self.keep(index, frame)
             yield frame
+        self.require()
+
+    def keep(self, index: int, frame: Frame) -> None:
+        """Note what is to be said of a frame that has been read, from a place in the sequence."""
+        self.kept.append(index)
+        if frame.reading:
+            self._readings.setdefault(frame.reading, []).append(frame.name)
+        for note in frame.notes:
+            detail = f" ({note.detail})" if note.detail else ""
+            self._notes.setdefault(note.text, []).append(f"{frame.name}{detail}")
+
+    def reject(self, error: InputError) -> None:
+        """Note that a frame cannot be read."""
+        self._bad.append(str(error))
+
+    def require(self) -> None:
+        """Check, once all frames have been tried, that they could be read, or may be left out.
+
+        Raises:
+            InputError: they could not.
+        """
         require_readable(self._bad, len(self._frames), self._skip_bad)
 
     def frames(self) -> Sequence[Frame]:
@@ -78,13 +98,6 @@ class Readable(Iterable[Frame]):
             lines.append(f"note: left out, since they cannot be read: {_shortened(self._bad)}")
         return lines
 
-    def _note(self, frame: Frame) -> None:
-        if frame.reading:
-            self._readings.setdefault(frame.reading, []).append(frame.name)
-        for note in frame.notes:
-            detail = f" ({note.detail})" if note.detail else ""
-            self._notes.setdefault(note.text, []).append(f"{frame.name}{detail}")
-
 
 def require_readable(bad: Sequence[str], total: int, skip_bad: bool) -> None:
     """Check that all frames could be read, or some if the others are to be left out.
@@ -95,19 +108,50 @@ def require_readable(bad: Sequence[str], total: int, skip_bad: bool) -> None:
         skip_bad: whether to go on without them.
 
     Raises:
-        InputError: it names them.
+        InputError: it names them, and says each reason once.
     """
     if not bad or (skip_bad and len(bad) < total):
         return
-    if len(set(bad)) == 1:
+    remedy = "" if len(bad) == total else f"; --skip-bad leaves {'it' if len(bad) == 1 else 'them'} out"
+    if len(bad) == 1:
+        raise InputError(_fitting(bad[0], LONGEST - len(remedy)) + remedy)
+    if len(set(bad)) == 1:  # of all frames together
         raise InputError(bad[0])
-    remedy = "; --skip-bad leaves them out" if len(bad) < total else ""
-    raise InputError(f"{len(bad)} of {total} frames cannot be read: {_shortened(bad)}{remedy}")
+    reasons, start = _by_reason(bad), f"{len(bad)} of {total} frames cannot be read"
+    if len(reasons) > 1:
+        raise InputError(f"{start}: {_shortened(bad)}{remedy}")
+    ((reason, names),) = reasons.items()
+    for named in range(_NAMED, 0, -1):
+        message = f"{start} ({some_of(names, named)}): {reason}{remedy}"
+        if len(message) <= LONGEST:
+            raise InputError(message)
+    start = f"{start} ({some_of(names, 1)}): "
+    raise InputError(start + _fitting(reason, LONGEST - len(start) - len(remedy)) + remedy)
+
+
+def _by_reason(messages: Sequence[str]) -> dict[str, list[str]]:
+    """The names of the files at the start of messages, by what follows them."""
+    reasons: dict[str, list[str]] = {}
+    for text in messages:
+        path, separator, rest = text.partition(": ")
+        reasons.setdefault(rest if separator else text, []).append(Path(path).name if separator else "")
+    return reasons
 
 
 def _shortened(messages: Sequence[str]) -> str:
-    """Some messages, each cut short and without the folder of the file that it starts with."""
-    parts = [text.partition(": ") for text in messages]
-    messages = [f"{Path(path).name}: {rest}" if separator else path for path, separator, rest in parts]
-    shown = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in messages[:_NAMED]]
-    return "; ".join(shown) + (f"; and {len(messages) - len(shown)} more" if len(messages) > len(shown) else "")
+    """The reasons of some messages, each with the names of its files and cut short."""
+    parts = []
+    for reason, names in _by_reason(messages).items():
+        text = f"{some_of([name for name in names if name], 1)}: {reason}" if any(names) else reason
+        parts.append(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…")
+    named = sum(len(names) for names in list(_by_reason(messages).values())[:_NAMED])
+    return "; ".join(parts[:_NAMED]) + (f"; and {len(messages) - named} more" if len(messages) > named else "")
+
+
+def _fitting(text: str, most: int) -> str:
+    """A text of at most so many characters: what is left out is before its last clause, which is the remedy."""
+    if len(text) <= most:
+        return text
+    body, separator, remedy = text.rpartition("; ")
+    room = most - len(separator) - len(remedy) - 1
+    return f"{body[:room]}…{separator}{remedy}" if separator and room > 0 else f"{text[: most - 1]}…"

@@ -1,4 +1,4 @@
-"""Visual reports of a stylized sequence: a preview video, a contact sheet, and plots over the frames."""
+"""Visual reports: the loss of a frame; of a sequence a preview video, a contact sheet, and plots over the frames."""
 
 from __future__ import annotations
 
@@ -81,6 +81,20 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
             write("before", _CAPTION / 2, top + height / 4, va="center", rotation=90)
             write("after", _CAPTION / 2, top + 3 * height / 4, va="center", rotation=90)
     figure.figimage(np.repeat(eight_bits(sheet)[..., None], 3, axis=2))
+    with written_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(str(temporary))
+
+
+def plot_loss(path: Path, name: str, history: list[dict[str, Any]]) -> None:
+    """Plot the loss over the iterations as PNG, one panel per octave, since each scales its terms anew."""
+    octaves = sorted({entry["octave"] for entry in history})
+    figure = Figure(figsize=(4 * len(octaves), 3.5), layout="constrained")
+    figure.suptitle(name, parse_math=False)
+    for axes, octave in zip(figure.subplots(1, len(octaves), squeeze=False)[0], octaves, strict=True):
+        entries = [entry for entry in history if entry["octave"] == octave]
+        axes.plot([entry["iteration"] for entry in entries], [entry["loss"] for entry in entries], marker=".")
+        axes.set(title=f"octave {octave + 1} of {len(octaves)}", xlabel="iteration", ylabel="loss")
+        axes.xaxis.get_major_locator().set_params(integer=True)
     with written_whole(path) as temporary:
         FigureCanvasAgg(figure).print_png(str(temporary))
 

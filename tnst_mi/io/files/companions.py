@@ -16,6 +16,8 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from tnst_mi.io.interpretation.grid_names import DENSITY, SMOKE
+
 #: Words for the grids, the one that we write first.
 VELOCITY, OBSTACLE = ("velocity", "vel", "v"), ("obstacle", "flags", "solid")
 
@@ -27,7 +29,7 @@ def _words(*words: str) -> re.Pattern[str]:
 
 
 _DENSITY = _words("density")
-_OTHER_DENSITY = _words("dens", "smoke", "rho", "d")
+_OTHER_DENSITY = _words(*(word for word in (*DENSITY, *SMOKE) if word != "density"))
 _COMPANION = _words(*VELOCITY, *OBSTACLE, "(?:velocity|vel|v)[xyz]", "[uw]")
 #: Grids of a simulation that neither are density nor belong to a frame.
 _OTHER_GRID = _words("temperature", "temp", "heat", "fuel", "flame", "react", "pressure", "shadow", "burn", "phi", "cd")

@@ -61,6 +61,12 @@ def frame_folder(path: Path, suffixes: Sequence[str]) -> FrameFolder:
     raise InputError(f"{path}: no frames in this folder, {expected}{_meant(path, with_frames)}")
 
 
+def densities_of_run(velocity: Path) -> Path | None:
+    """The folder with the densities of the run that has written a file, if that holds its velocity v*; else None."""
+    folder = velocity.absolute().parent
+    return folder.parent / "density" if folder.name == "velocity" and _is_run(folder.parent) else None
+
+
 def frame_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """The visible files of a folder with some extensions, sorted; hidden ones are not ours, or left unfinished."""
     visible = (file for file in folder.iterdir() if not file.name.startswith("."))

@@ -79,12 +79,14 @@ class Taken:
         velocity: that of the velocity's, or of its components.
         obstacle: that of the obstacle's.
         left: the names of the other grids.
+        like_velocity: where there is no velocity, those that may be one by another name.
     """
 
     density: str | None = None
     velocity: str | None = None
     obstacle: str | None = None
     left: tuple[str, ...] = ()
+    like_velocity: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +154,9 @@ class StoredFrame:
         scale = self.scale if given.scale is None else given.scale
         density = self._turned(self.density, given)
         notes = self.notes if self.notes or density.any() else (Note("no smoke in it"),)
+        if self.velocity is None and self.taken.like_velocity:
+            names = listed(list(self.taken.like_velocity))
+            notes = (*notes, Note(f"looks like a velocity, which --velocity NAME takes it for: {names}"))
         if scale != 1.0:
             with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
                 density = density.astype(np.float32) * np.float32(scale)
@@ -192,8 +197,12 @@ class StoredFrame:
             words += [] if dt is None else [f"{dt:.4g} time units per frame"]
         size = given.voxel_size or self.voxel_size
         words += [] if size is None else [f"voxel size {size:g}"]
-        if self.scale != 1.0 and given.scale is None:
-            words.append(f"density times 1/{1.0 / self.scale:.0f} (whole numbers, as in pictures; --scale)")
+        if self.density is not None and self.density.dtype.kind in "iu" and given.scale is None:
+            kind = self.density.dtype.name
+            if self.scale != 1.0:
+                words.append(f"density times 1/{1.0 / self.scale:.0f} ({kind}, as in pictures; --scale)")
+            else:
+                words.append(f"density as stored ({kind}; --scale)")
         taken = [
             f"no {role}" if name is None else f"{role} from {name}"
             for role, name in (

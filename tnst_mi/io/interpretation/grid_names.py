@@ -7,20 +7,21 @@ from collections.abc import Sequence
 
 from tnst_mi.machine.terminal import quoted, shortened, some_of
 
-#: Names that say enough by themselves, in order of preference.
-DENSITY = ("density", "dens")
+#: Names that say enough by themselves, of grids and of files, in order of preference.
+DENSITY = ("density", "dens", "rho", "d")
 VELOCITY = ("velocity", "vel", "v", "velocities", "velo", "u")
 OBSTACLE = ("obstacle", "obstacles", "solid", "solids", "collision", "collider", "flags")
 
 #: The name of Mantaflow's cell types, whose bits say what is solid.
 FLAGS = "flags"
 
-# Words that say enough as a part of a name, unless another word says that the grid is something else.
-_SMOKE = ("density", "smoke", "fog", "soot", "cloud", "mist", "haze", "steam", "vapor", "vapour", "fume", "dust")
+#: Words that say enough as a part of a name, unless another word says that the grid is something else.
+SMOKE = ("density", "smoke", "fog", "soot", "cloud", "mist", "haze", "steam", "vapor", "vapour", "fume", "dust")
 _MOVING = ("velocity", "vel")
 _ELSE = (
     *("temperature", "temp", "heat", "fuel", "flame", "fire", "burn", "react", "age", "pressure", "divergence"),
     *("color", "colour", "cd", "sdf", "phi", "mask", "shadow", "emission", "normal", "gradient", "force", "rest"),
+    *("vorticity", "curl", "position"),
 )
 
 # Words of what is made from or for a velocity.
@@ -54,14 +55,19 @@ def base_name(name: str) -> str:
 
 def is_partly_density(name: str) -> bool:
     """Whether a part of a name says that it is smoke, and no other part that it is something else about it."""
-    return _says(name, _SMOKE) and not set(plain_name(name).split()) & {*_ELSE, *_MOVING}
+    return _says(name, SMOKE) and not _says_else(name, *_MOVING)
 
 
 def is_partly_velocity(name: str) -> bool:
-    """Whether a part of a name says that it is a velocity, and no other part that it is something else about it, or one
-    of its components."""
-    others = {*_ELSE, *_ABOUT_MOVING}
-    return _says(name, _MOVING) and not set(plain_name(name).split()) & others and component(name) is None
+    """Whether a part of a name says that it is a velocity, and no other part that it is something else, something about
+    a velocity, or one of its components."""
+    about = set(plain_name(name).split()) & {*_ABOUT_MOVING}
+    return _says(name, _MOVING) and not about and not _says_else(name) and component(name) is None
+
+
+def may_be_velocity(name: str) -> bool:
+    """Whether no part of the name of vectors says that they are something else than velocities."""
+    return not _says_else(name)
 
 
 def component(name: str, vector: str | None = None) -> tuple[str, int] | None:
@@ -99,6 +105,11 @@ def listed(names: Sequence[str | tuple[str, str]], in_quotes: bool = True) -> st
         name, remark = entry if isinstance(entry, tuple) else (entry, "")
         shown.append(f"{quoted(name, _LONGEST) if in_quotes else shortened(name, _LONGEST)}{remark}")
     return some_of(shown, _SHOWN) or "none"
+
+
+def _says_else(name: str, *words: str) -> bool:
+    """Whether a name has a word for something that is neither smoke nor a velocity, or one of some other words."""
+    return bool(set(plain_name(name).split()) & {*_ELSE, *words})
 
 
 def _says(name: str, words: tuple[str, ...]) -> bool:

@@ -68,6 +68,7 @@ class Roles:
         obstacle: as the density.
         left: all others.
         lacking: why there is no density; empty if there is one.
+        like_velocity: where there is no velocity, those of `left` that may be one by another name.
     """
 
     density: _Indices
@@ -75,6 +76,7 @@ class Roles:
     obstacle: _Indices
     left: _Indices
     lacking: str = ""
+    like_velocity: _Indices = ()
 
 
 def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -> Roles:
@@ -94,7 +96,7 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
         >>> names = ("Density", "vel.x", "vel.y", "vel.z", "temperature")
         >>> entries = [Entry(name, True, False, "float") for name in names]
         >>> chosen_roles(entries, Wanted())
-        Roles(density=(0,), velocity=(1, 2, 3), obstacle=(), left=(4,), lacking='')
+        Roles(density=(0,), velocity=(1, 2, 3), obstacle=(), left=(4,), lacking='', like_velocity=())
         >>> chosen_roles(entries[4:], Wanted()).lacking
         "no grid 'density', the grids found are: 'temperature'; choose with --density NAME"
     """
@@ -104,7 +106,8 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
     velocity = choice.velocity(wanted.velocity, required=not lacking)
     obstacle = choice.obstacle(wanted.obstacle, required=not lacking)
     left = tuple(index for index in range(len(entries)) if index not in {*density, *velocity, *obstacle})
-    return Roles(density, velocity, obstacle, left, lacking)
+    like_velocity = () if velocity or wanted.velocity is not None else choice.like_velocity(left)
+    return Roles(density, velocity, obstacle, left, lacking, like_velocity)
 
 
 class _Choice:
@@ -146,6 +149,15 @@ class _Choice:
         found = found or self._unnamed(lambda entry: entry.vector and not entry.scalar)
         # What is called so but has other values is refused where it is read, rather than dropped.
         return found or self._called("velocity", ("velocity",))
+
+    def like_velocity(self, left: _Indices) -> _Indices:
+        """Those of some entries that are vectors and not said to be something else than a velocity."""
+        return tuple(
+            index
+            for index in left
+            if self._entries[index].vector and (self._entries[index].plane or not self._entries[index].scalar)
+            if grid_names.may_be_velocity(self._entries[index].name)
+        )
 
     def obstacle(self, wanted: str | None, required: bool) -> _Indices:
         """The entry of the obstacle."""

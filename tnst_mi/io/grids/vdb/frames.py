@@ -19,6 +19,7 @@ from tnst_mi.frame import Note
 from tnst_mi.geometry.affine import EDGE_TOLERANCE, Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
 from tnst_mi.geometry.placement import OwnVoxels
+from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.vdb.adaptive_domain import domain_corner, placed
 from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.component_files import read_parts
@@ -163,25 +164,25 @@ def has_density(path: Path, wanted: Wanted) -> bool:
     return not quantities_of(read_vdb(path), wanted).lacking
 
 
-def describe_vdb(path: Path) -> list[str]:
-    """The contents of a file, one line per grid; of a cache of Blender, where its domain begins."""
-    lines, file = [], placed(read_vdb(path))
+def describe_vdb(path: Path) -> list[Contents]:
+    """The grids of a file; of a cache of Blender, where its domain begins too."""
+    contents, file = list[Contents](), placed(read_vdb(path))
     for grid in file.grids:
-        words = [type_in_words(grid), shortened(str(grid.metadata.get("class", "unknown"))), grid.codec]
-        words.append(_voxels(grid))
+        kind = ", ".join((type_in_words(grid), shortened(str(grid.metadata.get("class", "unknown"))), grid.codec))
+        numbers, box = [_voxels(grid)], None
         if grid.kind is not None:
             box = grid.topology.active_box()
-            words.append(f"{grid.topology.active_voxels} active voxels")
-            if box is not None:
-                words.append(f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}")
-            words += _range(grid)
-        lines.append(f"  grid {quoted(grid.name)}: {', '.join(words)}")
+            numbers += [f"{grid.topology.active_voxels} active voxels", *_range(grid)]
+        span = "" if box is None else f"from {tuple(box[0].tolist())} to {tuple(box[1].tolist())}"
+        contents.append(Contents(f"grid {quoted(grid.name)}: {kind}", span, ", ".join(numbers)))
     if any(BLENDER in grid.metadata for grid in file.grids) and (corner := domain_corner(path)):
         flags = f"--origin={','.join(f'{number:g}' for number in corner)}"
         if file.grids[0].placed is not None:
             flags += f" --voxel-size={file.grids[0].affine.edge:g}"
-        lines.append(f"  domain of Blender: at the origin in the cache; {flags} places results as in its object")
-    return lines
+        contents.append(
+            Contents(f"domain of Blender: at the origin in the cache; {flags} places results as in its object")
+        )
+    return contents
 
 
 def run_grid_of(

@@ -206,7 +206,8 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
         density = replace(density, grids=grids)
     names = [None if quantity is None else quantity.name for quantity in (density, velocity, obstacle)]
     left = tuple(_in_words(file.grids[index]) for index in roles.left)
-    taken = Taken(names[0], names[1], names[2], left)
+    like_velocity = tuple(file.grids[index].name for index in roles.like_velocity)
+    taken = Taken(names[0], names[1], names[2], left, like_velocity)
     return Quantities(density, velocity, obstacle, taken, roles.lacking)
 
 

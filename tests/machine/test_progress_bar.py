@@ -1,0 +1,54 @@
+"""Progress: bars on terminals, and in logs a few plain lines."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import pytest
+from tqdm import tqdm
+
+from tnst_mi.machine.progress_bar import PlainProgress, progress_bar
+
+
+class Terminal(io.StringIO):
+    """A stream that is one."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def lines(monkeypatch: pytest.MonkeyPatch, steps: int, seconds: float) -> list[str]:
+    """What a log has after so many steps, each of which takes so many seconds."""
+    log, now = io.StringIO(), [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    with PlainProgress(total=steps, desc="reading", file=log) as bar:
+        for _ in range(steps):
+            now[0] += seconds
+            bar.update()
+            bar.write("a line of its own", file=io.StringIO())
+    assert "\r" not in log.getvalue() and "\x1b" not in log.getvalue()
+    return log.getvalue().splitlines()
+
+
+def test_a_log_has_a_line_for_each_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = lines(monkeypatch, 200, 0.5)
+    assert [line.split("%")[0] for line in written] == [f"reading: {share:3d}" for share in range(10, 101, 10)]
+    assert all("<" in line for line in written)  # the time left
+
+
+def test_slow_work_has_a_line_each_half_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(lines(monkeypatch, 100, 10.0)) == 34
+
+
+def test_short_work_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    (line,) = lines(monkeypatch, 100, 0.005)
+    assert "100%" in line
+
+
+def test_terminals_get_bars(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stream, kind in ((Terminal(), tqdm), (io.StringIO(), PlainProgress)):
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress_bar(total=2) as bar:
+            bar.update(2)
+        assert type(bar) is kind and ("\r" in stream.getvalue()) == (kind is tqdm)

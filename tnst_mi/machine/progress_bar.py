@@ -1,0 +1,62 @@
+"""Progress on stderr: a bar on a terminal; elsewhere, as in logs, plain lines that are few."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from tqdm import tqdm
+
+#: Elsewhere than on a terminal: the share of the work or the seconds after which there is another line, and the least
+#: seconds between two, so that short work does not fill a log.
+_SHARE, _SECONDS, _LEAST = 0.1, 30.0, 1.0
+
+
+class PlainProgress(tqdm):
+    """tqdm for streams that are no terminals: lines after each tenth of the work or each 30 s, and at its end.
+
+    Example:
+        >>> import io
+        >>> log = io.StringIO()
+        >>> for _ in PlainProgress(range(3), "reading", file=log):
+        ...     pass
+        >>> log.getvalue().count("\\n"), "\\r" in log.getvalue(), "reading: 100%" in log.getvalue()
+        (1, False, True)
+    """
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        self._written: tuple[float, float] | None = None
+        # It is asked at each step whether a line is due; a bar would say no more than the percentage.
+        super().__init__(
+            *arguments, **(keywords | {"dynamic_ncols": False, "ncols": 0, "mininterval": 0, "miniters": 1})
+        )
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+        """Write a line if one is due."""
+        now = time.monotonic()
+        if self._written is None:
+            self._written = now, self.n
+        seconds, steps = now - self._written[0], self.n - self._written[1]
+        done = self.total is not None and self.n >= self.total
+        tenth = self.total is not None and steps >= _SHARE * self.total
+        due = done or seconds >= _SECONDS or (tenth and seconds >= _LEAST)
+        if msg is not None or steps == 0 or not due:
+            return False
+        self._written = now, self.n
+        print(str(self).strip(), file=self.fp, flush=True)
+        return True
+
+    def clear(self, *_: Any, **__: Any) -> None:
+        """Other lines need no room."""
+
+    def close(self) -> None:
+        """End it; there is no line to be ended."""
+        self.leave = False
+        super().close()
+
+
+def progress_bar(*arguments: Any, **keywords: Any) -> tqdm:
+    """tqdm's progress bar on stderr, or plain lines where that is no terminal; arguments are those of `tqdm.tqdm`."""
+    kind = tqdm if sys.stderr is not None and sys.stderr.isatty() else PlainProgress
+    return kind(*arguments, **({"file": sys.stderr, "dynamic_ncols": True} | keywords))

@@ -1,0 +1,37 @@
+"""Keys of a recipe that do not go together."""
+
+from __future__ import annotations
+
+from tnst_mi.errors import InputError
+from tnst_mi.recipe.recipe import Recipe
+
+
+def require_averageable(recipe: Recipe) -> None:
+    """Check that a window can be averaged as a recipe says.
+
+    Raises:
+        InputError: an average over smoke is wanted of gradients, which no mask has weighted.
+    """
+    if recipe.window > 1 and recipe.step_order == "align_first" and recipe.window_average == "smoke":
+        raise InputError(
+            "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
+            "nothing to count smoke by; expected window_average = 'plain'"
+        )
+
+
+def require_one_transport(recipe: Recipe) -> None:
+    """Check that the keys of one kind of transport do not come with the other.
+
+    Raises:
+        InputError: they do.
+    """
+    if recipe.transport == "flow":
+        other, foreign = "step", {"steps": recipe.steps != 1}
+    else:
+        other, foreign = "flow", {"stages": recipe.stages != "auto", "conservative": recipe.conservative}
+    for name, given in foreign.items():
+        if given:
+            raise InputError(
+                f"{name} = {getattr(recipe, name)!r} belongs to transport = {other!r}, and transport is "
+                f"{recipe.transport!r}; expected one of them to be otherwise"
+            )

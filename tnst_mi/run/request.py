@@ -1,0 +1,58 @@
+"""What a run is asked to do: the checks that need neither torch nor what is in the frames.
+
+They take a moment, so mistakes are answered before anything large is imported or read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.lock import require_unlocked
+from tnst_mi.recipe.combinations import require_averageable, require_one_transport
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import frame_names, holds_run
+from tnst_mi.run.inputs import Frames, sequence_of
+
+
+def requested_frames(
+    frames: Frames, recipe: Recipe, out: Path | None, *, resume: bool = False, overwrite: bool = False
+) -> Sequence[Frame]:
+    """The frames of a run; those in files are not read yet.
+
+    Args:
+        frames: a file (one frame) or folder (a sequence), a frame, several, or a density grid (D, H, W).
+        recipe: the recipe.
+        out: the folder of the results, or None.
+        resume: continue the run in `out` where it stopped.
+        overwrite: replace the run in `out`.
+
+    Raises:
+        InputError: the recipe has no goal, or keys that do not go together; results cannot be written to `out`, or
+            another run writes there; or
+            there are no such frames.
+    """
+    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
+        raise InputError(
+            "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
+        )
+    require_averageable(recipe)
+    require_one_transport(recipe)
+    if resume and overwrite:
+        raise InputError("--resume and --overwrite: expected only one of them")
+    if out is not None:
+        source = Path(frames) if isinstance(frames, str | Path) else None
+        require_unlocked(out)
+        require_writable(out, source, None if resume or overwrite else _remedy(out))
+        if overwrite:
+            frame_names(out)  # refuses anything but a run
+    return sequence_of(frames, recipe)
+
+
+def _remedy(out: Path) -> str:
+    if holds_run(out):
+        return "continue its run with --resume, or replace it with --overwrite"
+    return "give an empty or new folder"
