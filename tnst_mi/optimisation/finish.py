@@ -33,7 +33,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     """
     if items is None or frame.still or items.iterations_done(frame) < 0:
         return _unchanged(source, frame)
-    full, parameterisation = items.plan.octaves[-1], frame.parameterisation
+    full, parameterisation = items.plan.full, frame.parameterisation
     # The input's own values are transported. They are brought to about 1 by a power of two, which changes none of their
     # bits, so that no product leaves the range of float32.
     mantissa, exponent = math.frexp(items.plan.density_scale)

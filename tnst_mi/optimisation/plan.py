@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Octave, Shape, octaves
+from tnst_mi.fields.grid import Shape
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
+from tnst_mi.rendering.levels import Level, by_cell, full_level, levels_of
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class FramePlan:
         index: its position in the sequence, from 0.
         name: its name in files and in the log.
         number: the number that seeds its views, 0 or more.
-        recipe: the recipe at this frame.
+        recipe: the recipe at this frame, with γ per full-resolution cell.
         step_scale: the factor of η, the σ of paper Eq. 2: S_t / max_t S_t, or 1 where σ is part of the loss; 0 for a
             frame that is left unchanged.
         exposure: factor from the frame's rendered images to the network's [0, 1].
@@ -77,13 +77,14 @@ class Plan:
     objective: Objective
 
     @cached_property
-    def octaves(self) -> list[Octave]:
+    def octaves(self) -> list[Level]:
         """The octaves, from coarse to fine."""
-        return octaves(self.shape, self.recipe.octaves, self.recipe.scale_factor)
+        return levels_of(self.recipe, self.shape)
 
-    def image_size(self, octave: Octave) -> tuple[int, int]:
-        """Rows and columns of the images of an octave."""
-        return image_size(self.recipe, octave.shape)
+    @property
+    def full(self) -> Level:
+        """The frames' own grid."""
+        return full_level(self.recipe, self.shape)
 
     @property
     def rows(self) -> int:
@@ -145,7 +146,7 @@ def plan_of(
     """
     require_averageable(recipe)
     require_one_transport(recipe)
-    recipes = [recipe.at(number) for number in numbers]
+    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
     frames = tuple(

@@ -85,6 +85,10 @@ class Method:
     integrated transmittance, where smoke is dark and empty space bright."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""
+    motif_size: Annotated[float | str, Number(0.01, 2.0, word="auto")] = "auto"
+    """Size of motifs in parts of the grid's height, such as 0.25: the images that the network sees then have
+    24/motif_size rows, whatever the grid, and gamma is per pixel of them. auto, as in the paper, makes a pixel a cell,
+    so that motifs have 24 cells: a quarter of the height on 96 rows, half of that on 192."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
     """Ratio of the resolutions of neighbouring octaves, above 1."""
     iterations: Annotated[int, Integer(1, 100_000)] = 20
