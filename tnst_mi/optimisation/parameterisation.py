@@ -10,7 +10,7 @@ import numpy as np
 
 from tnst_mi.fields.advection import advect, flow, step
 from tnst_mi.fields.flow_map import MOST_STAGES
-from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.grid import Cells, Octave
 from tnst_mi.fields.kernels import Divisor, opaque, stored
 from tnst_mi.fields.potentials import PotentialVelocity, velocity
 from tnst_mi.fields.pyramid import gaussian, normalise
@@ -25,6 +25,11 @@ LARGEST_DERIVATIVE = 4.0
 GRADIENT_SIGMA = 1.2
 
 
+#: By how much velocities of scaled potentials may differ from scaled velocities, relative to the fastest one: they are
+#: differences of rounded values.
+_ROUNDING = 1e-5
+
+
 class Fields(dict[str, "mi.TensorXf"]):
     """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. So are gradients and steps."""
 
@@ -37,6 +42,10 @@ class Fields(dict[str, "mi.TensorXf"]):
     def __add__(self, other: Fields) -> Fields:
         """The sum of two steps."""
         return Fields({name: field + other[name] for name, field in self.items()})
+
+    def times(self, factor: float) -> Fields:
+        """The fields times a number."""
+        return Fields({name: field * opaque(factor) for name, field in self.items()})
 
     def attached(self) -> Fields:
         """The same values as fresh leaves of the AD graph."""
@@ -72,6 +81,10 @@ class Parameterisation(ABC):
 
     def rescaled(self, fields: Fields, factor: float) -> Fields:
         """The fields that change densities times `factor` alike."""
+        return fields
+
+    def within(self, fields: Fields, reach: float, h: float) -> Fields:
+        """The fields, scaled down if they move smoke farther than `reach` full-resolution cells anywhere."""
         return fields
 
     @abstractmethod
@@ -199,9 +212,25 @@ class Transport(Parameterisation):
         """Velocity (D, H, W, 3) of the potentials, in full-resolution cells per frame."""
         return velocity(fields.get("phi"), fields.get("psi"), self.lam, h)
 
+    def within(self, fields: Fields, reach: float, h: float) -> Fields:
+        """The potentials times the largest factor, 1 at most, with which no cell is faster than `reach`.
+
+        No way of transport moves smoke farther than the fastest cell in one frame: interpolated velocities are means
+        of those of cells, and every step and stage follows means of these. A common factor keeps a velocity without
+        divergence free of it.
+        """
+        v = self._velocity(fields, h)
+        fastest = dr.sqrt(dr.max(dr.squared_norm(v.at(Cells.of(v.shape)))))
+        allowed = opaque(reach)
+        factor = dr.select(fastest > allowed, opaque(1 - _ROUNDING) * allowed / fastest, mi.Float(1))
+        return Fields({name: field * factor for name, field in fields.items()})
+
+    def _velocity(self, fields: Fields, h: float) -> PotentialVelocity:
+        return PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
+
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
-        v = PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
+        v = self._velocity(fields, h)
         if self.trace == "flow":
             stages = self.stages if isinstance(self.stages, int) else None
             return flow(density, v, "maccormack", h, "zero", None, stages, self.conservative)
@@ -236,7 +265,7 @@ class DensityOffset(Parameterisation):
 
     def rescaled(self, fields: Fields, factor: float) -> Fields:
         """The offset in units of the densities."""
-        return Fields({name: field * opaque(factor) for name, field in fields.items()})
+        return fields.times(factor)
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""

@@ -12,8 +12,9 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
-from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
+from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
 from tnst_mi.optimisation.temporal.window import window_weights
+from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.levels import Level, by_cell, full_level, levels_of
 
@@ -32,6 +33,7 @@ class FramePlan:
         exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
         weights: of the terms of the loss; None if the objective has its own.
+        reach: how far its smoke may be moved, in full-resolution cells; None for any distance.
     """
 
     index: int
@@ -42,6 +44,7 @@ class FramePlan:
     exposure: float
     parameterisation: Parameterisation
     weights: tuple[float, ...] | None
+    reach: float | None
 
     @property
     def eta(self) -> float:
@@ -52,6 +55,10 @@ class FramePlan:
     def still(self) -> bool:
         """Whether the frame is invisible and therefore stays unchanged."""
         return self.step_scale == 0.0
+
+    def within_reach(self, fields: Fields, h: float) -> Fields:
+        """The fields of the frame, on cells of size h, scaled down to what its smoke may be moved."""
+        return fields if self.reach is None else self.parameterisation.within(fields, self.reach, h)
 
     def seed(self, octave: int, iteration: int) -> tuple[int, ...]:
         """The seed of the views of an iteration, and of the renderer where it is random."""
@@ -169,6 +176,7 @@ def plan_of(
                 recipe.conservative,
             ),
             None if objective is not None else tuple(term_weights(at_frame)),
+            in_cells(recipe.reach, shape[1]),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
             zip(names, numbers, recipes, step_scales, exposures, strict=True)

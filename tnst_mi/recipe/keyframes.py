@@ -19,7 +19,18 @@ from tnst_mi.errors import InputError
 Keyframes = tuple[tuple[int, Any], ...]
 
 #: The keys of a recipe whose values may change over the frames.
-KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth", "elevation", "eta", "blend")
+KEYABLE = (
+    "style",
+    "style_weight",
+    "semantic_weight",
+    "lam",
+    "gamma",
+    "azimuth",
+    "elevation",
+    "eta",
+    "strength",
+    "blend",
+)
 
 
 #: The keys whose values are tables from layers to weights.

@@ -13,6 +13,7 @@ from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
+from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.optional_keys import Point, Unset
 
 
@@ -158,6 +159,12 @@ class Method:
     all around) or environment (equally from all around)."""
     spp: Annotated[int, Integer(1, 4096)] = 16
     """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
+    reach: Annotated[str | float, Length()] = "off"
+    """How far smoke may be moved at most: a share of the grid's height, such as 5%, a number of cells, or off. It holds
+    exactly, in every cell and over all octaves together."""
+    strength: Annotated[float, Number(0.0, 1.0)] = 1.0
+    """Strength s of the stylization, from 0 (the input, bit for bit) to 1: the velocity of the result is s times the
+    one that was found, so that smoke moves s times as far."""
     blend: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
     seed: Annotated[int, Integer(0, 2**32 - 1)] = 0
@@ -178,8 +185,8 @@ class Resources:
     ] = None
     """Numbers of the first and the last frame of a sequence to stylize, or of one; with decimal points, such as
     1.0:2.5, sub-frames are taken too. All whole frames if not set. In a recipe file, and as flags in quotes, style,
-    style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta and blend may change over the frames, linearly
-    between keys: gamma = {49 = 0.1, 72 = 1.0}."""
+    style_weight, semantic_weight, lam, gamma, azimuth, elevation, eta, strength and blend may change over the frames,
+    linearly between keys: gamma = {49 = 0.1, 72 = 1.0}."""
     weights: Annotated[
         str | None, Text(f"FILE|FOLDER|{PATTERNS}", f'a file or folder with GoogLeNet weights, or "{PATTERNS}"')
     ] = None
