@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import tnst_mi
 from tnst_mi.commands.stylize import mass_remark
+from tnst_mi.frame import Frame
+from tnst_mi.run.record import sequence_record
 
 
 @pytest.mark.parametrize(
@@ -34,3 +37,15 @@ def test_a_changed_mass_is_remarked_upon_with_what_keeps_it(keys: dict, after: f
     ]
     said = mass_remark(recipe, records)
     assert said == (remedy and f"a {remedy} would keep more of it (docs/transport.md)")
+
+
+def test_drift_is_the_range_of_what_frames_gain_or_lose() -> None:
+    frames = [Frame(np.full((2, 2, 2), d, np.float32), name=str(i)) for i, d in enumerate((1.0, 2.0, 0.0))]
+    losses = {"loss_before": 2.0, "loss_after": 1.0, "terms_before": {}, "terms_after": {}}
+    records = [
+        {"name": f.name, "mass_before": f.mass, "mass_after": after, **losses}
+        for f, after in zip(frames, (7.6, 16.32, 0.0), strict=True)
+    ]
+    found = sequence_record(tnst_mi.Recipe(tag=("a",)), frames, [f.density for f in frames], records)
+    assert found["mass_changes"] == [pytest.approx(-0.05), pytest.approx(0.02), None]
+    assert found["mass_drift"] == pytest.approx(0.07)

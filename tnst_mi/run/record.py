@@ -54,7 +54,8 @@ def sequence_record(
 
     Returns:
         window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ per frame, and their
-        mean; loss_before and loss_after, means over the frames, and likewise those of the unscaled terms;
+        mean; mass_changes Σ d*/Σ d − 1 per frame, None without smoke, and mass_drift, the largest less the smallest of
+        them; loss_before and loss_after, means over the frames, and likewise those of the unscaled terms;
         loss_reduction, 1 − after/before where that is meaningful.
     """
     meter, changes = FlickerMeter(), []
@@ -68,12 +69,24 @@ def sequence_record(
         "flicker_pairs": meter.pairs,
         "relative_changes": changes,
         "relative_change": _mean(changes),
+        "mass_changes": (masses := [mass_change(record) for record in records]),
+        "mass_drift": _range(masses),
         "loss_before": before,
         "loss_after": after,
         **{key: _mean_terms([record[key] for record in records]) for key in ("terms_before", "terms_after")},
         # Only a positive loss (style distances) can fall by a share; activations to be raised are negative losses.
         "loss_reduction": None if before is None or after is None or before <= 0 else 1 - after / before,
     }
+
+
+def mass_change(record: dict[str, Any]) -> float | None:
+    """Σ d*/Σ d − 1 of the record of a frame; None if it has no smoke."""
+    return record["mass_after"] / record["mass_before"] - 1 if record["mass_before"] > 0 else None
+
+
+def _range(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) - min(known) if known else None
 
 
 def _mean_terms(terms: Sequence[dict[str, float]]) -> dict[str, float | None]:
