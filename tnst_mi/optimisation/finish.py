@@ -40,7 +40,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     mantissa, exponent = math.frexp(items.plan.density_scale)
     fields = parameterisation.rescaled(parameterisation.carried(items.fields(frame), items.octave, full), 1 / mantissa)
     # Interpolation between the cells of an octave can exceed what they have.
-    fields = frame.within_reach(fields, full.cell_size)
+    fields = frame.within_reach(fields, full.cell_size, items.plan.allowed(frame, source, full))
     if strength < 1.0:
         fields = fields.times(strength)
     unstylized = mi.TensorXf(np.ldexp(source.density, exponent))

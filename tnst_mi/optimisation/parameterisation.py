@@ -29,6 +29,9 @@ GRADIENT_SIGMA = 1.2
 #: differences of rounded values.
 _ROUNDING = 1e-5
 
+#: How often potentials are lowered around cells that are faster than they may be, before all are.
+_LOWERED = 3
+
 
 class Fields(dict[str, "mi.TensorXf"]):
     """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. So are gradients and steps."""
@@ -83,8 +86,11 @@ class Parameterisation(ABC):
         """The fields that change densities times `factor` alike."""
         return fields
 
-    def within(self, fields: Fields, reach: float, h: float) -> Fields:
-        """The fields, scaled down if they move smoke farther than `reach` full-resolution cells anywhere."""
+    def within(self, fields: Fields, reach: float | mi.TensorXf, h: float) -> Fields:
+        """The fields, scaled down if they move smoke farther than `reach`, in full-resolution cells, anywhere.
+
+        `reach` is the same for all cells, or a field (D, H, W) of values above 0.
+        """
         return fields
 
     @abstractmethod
@@ -212,18 +218,36 @@ class Transport(Parameterisation):
         """Velocity (D, H, W, 3) of the potentials, in full-resolution cells per frame."""
         return velocity(fields.get("phi"), fields.get("psi"), self.lam, h)
 
-    def within(self, fields: Fields, reach: float, h: float) -> Fields:
+    def within(self, fields: Fields, reach: float | mi.TensorXf, h: float) -> Fields:
         """The potentials times the largest factor, 1 at most, with which no cell is faster than `reach`.
 
         No way of transport moves smoke farther than the fastest cell in one frame: interpolated velocities are means
-        of those of cells, and every step and stage follows means of these. A common factor keeps a velocity without
-        divergence free of it.
+        of those of cells, and every step and stage follows means of these. Scaled potentials have a velocity without
+        divergence where they had one. If cells differ in how far they may be moved, those of a few must not decide for
+        all: potentials are first lowered around those that are too fast.
         """
-        v = self._velocity(fields, h)
-        fastest = dr.sqrt(dr.max(dr.squared_norm(v.at(Cells.of(v.shape)))))
-        allowed = opaque(reach)
-        factor = dr.select(fastest > allowed, opaque(1 - _ROUNDING) * allowed / fastest, mi.Float(1))
+        if isinstance(reach, int | float):
+            allowed = opaque(reach)
+        else:
+            allowed = reach.array
+            for _ in range(_LOWERED):
+                fields = self._lowered(fields, reach, h)
+        excess = dr.max(self._speed(fields, h) / allowed)
+        factor = dr.select(excess > 1, opaque(1 - _ROUNDING) / excess, mi.Float(1))
         return Fields({name: field * factor for name, field in fields.items()})
+
+    def _lowered(self, fields: Fields, reach: mi.TensorXf, h: float) -> Fields:
+        """The potentials times a soft-edged factor that is below 1 around cells that are faster than their `reach`."""
+        excess = self._speed(fields, h) / reach.array
+        factor = gaussian(mi.TensorXf(stored(dr.minimum(1, dr.rcp(excess))), reach.shape), GRADIENT_SIGMA, "nearest")
+        fast = dr.max(excess) > 1
+        factor = mi.TensorXf(dr.select(fast, factor.array, mi.Float(1)), reach.shape)
+        return Fields({name: times(factor, field) for name, field in fields.items()})
+
+    def _speed(self, fields: Fields, h: float) -> mi.Float:
+        """|v| of every cell."""
+        v = self._velocity(fields, h)
+        return dr.norm(v.at(Cells.of(v.shape)))
 
     def _velocity(self, fields: Fields, h: float) -> PotentialVelocity:
         return PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)

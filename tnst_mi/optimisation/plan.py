@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Shape
+from tnst_mi.fields.density_unit import scaled
+from tnst_mi.fields.grid import Octave, Shape
+from tnst_mi.fields.resampling import resample_mask
+from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
+from tnst_mi.optimisation.silhouette import displacement_allowed
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.recipe import Recipe
@@ -34,6 +40,7 @@ class FramePlan:
         parameterisation: what is optimised, and how a density follows from it.
         weights: of the terms of the loss; None if the objective has its own.
         reach: how far its smoke may be moved, in full-resolution cells; None for any distance.
+        keep_silhouette: how far its outline in the main view may move, likewise.
     """
 
     index: int
@@ -45,6 +52,7 @@ class FramePlan:
     parameterisation: Parameterisation
     weights: tuple[float, ...] | None
     reach: float | None
+    keep_silhouette: float | None
 
     @property
     def eta(self) -> float:
@@ -56,9 +64,18 @@ class FramePlan:
         """Whether the frame is invisible and therefore stays unchanged."""
         return self.step_scale == 0.0
 
-    def within_reach(self, fields: Fields, h: float) -> Fields:
-        """The fields of the frame, on cells of size h, scaled down to what its smoke may be moved."""
-        return fields if self.reach is None else self.parameterisation.within(fields, self.reach, h)
+    @property
+    def keeps_silhouette(self) -> bool:
+        """Whether how far a cell may be moved depends on where it is."""
+        return self.keep_silhouette is not None and isinstance(self.parameterisation, Transport)
+
+    def within_reach(self, fields: Fields, h: float, allowed: mi.TensorXf | None = None) -> Fields:
+        """The fields of the frame, on cells of size h, scaled down to how far its smoke may be moved.
+
+        `allowed` says so of each cell, see `Plan.allowed`; without it, it is the same for all.
+        """
+        reach = self.reach if allowed is None else allowed
+        return fields if reach is None else self.parameterisation.within(fields, reach, h)
 
     def seed(self, octave: int, iteration: int) -> tuple[int, ...]:
         """The seed of the views of an iteration, and of the renderer where it is random."""
@@ -92,6 +109,24 @@ class Plan:
     def full(self) -> Level:
         """The frames' own grid."""
         return full_level(self.recipe, self.shape)
+
+    def allowed(self, frame: FramePlan, source: Frame, grid: Octave) -> mi.TensorXf | None:
+        """How far each cell of a grid may be moved, in full-resolution cells; None if it is the same for all.
+
+        Args:
+            frame: the plan of a frame.
+            source: the frame.
+            grid: an octave, or the full grid.
+        """
+        if frame.keep_silhouette is None or not frame.keeps_silhouette:
+            return None
+        density = scaled(source.density, self.density_scale)
+        allowed = displacement_allowed(density, frame.recipe, self.full.size, frame.keep_silhouette)
+        if frame.reach is not None:
+            allowed = np.minimum(allowed, frame.reach)
+        resampled = resample_mask(mi.TensorXf(allowed), 1.0, grid.shape, grid.cell_size)
+        # Next to the border of a coarser grid, means count what is outside as 0.
+        return dr.maximum(resampled, float(allowed.min()))
 
     @property
     def rows(self) -> int:
@@ -177,6 +212,7 @@ def plan_of(
             ),
             None if objective is not None else tuple(term_weights(at_frame)),
             in_cells(recipe.reach, shape[1]),
+            in_cells(recipe.keep_silhouette, shape[1]),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
             zip(names, numbers, recipes, step_scales, exposures, strict=True)

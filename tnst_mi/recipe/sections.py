@@ -162,6 +162,9 @@ class Method:
     reach: Annotated[str | float, Length()] = "off"
     """How far smoke may be moved at most: a share of the grid's height, such as 5%, a number of cells, or off. It holds
     exactly, in every cell and over all octaves together."""
+    keep_silhouette: Annotated[str | float, Length()] = "off"
+    """How far the outline of the smoke in the main view may move: a share of the grid's height, such as 1%, a number of
+    cells, or off."""
     strength: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Strength s of the stylization, from 0 (the input, bit for bit) to 1: the velocity of the result is s times the
     one that was found, so that smoke moves s times as far."""
