@@ -20,6 +20,9 @@ from tnst_mi.run.record import mass_change
 #: Share of a frame's smoke whose loss or gain is remarked upon, and by how much this may differ between frames.
 _MASS_REMARKED, _DRIFT_REMARKED = 0.05, 0.03
 
+#: Share of the smoke where a step has folded space from which on it looks torn.
+_FOLDED_REMARKED = 0.4
+
 
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
@@ -63,11 +66,16 @@ def reported(frames: Run, remedy: str = "--resume continues the run in {out} whe
         tqdm.write(summary(frame), file=sys.stdout)
     if record["frames"]:
         print(f"results   {out}")
+    if (torn := max((of_frame.get("folded") or 0.0 for of_frame in record["frames"]), default=0.0)) > _FOLDED_REMARKED:
+        print(
+            f"torn      {torn:.0%} of the smoke of a frame is where a straight step has folded space, with hard edges; "
+            'transport = "flow", a larger motif_size or a reach would keep it smoke (docs/motifs.md)'
+        )
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))
     if remark := mass_remark(frames.prepared.recipe, record["frames"]):
         print(f"mass      {remark}")
-    if "sequence" in record and (drift := record["sequence"]["mass_drift"] or 0.0) > _DRIFT_REMARKED:
+    if "sequence" in record and (drift := record["sequence"].get("mass_drift") or 0.0) > _DRIFT_REMARKED:
         print(f"mass      drifts by {drift:.1%} over the frames, as their brightness will (docs/motifs.md)")
     if record["status"] == "interrupted":
         print(f"tnst-mi: interrupted; {remedy.format(out=out)}", file=sys.stderr)

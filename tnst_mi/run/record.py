@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tnst_mi.fields.folding import folded_share
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
@@ -30,6 +31,7 @@ def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str,
         "mass_before": frame.mass,
         "mass_after": float(stylized.density.sum(dtype=np.float64)),
         "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
+        "folded": _folded(plan.recipe, stylized),
         "exposure": plan.exposure,
         "step_scale": plan.step_scale,
         "loss_before": stylized.loss_before,
@@ -39,6 +41,13 @@ def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str,
         "losses": _losses_by_octave(stylized.history),
         "timings": stylized.timings,
     }
+
+
+def _folded(recipe: Recipe, stylized: Stylized) -> float | None:
+    """`folded_share` of transport in straight steps, each a part of v*; None where smoke follows the flow."""
+    if recipe.parameterisation != "transport" or recipe.transport != "step" or not isinstance(recipe.steps, int):
+        return None
+    return folded_share(stylized.density, stylized.velocity / np.float32(recipe.steps))
 
 
 def sequence_record(
