@@ -51,7 +51,7 @@ def make(setting: Setting) -> Made:
         [Panel(after, f"motif_size {size}, {rows} rows") for rows, (_, after) in found[size].items()] for size in found
     ]
     sizes = [
-        Panel(after, f"motif_size {size}: {lengths[size]:.3f} of the height") for size, (_, after) in balls.items()
+        Panel(after, f"motif_size {size}\n{lengths[size]:.3f} of the height") for size, (_, after) in balls.items()
     ]
     return Made(
         [*jets, sizes],
