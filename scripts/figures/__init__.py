@@ -31,6 +31,7 @@ MODULES = {
     "two-dimensional": "two_dimensional",
     "table2": "table2",
     "preset": "paper_formulas",
+    "motif": "motif_size",
 }
 
 

@@ -55,6 +55,22 @@ def radial_spectrum(image: np.ndarray, bins: int = 24) -> tuple[np.ndarray, np.n
     return ((np.arange(bins) + 0.5) / (2 * bins))[there], power[there] / count[there] / energy.sum()
 
 
+def correlation_length(image: np.ndarray) -> float:
+    """The distance in pixels at which the autocorrelation of an image (H, W), mean over directions, falls to 0.
+
+    Of waves of one period in all directions it is 0.38 periods. The mean of the image does not count; what lies beyond
+    its borders is 0.
+    """
+    rows, columns = image.shape
+    power = np.abs(np.fft.fft2(image - image.mean(dtype=np.float64), s=(2 * rows, 2 * columns))) ** 2
+    correlation = np.fft.ifft2(power).real
+    distance = np.hypot(*(np.minimum(i, n - i) for i, n in zip(np.indices(power.shape), power.shape, strict=True)))
+    ring = np.rint(distance).astype(int).ravel()
+    profile = np.bincount(ring, correlation.ravel()) / np.maximum(np.bincount(ring), 1)
+    first = int(np.argmax(profile <= 0))
+    return first - 1 + float(profile[first - 1] / (profile[first - 1] - profile[first]))
+
+
 def mass_change(before: np.ndarray, after: np.ndarray) -> float:
     """Σ d* / Σ d − 1."""
     return float(after.sum(dtype=np.float64) / before.sum(dtype=np.float64) - 1)

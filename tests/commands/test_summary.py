@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import tnst_mi
 from tnst_mi.commands.stylize import mass_remark, sequence_summary
+from tnst_mi.frame import Frame
+from tnst_mi.run.record import sequence_record
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,15 @@ def test_flicker_is_not_told_of_what_hardly_changed(change: float, said: str) ->
     sequence = {"flicker": 2.36, "window": 1, "loss_before": 14.5, "loss_after": 13.5, "relative_change": change}
     losses = f"mean loss in the fixed views 14.5 → 13.5, relative change {change}"
     assert sequence_summary(sequence) == f"sequence  {said}{losses}"
+
+
+def test_drift_is_the_range_of_what_frames_gain_or_lose() -> None:
+    frames = [Frame(np.full((2, 2, 2), d, np.float32), name=str(i)) for i, d in enumerate((1.0, 2.0, 0.0))]
+    losses = {"loss_before": 2.0, "loss_after": 1.0, "terms_before": {}, "terms_after": {}}
+    records = [
+        {"name": f.name, "mass_before": f.mass, "mass_after": after, **losses}
+        for f, after in zip(frames, (7.6, 16.32, 0.0), strict=True)
+    ]
+    found = sequence_record(tnst_mi.Recipe(tag=("a",)), frames, [f.density for f in frames], records)
+    assert found["mass_changes"] == [pytest.approx(-0.05), pytest.approx(0.02), None]
+    assert found["mass_drift"] == pytest.approx(0.07)

@@ -28,6 +28,7 @@ KEYED: dict[str, Any] = {
     "azimuth": {49: [-10, 10], 72: [30, 50]},
     "elevation": {49: [0, 0]},
     "eta": {49: 0.002, 60: 0.004, 61: 0.001},
+    "strength": {49: 0, 55: 1},
     "blend": {49: 1, 72: 0.25},
 }
 
@@ -53,7 +54,7 @@ def test_values_are_linear_between_keys_and_constant_outside() -> None:
     for number in (0, 48, 49, 50, 55, 60, 61, 71, 72, 73, 10**9):
         at = recipe.at(number)
         assert at.keyframes == {}
-        for name in ("style_weight", "semantic_weight", "lam", "gamma", "eta", "blend"):
+        for name in ("style_weight", "semantic_weight", "lam", "gamma", "eta", "strength", "blend"):
             frames, values = zip(*recipe.keyframes[name], strict=True)
             assert getattr(at, name) == pytest.approx(np.interp(number, frames, values), rel=1e-12, abs=1e-15), name
     assert recipe.at(49).gamma == 0.1 and recipe.at(72).gamma == 1.0, "exact at the keys"
@@ -215,7 +216,7 @@ def test_the_example_of_keyframes_of_every_key_is_one(name: str) -> None:
         (
             "octaves = {49 = 1, 72 = 2}",
             r"r.toml: octaves = \{'49': 1, '72': 2\}: cannot be keyframed; the keys that can are style, style_weight, "
-            "semantic_weight, lam, gamma, azimuth, elevation, eta, blend$",
+            "semantic_weight, lam, gamma, azimuth, elevation, eta, strength, blend$",
         ),
         ('content = {49 = ["net"]}', "r.toml: content = .*: cannot be keyframed; the keys that can are style,"),
         ('style_layers = {49 = ["conv2/3x3"]}', "r.toml: style_layers = .*: cannot be keyframed"),

@@ -37,7 +37,7 @@ def test_files_that_are_read(tmp_path: Path, data: bytes) -> None:
         (b"gamma = 0,1", "write decimals with a point"),
         (b"[stylize]\noctaves = 1", "unknown key 'stylize'; a recipe has no sections: write its keys without"),
         (b"octave = 1", "unknown key 'octave'; did you mean 'octaves'"),
-        (b"strength = 1", "unknown key 'strength'; did you mean 'eta'"),
+        (b"intensity = 1", "unknown key 'intensity'; did you mean 'strength'"),
         (b"preview = true", "unknown key 'preview'; a single octave gives a quick preview"),
         (b"zzz = 1", "unknown key 'zzz'; tnst-mi stylize --help lists the keys"),
         (b'weights = "a\\u0001b"', "has the control character"),

@@ -20,8 +20,9 @@ from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import sample_views
 from tnst_mi.rendering.columns import views_around
-from tnst_mi.rendering.driving import driving_renderer, image_size
+from tnst_mi.rendering.driving import driving_renderer
 from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.rendering.levels import levels_seen
 
 RECIPE = Recipe(style=("net",), octaves=3)
 
@@ -34,9 +35,8 @@ def block() -> np.ndarray:
 
 
 def found(densities: list[np.ndarray], recipes: list[Recipe], scale: float = 1.0) -> list[Brightness]:
-    levels = octaves(densities[0].shape, recipes[0].octaves, recipes[0].scale_factor)
-    sizes = [image_size(recipes[0], octave.shape) for octave in levels]
-    return brightness([Frame(density) for density in densities], recipes, levels, sizes, scale)
+    levels = levels_seen(recipes[0], densities[0].shape)
+    return brightness([Frame(density) for density in densities], recipes, levels, scale)
 
 
 def brightest(density: np.ndarray, recipe: Recipe, seed: int) -> float:

@@ -172,6 +172,7 @@ def test_the_results_of_a_run(optimiser: FakeOptimiser, tmp_path: Path) -> None:
     assert (sequence["window"], sequence["loss_reduction"]) == (1, 0.25)
     assert (sequence["terms_before"], sequence["terms_after"]) == ({"style": 8.0}, {"style": 6.0})
     assert sequence["relative_changes"] == pytest.approx([1.0, 1.0], rel=1e-6)
+    assert sequence["mass_changes"] == pytest.approx([1.0, 1.0], rel=1e-6) and sequence["mass_drift"] < 1e-6
     assert (sequence["flicker"], sequence["flicker_pairs"]) == (None, [])  # the frames have no velocities
     lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert [(line["frame"], line["octave"], line["iteration"]) for line in lines] == [

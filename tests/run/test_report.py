@@ -153,8 +153,16 @@ def test_the_plots_show_what_they_are_given(tmp_path: Path, drawn: list[Figure])
         {"from": "f_08", "to": "f_09", "flicker": None},
         {"from": "f_09", "to": "f_10", "flicker": 0.8},
     ]
-    plot_sequence(tmp_path / "a.png", names, [4, 3, None, 1], [-2, -3, None, -4], pairs, [0.1, None, 0.3, 0.4])
-    losses, flickers, sizes = drawn[0].axes
+    plot_sequence(
+        tmp_path / "a.png",
+        names,
+        [4, 3, None, 1],
+        [-2, -3, None, -4],
+        pairs,
+        [0.1, None, 0.3, 0.4],
+        [-0.1, 0.02, None, 0.0],
+    )
+    losses, flickers, sizes, kept = drawn[0].axes
     before, after = losses.lines
     np.testing.assert_array_equal(before.get_ydata(), [4, 3, np.nan, 1])
     np.testing.assert_array_equal(after.get_ydata(), [-2, -3, np.nan, -4])
@@ -165,15 +173,18 @@ def test_the_plots_show_what_they_are_given(tmp_path: Path, drawn: list[Figure])
     assert mean.get_ydata() == pytest.approx([0.65, 0.65])
     assert flickers.get_legend().texts[0].get_text() == "mean 0.650"
     np.testing.assert_array_equal(sizes.lines[0].get_ydata(), [0.1, np.nan, 0.3, 0.4])
-    assert [label.get_text() for label in sizes.get_xticklabels()] == names
-    assert all(axes.get_ylabel() for axes in drawn[0].axes) and sizes.get_xlabel() == "frame"
+    np.testing.assert_allclose(kept.lines[0].get_ydata(), [-10, 2, np.nan, 0])
+    assert kept.get_ylim() == pytest.approx((-11, 11))
+    assert [label.get_text() for label in kept.get_xticklabels()] == names
+    assert all(axes.get_ylabel() for axes in drawn[0].axes) and kept.get_xlabel() == "frame"
     assert flickers.get_ylim()[0] == sizes.get_ylim()[0] == 0 and flickers.get_ylim()[1] > 0.8
 
 
 @pytest.mark.parametrize("count, step", [(1, 1), (12, 1), (13, 2), (24, 2), (25, 5), (200, 20), (1000, 100)])
 def test_names_along_the_axis_are_thinned(tmp_path: Path, drawn: list[Figure], count: int, step: int) -> None:
     names = [f"f_{i}" for i in range(count)]
-    plot_sequence(tmp_path / "a.png", names, [1.0] * count, [0.5] * count, [], [None] * count)
+    plot_sequence(tmp_path / "a.png", names, [1.0] * count, [0.5] * count, [], [None] * count, [0.01] * count)
+    assert drawn[0].axes[-1].get_ylim() == (-5, 5), "what is kept looks kept"
     axes = drawn[0].axes[-1]
     assert [label.get_text() for label in axes.get_xticklabels()] == names[::step]
     np.testing.assert_array_equal(axes.get_xticks(), np.arange(0, count, step))
@@ -182,6 +193,6 @@ def test_names_along_the_axis_are_thinned(tmp_path: Path, drawn: list[Figure], c
 
 def test_plots_are_pictures_whatever_the_frames_are_called(tmp_path: Path) -> None:
     names = [r"$\frac$", 300 * "long"]
-    plot_sequence(tmp_path / "plots" / "a.png", names, [1.0, None], [0.5, None], [], [0.2, None])
-    assert sheet_of(tmp_path / "plots" / "a.png").shape == (800, 900)
+    plot_sequence(tmp_path / "plots" / "a.png", names, [1.0, None], [0.5, None], [], [0.2, None], [0.1, None])
+    assert sheet_of(tmp_path / "plots" / "a.png").shape == (1000, 900)
     assert [path.name for path in (tmp_path / "plots").iterdir()] == ["a.png"]

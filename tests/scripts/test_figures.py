@@ -70,6 +70,18 @@ def test_radial_spectrum_has_a_wave_in_its_ring_and_shares_that_add_up() -> None
     assert np.all(np.diff(frequency) > 0) and frequency[-1] < 0.5
 
 
+def test_correlation_length_of_waves_in_all_directions() -> None:
+    """Their autocorrelation is Bessel's J0, which first is 0 at 2.405 / (2π) periods."""
+    rng, rows = np.random.default_rng(5), np.arange(400)
+    for period in (12.0, 24.0):
+        angles, phases = rng.uniform(0, np.pi, 400), rng.uniform(0, 2 * np.pi, 400)
+        wave = sum(
+            np.cos(2 * np.pi / period * (np.cos(a) * rows + np.sin(a) * rows[:, None]) + p)
+            for a, p in zip(angles, phases, strict=True)
+        )
+        assert measures.correlation_length(np.asarray(wave)) == pytest.approx(2.405 / (2 * np.pi) * period, rel=0.06)
+
+
 def test_masses_and_what_appears_where_there_was_none() -> None:
     before, after = np.zeros((4, 4, 4)), np.zeros((4, 4, 4))
     before[1], after[1], after[2] = 1.0, 0.75, 0.5

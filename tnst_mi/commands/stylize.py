@@ -19,12 +19,17 @@ from tnst_mi.run.request import requested_frames
 
 if TYPE_CHECKING:
     from tnst_mi.run import job, prepare
+    from tnst_mi.run import record as run_record
 else:
     # They import torch, and most mistakes are found without it.
     job, prepare = LazyModule("tnst_mi.run.job"), LazyModule("tnst_mi.run.prepare")
+    run_record = LazyModule("tnst_mi.run.record")
 
-#: Share of a frame's smoke whose loss or gain is remarked upon.
-_MASS_REMARKED = 0.05
+#: Share of a frame's smoke whose loss or gain is remarked upon, and by how much this may differ between frames.
+_MASS_REMARKED, _DRIFT_REMARKED = 0.05, 0.03
+
+#: Share of the smoke where a step has folded space from which on it looks torn.
+_FOLDED_REMARKED = 0.4
 
 #: Relative change of the density below which nobody sees one, flickering or not.
 _TOO_LITTLE = 0.01
@@ -74,10 +79,17 @@ def reported(frames: job.Run, remedy: str = "--resume continues the run in {out}
             tqdm.write(summary(frame), file=sys.stdout)
     if record["frames"]:
         print(f"results   {out}")
+    if (torn := max((of_frame.get("folded") or 0.0 for of_frame in record["frames"]), default=0.0)) > _FOLDED_REMARKED:
+        print(
+            f"torn      {torn:.0%} of the smoke of a frame is where a straight step has folded space, with hard edges; "
+            'transport = "flow", a larger motif_size or a reach would keep it smoke (docs/motifs.md)'
+        )
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))
     if remark := mass_remark(frames.prepared.recipe, record["frames"]):
         print(f"mass      {remark}")
+    if "sequence" in record and (drift := record["sequence"].get("mass_drift") or 0.0) > _DRIFT_REMARKED:
+        print(f"mass      drifts by {drift:.1%} over the frames, as their brightness will (docs/motifs.md)")
     if record["status"] == "interrupted":
         print(f"tnst-mi: interrupted; {remedy.format(out=out)}", file=sys.stderr)
         return 3
@@ -99,22 +111,19 @@ def sequence_summary(sequence: dict[str, Any]) -> str:
 def mass_remark(recipe: Recipe, records: list[dict[str, Any]]) -> str | None:
     """What to say where frames have less or more smoke than before, and what would keep it."""
     with_smoke = [record for record in records if record["mass_before"] > 0]
-    changed = [record for record in with_smoke if abs(_mass_change(record)) > _MASS_REMARKED]
+    changed = [record for record in with_smoke if abs(run_record.mass_change(record) or 0.0) > _MASS_REMARKED]
     if not changed or recipe.parameterisation != "transport":
         return None
-    worst = max(changed, key=lambda record: abs(_mass_change(record)))
+    worst = max(changed, key=lambda record: abs(run_record.mass_change(record) or 0.0))
+    by = run_record.mass_change(worst) or 0.0
     others = f", and {len(changed) - 1} others too" if len(changed) > 1 else ""
-    happened = f"{'lost' if _mass_change(worst) < 0 else 'gained'} {abs(_mass_change(worst)):.1%} of its smoke{others}"
+    happened = f"{'lost' if by < 0 else 'gained'} {abs(by):.1%} of its smoke{others}"
     keys = [] if recipe.transport == "flow" else ['transport = "flow"']
     keys += [] if recipe.steps == 1 else ["steps = 1"]
     keys += ["lam = 0"] if any(recipe.at(record["number"]).lam > 0 for record in changed) else []
     # Along a flow without divergence, smoke can still leave the grid, or be folded more finely than its cells.
     remedy = " and ".join(keys) if keys else "a lower eta, or more room around the smoke,"
     return f"{worst['name']} {happened}; {remedy} would keep more of it (docs/transport.md)"
-
-
-def _mass_change(record: dict[str, Any]) -> float:
-    return record["mass_after"] / record["mass_before"] - 1
 
 
 def _number(value: float | None) -> str:
@@ -128,7 +137,8 @@ def summary(frame: job.StylizedFrame) -> str:
     if record["losses"]:
         last = record["losses"][-1]
         parts.append(f"scaled loss {last[0]:.4g} → {last[-1]:.4g} in the last octave")
-    change = f" ({_mass_change(record):+.1%})" if record["mass_before"] > 0 else ""
+    by = run_record.mass_change(record)
+    change = "" if by is None else f" ({by:+.1%})"
     parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}{change}")
     parts.append(f"largest displacement {record['largest_displacement']:.3g} cells")
     if record["note"]:

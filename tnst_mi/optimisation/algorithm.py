@@ -62,7 +62,9 @@ def iterated(
             for f in turns.steps_due(group, items, k):
                 items.put_step(f.frame, k, own_step(plan, f, items.level, problem, k))
             for f in turns.fields_due(group, items, k):
-                items.put_fields(f.frame, k + 1, f.fields - window_average(plan, f, items))
+                fields = f.fields - window_average(plan, f, items)
+                fields = f.frame.within_reach(fields, items.octave.cell_size, f.inputs.allowed)
+                items.put_fields(f.frame, k + 1, fields)
         if items.octave is plan.octaves[-1]:
             yield from ((f, items, problem) for f in group)
 

@@ -31,13 +31,18 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     Raises:
         InputError: the stylized density or velocity is not finite.
     """
-    if items is None or frame.still or items.iterations_done(frame) < 0:
+    strength = frame.recipe.strength
+    if items is None or frame.still or items.iterations_done(frame) < 0 or strength == 0.0:
         return _unchanged(source, frame)
-    full, parameterisation = items.plan.octaves[-1], frame.parameterisation
+    full, parameterisation = items.plan.full, frame.parameterisation
     # The input's own values are transported. They are brought to about 1 by a power of two, which changes none of their
     # bits, so that no product leaves the range of float32.
     mantissa, exponent = math.frexp(items.plan.density_scale)
     fields = parameterisation.rescaled(parameterisation.carried(items.fields(frame), items.octave, full), 1 / mantissa)
+    # Interpolation between the cells of an octave can exceed what they have.
+    fields = frame.within_reach(fields, full.cell_size, items.plan.allowed(frame, source, full))
+    if strength < 1.0:
+        fields = fields.times(strength)
     unstylized = mi.TensorXf(np.ldexp(source.density, exponent))
     solid = None if source.obstacle is None else mi.Bool(source.obstacle.ravel())
     with dr.suspend_grad():

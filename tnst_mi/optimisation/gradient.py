@@ -11,14 +11,15 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.kernels import opaque
+from tnst_mi.fields.resampling import resample_density
 from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
+from tnst_mi.rendering.levels import Level
 
 #: Offset of the outer views for judging results, as a share of the way from the main view to the end of the azimuths.
 _JUDGED_REACH = 0.8
@@ -42,13 +43,11 @@ class OctaveProblem:
     """What all frames share in one octave.
 
     Attributes:
-        octave: the grid.
-        size: rows and columns of the images.
+        octave: the grid and its images.
         loss: for images of this size, with its targets and scales.
     """
 
-    octave: Octave
-    size: tuple[int, int]
+    octave: Level
     loss: BoundObjective
 
     def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
@@ -100,7 +99,7 @@ class OctaveProblem:
         return self.loss.gradient_square_sum(images.torch().clone())
 
     def judge(self, frame: FramePlan, density: np.ndarray) -> tuple[float, dict[str, float]]:
-        """Loss of a scaled density (D, H, W), and its unscaled terms, as means over three fixed views.
+        """Loss of a scaled full-resolution density (D, H, W), and its unscaled terms, as means over three fixed views.
 
         They are the main view, and the views 0.8 of the way from it to either end of the range of azimuths.
         """
@@ -108,7 +107,8 @@ class OctaveProblem:
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
         views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
         with torch.no_grad(), dr.suspend_grad():
-            images = self._rendered(mi.TensorXf(density), views, frame, (recipe.seed,))
+            seen = resample_density(mi.TensorXf(density), 1.0, self.octave.shape, self.octave.cell_size)
+            images = self._rendered(seen, views, frame, (recipe.seed,))
             loss, terms = self._loss_of(frame).evaluate(images.torch())
         return float(loss) / len(views), {name: float(value) / len(views) for name, value in terms.items()}
 
@@ -124,16 +124,16 @@ class OctaveProblem:
     def _rendered(
         self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]
     ) -> mi.TensorXf:
-        renderer = driving_renderer(frame.recipe, self.octave.shape, self.octave.cell_size, size=self.size)
+        octave = self.octave
+        renderer = driving_renderer(frame.recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
         return renderer.render(density, views, seed) * opaque(frame.exposure)
 
 
-def problem_of(plan: Plan, octave: Octave, network: GoogLeNet) -> OctaveProblem:
+def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:
     """The problem of an octave, with all scales 1.
 
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    size = plan.image_size(octave)
-    loss = plan.objective.bind(network, *size, record=True, sigma=plan.recipe.sigma == "loss")
-    return OctaveProblem(octave, size, loss)
+    loss = plan.objective.bind(network, *octave.size, record=True, sigma=plan.recipe.sigma == "loss")
+    return OctaveProblem(octave, loss)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tnst_mi.fields.advection import advect, flow, step
 from tnst_mi.fields.flow_map import MOST_STAGES
-from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.grid import Cells, Octave
 from tnst_mi.fields.kernels import Divisor, opaque, stored
 from tnst_mi.fields.potentials import PotentialVelocity, velocity
 from tnst_mi.fields.pyramid import gaussian, normalise
@@ -25,6 +25,14 @@ LARGEST_DERIVATIVE = 4.0
 GRADIENT_SIGMA = 1.2
 
 
+#: By how much velocities of scaled potentials may differ from scaled velocities, relative to the fastest one: they are
+#: differences of rounded values.
+_ROUNDING = 1e-5
+
+#: How often potentials are lowered around cells that are faster than they may be, before all are.
+_LOWERED = 3
+
+
 class Fields(dict[str, "mi.TensorXf"]):
     """What is optimised, by name: (D, H, W) or (D, H, W, 3) tensors on one grid. So are gradients and steps."""
 
@@ -37,6 +45,10 @@ class Fields(dict[str, "mi.TensorXf"]):
     def __add__(self, other: Fields) -> Fields:
         """The sum of two steps."""
         return Fields({name: field + other[name] for name, field in self.items()})
+
+    def times(self, factor: float) -> Fields:
+        """The fields times a number."""
+        return Fields({name: field * opaque(factor) for name, field in self.items()})
 
     def attached(self) -> Fields:
         """The same values as fresh leaves of the AD graph."""
@@ -72,6 +84,13 @@ class Parameterisation(ABC):
 
     def rescaled(self, fields: Fields, factor: float) -> Fields:
         """The fields that change densities times `factor` alike."""
+        return fields
+
+    def within(self, fields: Fields, reach: float | mi.TensorXf, h: float) -> Fields:
+        """The fields, scaled down if they move smoke farther than `reach`, in full-resolution cells, anywhere.
+
+        `reach` is the same for all cells, or a field (D, H, W) of values above 0.
+        """
         return fields
 
     @abstractmethod
@@ -199,9 +218,43 @@ class Transport(Parameterisation):
         """Velocity (D, H, W, 3) of the potentials, in full-resolution cells per frame."""
         return velocity(fields.get("phi"), fields.get("psi"), self.lam, h)
 
+    def within(self, fields: Fields, reach: float | mi.TensorXf, h: float) -> Fields:
+        """The potentials times the largest factor, 1 at most, with which no cell is faster than `reach`.
+
+        No way of transport moves smoke farther than the fastest cell in one frame: interpolated velocities are means
+        of those of cells, and every step and stage follows means of these. Scaled potentials have a velocity without
+        divergence where they had one. If cells differ in how far they may be moved, those of a few must not decide for
+        all: potentials are first lowered around those that are too fast.
+        """
+        if isinstance(reach, int | float):
+            allowed = opaque(reach)
+        else:
+            allowed = reach.array
+            for _ in range(_LOWERED):
+                fields = self._lowered(fields, reach, h)
+        excess = dr.max(self._speed(fields, h) / allowed)
+        factor = dr.select(excess > 1, opaque(1 - _ROUNDING) / excess, mi.Float(1))
+        return Fields({name: field * factor for name, field in fields.items()})
+
+    def _lowered(self, fields: Fields, reach: mi.TensorXf, h: float) -> Fields:
+        """The potentials times a soft-edged factor that is below 1 around cells that are faster than their `reach`."""
+        excess = self._speed(fields, h) / reach.array
+        factor = gaussian(mi.TensorXf(stored(dr.minimum(1, dr.rcp(excess))), reach.shape), GRADIENT_SIGMA, "nearest")
+        fast = dr.max(excess) > 1
+        factor = mi.TensorXf(dr.select(fast, factor.array, mi.Float(1)), reach.shape)
+        return Fields({name: times(factor, field) for name, field in fields.items()})
+
+    def _speed(self, fields: Fields, h: float) -> mi.Float:
+        """|v| of every cell."""
+        v = self._velocity(fields, h)
+        return dr.norm(v.at(Cells.of(v.shape)))
+
+    def _velocity(self, fields: Fields, h: float) -> PotentialVelocity:
+        return PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
+
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
-        v = PotentialVelocity(fields.get("phi"), fields.get("psi"), self.lam, h)
+        v = self._velocity(fields, h)
         if self.trace == "flow":
             stages = self.stages if isinstance(self.stages, int) else None
             return flow(density, v, "maccormack", h, "zero", None, stages, self.conservative)
@@ -236,7 +289,7 @@ class DensityOffset(Parameterisation):
 
     def rescaled(self, fields: Fields, factor: float) -> Fields:
         """The offset in units of the densities."""
-        return Fields({name: field * opaque(factor) for name, field in fields.items()})
+        return fields.times(factor)
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """The density plus the offset, clamped to ≥ 0."""

@@ -6,16 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.grid import Octave, Shape, octaves
+from tnst_mi.fields.density_unit import scaled
+from tnst_mi.fields.grid import Octave, Shape
+from tnst_mi.fields.resampling import resample_mask
+from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
-from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
+from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
+from tnst_mi.optimisation.silhouette import displacement_allowed
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.combinations import require_averageable, require_one_transport
+from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
+from tnst_mi.rendering.levels import Level, by_cell, full_level, levels_of
 
 
 @dataclass(frozen=True)
@@ -26,12 +33,14 @@ class FramePlan:
         index: its position in the sequence, from 0.
         name: its name in files and in the log.
         number: the number that seeds its views, 0 or more.
-        recipe: the recipe at this frame.
+        recipe: the recipe at this frame, with γ per full-resolution cell.
         step_scale: the factor of η, the σ of paper Eq. 2: S_t / max_t S_t, or 1 where σ is part of the loss; 0 for a
             frame that is left unchanged.
         exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
         weights: of the terms of the loss; None if the objective has its own.
+        reach: how far its smoke may be moved, in full-resolution cells; None for any distance.
+        keep_silhouette: how far its outline in the main view may move, likewise.
     """
 
     index: int
@@ -42,6 +51,8 @@ class FramePlan:
     exposure: float
     parameterisation: Parameterisation
     weights: tuple[float, ...] | None
+    reach: float | None
+    keep_silhouette: float | None
 
     @property
     def eta(self) -> float:
@@ -52,6 +63,19 @@ class FramePlan:
     def still(self) -> bool:
         """Whether the frame is invisible and therefore stays unchanged."""
         return self.step_scale == 0.0
+
+    @property
+    def keeps_silhouette(self) -> bool:
+        """Whether how far a cell may be moved depends on where it is."""
+        return self.keep_silhouette is not None and isinstance(self.parameterisation, Transport)
+
+    def within_reach(self, fields: Fields, h: float, allowed: mi.TensorXf | None = None) -> Fields:
+        """The fields of the frame, on cells of size h, scaled down to how far its smoke may be moved.
+
+        `allowed` says so of each cell, see `Plan.allowed`; without it, it is the same for all.
+        """
+        reach = self.reach if allowed is None else allowed
+        return fields if reach is None else self.parameterisation.within(fields, reach, h)
 
     def seed(self, octave: int, iteration: int) -> tuple[int, ...]:
         """The seed of the views of an iteration, and of the renderer where it is random."""
@@ -77,13 +101,32 @@ class Plan:
     objective: Objective
 
     @cached_property
-    def octaves(self) -> list[Octave]:
+    def octaves(self) -> list[Level]:
         """The octaves, from coarse to fine."""
-        return octaves(self.shape, self.recipe.octaves, self.recipe.scale_factor)
+        return levels_of(self.recipe, self.shape)
 
-    def image_size(self, octave: Octave) -> tuple[int, int]:
-        """Rows and columns of the images of an octave."""
-        return image_size(self.recipe, octave.shape)
+    @property
+    def full(self) -> Level:
+        """The frames' own grid."""
+        return full_level(self.recipe, self.shape)
+
+    def allowed(self, frame: FramePlan, source: Frame, grid: Octave) -> mi.TensorXf | None:
+        """How far each cell of a grid may be moved, in full-resolution cells; None if it is the same for all.
+
+        Args:
+            frame: the plan of a frame.
+            source: the frame.
+            grid: an octave, or the full grid.
+        """
+        if frame.keep_silhouette is None or not frame.keeps_silhouette:
+            return None
+        density = scaled(source.density, self.density_scale)
+        allowed = displacement_allowed(density, frame.recipe, self.full.size, frame.keep_silhouette)
+        if frame.reach is not None:
+            allowed = np.minimum(allowed, frame.reach)
+        resampled = resample_mask(mi.TensorXf(allowed), 1.0, grid.shape, grid.cell_size)
+        # Next to the border of a coarser grid, means count what is outside as 0.
+        return dr.maximum(resampled, float(allowed.min()))
 
     @property
     def rows(self) -> int:
@@ -145,7 +188,7 @@ def plan_of(
     """
     require_averageable(recipe)
     require_one_transport(recipe)
-    recipes = [recipe.at(number) for number in numbers]
+    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
     frames = tuple(
@@ -168,6 +211,8 @@ def plan_of(
                 recipe.conservative,
             ),
             None if objective is not None else tuple(term_weights(at_frame)),
+            in_cells(recipe.reach, shape[1]),
+            in_cells(recipe.keep_silhouette, shape[1]),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
             zip(names, numbers, recipes, step_scales, exposures, strict=True)

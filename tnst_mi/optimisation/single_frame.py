@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tnst_mi.fields.density_unit import ReferenceDensity
-from tnst_mi.fields.grid import octaves
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
@@ -14,8 +13,8 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import brightness
+from tnst_mi.rendering.levels import by_cell, levels_seen
 
 
 def optimise(
@@ -46,10 +45,9 @@ def optimise(
     reference = ReferenceDensity()
     reference.add(frame.density)
     density_scale = reference.scale(recipe.density_scale)
-    shape, at_frame = frame.density.shape, recipe.at(frame.number)
-    levels = octaves(shape, recipe.octaves, recipe.scale_factor)
-    sizes = [image_size(recipe, octave.shape) for octave in levels]
-    (alone,) = brightness([frame], [at_frame], levels, sizes, density_scale)
+    shape = frame.density.shape
+    at_frame = by_cell(recipe.at(frame.number), shape)
+    (alone,) = brightness([frame], [at_frame], levels_seen(recipe, shape), density_scale)
     scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
     plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective)
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)

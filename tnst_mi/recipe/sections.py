@@ -13,6 +13,7 @@ from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
+from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.optional_keys import Point, Unset
 
 
@@ -85,6 +86,10 @@ class Method:
     integrated transmittance, where smoke is dark and empty space bright."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""
+    motif_size: Annotated[float | str, Number(0.01, 2.0, word="auto")] = "auto"
+    """Size of motifs in parts of the grid's height, such as 0.25: the images that the network sees then have
+    24/motif_size rows, whatever the grid, and gamma is per pixel of them. auto, as in the paper, makes a pixel a cell,
+    so that motifs have 24 cells: a quarter of the height on 96 rows, half of that on 192."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
     """Ratio of the resolutions of neighbouring octaves, above 1."""
     iterations: Annotated[int, Integer(1, 100_000)] = 20
@@ -154,6 +159,15 @@ class Method:
     all around) or environment (equally from all around)."""
     spp: Annotated[int, Integer(1, 4096)] = 16
     """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
+    reach: Annotated[str | float, Length()] = "off"
+    """How far smoke may be moved at most: a share of the grid's height, such as 5%, a number of cells, or off. It holds
+    exactly, in every cell and over all octaves together."""
+    keep_silhouette: Annotated[str | float, Length()] = "off"
+    """How far the outline of the smoke in the main view may move: a share of the grid's height, such as 1%, a number of
+    cells, or off."""
+    strength: Annotated[float, Number(0.0, 1.0)] = 1.0
+    """Strength s of the stylization, from 0 (the input, bit for bit) to 1: the velocity of the result is s times the
+    one that was found, so that smoke moves s times as far."""
     blend: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Share b of the stylized density in the result d + b·(d* − d), from 0 to 1."""
     seed: Annotated[int, Integer(0, 2**32 - 1)] = 0

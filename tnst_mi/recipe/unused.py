@@ -10,7 +10,7 @@ from tnst_mi.recipe.sections import KINDS
 #: Keys of Mitsuba's path tracer, and of a window.
 _OF_THE_PATH_TRACER = ("albedo", "anisotropy", "light", "spp")
 _OF_A_WINDOW = ("window_weights", "window_average", "step_order", "coherence")
-_OF_TRANSPORT = ("lam", "steps", "transport", "stages", "conservative")
+_OF_TRANSPORT = ("lam", "steps", "transport", "stages", "conservative", "reach", "keep_silhouette")
 
 
 def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:

@@ -15,10 +15,10 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.density_unit import densest_but_stray
-from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.levels import Level
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 #: Cells along the longest edge of the grid in which the views are searched.
@@ -59,8 +59,7 @@ class Columns:
 
 def largest_columns(
     density: np.ndarray,
-    octaves: Sequence[Octave],
-    sizes: Sequence[tuple[int, int]],
+    levels: Sequence[Level],
     recipe: Recipe,
     gamma: float,
 ) -> Columns:
@@ -68,26 +67,32 @@ def largest_columns(
 
     Args:
         density: (D, H, W) at full resolution.
-        octaves: of the run.
-        sizes: rows and columns of the images of each octave.
+        levels: the octaves of the run, and last the full grid.
         recipe: of the frame, without keyframes.
         gamma: the smallest γ of the run: columns that hide everything behind them need not be told apart.
     """
-    views = [*views_around(recipe), *_thickest_views(density, sizes[-1], recipe, gamma)]
+    views = [*views_around(recipe), *_thickest_views(density, levels[-1].size, recipe, gamma)]
     ray = cell = 0.0
-    for octave, size in zip(octaves, sizes, strict=True):
-        seen = resample_density(mi.TensorXf(density), 1.0, octave.shape, octave.cell_size)
-        column = float(_columns(seen, octave.cell_size, size, views, gamma).max())
+    for level in levels:
+        seen = resample_density(mi.TensorXf(density), 1.0, level.shape, level.cell_size)
+        column = float(_columns(seen, level.cell_size, level.size, views, gamma, level.pixel).max())
         densities = seen.numpy().ravel()
         # In other views, a ray may meet the same smoke with a sample more.
-        ray = max(ray, column + octave.cell_size * float(densities.max()))
-        cell = max(cell, octave.cell_size * float(densest_but_stray(densities)))
+        ray = max(ray, column + level.cell_size * float(densities.max()))
+        cell = max(cell, level.cell_size * float(densest_but_stray(densities)))
     return Columns(ray, cell)
 
 
-def _columns(density: mi.TensorXf, h: float, size: tuple[int, int], views: Sequence[View], gamma: float) -> np.ndarray:
+def _columns(
+    density: mi.TensorXf,
+    h: float,
+    size: tuple[int, int],
+    views: Sequence[View],
+    gamma: float,
+    pixel: float | None = None,
+) -> np.ndarray:
     """The largest column of each view; infinite where nothing gets through at γ."""
-    renderer = EmissionAbsorptionRenderer(tuple(density.shape), gamma, "transmittance", h, size=size)
+    renderer = EmissionAbsorptionRenderer(tuple(density.shape), gamma, "transmittance", h, size=size, pixel=pixel)
     with dr.suspend_grad():
         opacity = renderer.render(density, views).numpy().max((1, 2)).astype(np.float64)
     with np.errstate(divide="ignore"):

@@ -26,7 +26,12 @@ def image_size(recipe: Recipe, shape: Shape) -> tuple[int, int]:
 
 
 def driving_renderer(
-    recipe: Recipe, shape: Shape, h: float, spp: int | None = None, size: tuple[int, int] | None = None
+    recipe: Recipe,
+    shape: Shape,
+    h: float,
+    spp: int | None = None,
+    size: tuple[int, int] | None = None,
+    pixel: float | None = None,
 ) -> Renderer:
     """The renderer of a recipe's views, for grids of shape (D, H, W) and cell size h.
 
@@ -36,15 +41,16 @@ def driving_renderer(
         h: size of a cell in full-resolution cells.
         spp: paths per pixel, by default the recipe's; emission–absorption ignores it.
         size: rows and columns of the images, by default those of the grid; see `image_size`.
+        pixel: distance between pixels in full-resolution cells, by default h.
 
     Raises:
         InputError: the recipe's light cannot be used.
     """
     if recipe.integrator == "emission_absorption":
-        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h, size=size)
+        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h, size=size, pixel=pixel)
     light = LIGHTS / f"{recipe.light}.xml" if recipe.light in shipped_lights() else Path(recipe.light)
     lighting = Lighting(recipe.albedo, recipe.anisotropy, light, recipe.spp if spp is None else spp)
-    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting, size)
+    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting, size, pixel)
 
 
 def main_view(density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None) -> np.ndarray:
@@ -70,7 +76,13 @@ def stills(
 
 @functools.lru_cache(maxsize=4)
 def _scattering(
-    variant: str, shape: Shape, gamma: float, h: float, lighting: Lighting, size: tuple[int, int] | None
+    variant: str,
+    shape: Shape,
+    gamma: float,
+    h: float,
+    lighting: Lighting,
+    size: tuple[int, int] | None,
+    pixel: float | None,
 ) -> ScatteringRenderer:
     """Cached, since loading a scene is slow and Mitsuba does not free all of its memory."""
-    return ScatteringRenderer(shape, gamma, h, lighting, size)
+    return ScatteringRenderer(shape, gamma, h, lighting, size, pixel)

@@ -23,6 +23,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, camera_frame, share_cut_off
 from tnst_mi.rendering.columns import largest_columns, views_around
 from tnst_mi.rendering.driving import main_view, stills
+from tnst_mi.rendering.levels import Level
 
 #: Number of values of γ at which all frames are compared, where more occur: those that have the most smoke in view at
 #: one of them are then compared with every frame at its own γ.
@@ -81,8 +82,7 @@ class Brightness:
 def brightness(
     frames: Sequence[Frame],
     recipes: Sequence[Recipe],
-    levels: Sequence[Octave],
-    sizes: Sequence[tuple[int, int]],
+    levels: Sequence[Level],
     density_scale: float,
     watch: Callable[[Sequence[Frame]], Iterable[Frame]] = iter,
 ) -> list[Brightness]:
@@ -94,26 +94,26 @@ def brightness(
     Args:
         frames: in their order.
         recipes: the recipe of each frame, without keyframes.
-        levels: the octaves of the run.
-        sizes: rows and columns of the images of each octave.
+        levels: the octaves of the run, and last the full grid; see `levels_seen`.
         density_scale: factor of all densities.
         watch: passes the frames on, and shows the progress.
     """
+    size = levels[-1].size
     gammas, own_gammas = _measured_gammas(recipes), [recipe.gamma for recipe in recipes]
     # By frame: the smoke in view by γ, the largest columns, the brightest pixel if path traced, what is cut off.
     in_view, columns, pixels, cut_off = [], [], [], []
     for frame, recipe in zip(watch(frames), recipes, strict=True):
         density, views = scaled(frame.density, density_scale), views_around(recipe)
-        in_view.append({g: _in_view(density, recipe, g, sizes[-1]) for g in {*gammas, recipe.gamma}})
-        columns.append(largest_columns(density, levels, sizes, recipe, gammas[0]))
-        cut_off.append(share_cut_off(frame.density, views, sizes[-1]))
+        in_view.append({g: _in_view(density, recipe, g, size) for g in {*gammas, recipe.gamma}})
+        columns.append(largest_columns(density, levels, recipe, gammas[0]))
+        cut_off.append(share_cut_off(frame.density, views, size))
         if recipe.integrator != "emission_absorption":
             ends = [recipe.main_view, *itertools.product(recipe.azimuth, recipe.elevation)]
-            pixels.append(float(stills(density, ends, recipe, sizes[-1], _GLIMPSE_SPP).max()))
+            pixels.append(float(stills(density, ends, recipe, size, _GLIMPSE_SPP).max()))
     others = {*own_gammas} - {*gammas}
     for leader in {max(range(len(frames)), key=lambda i: in_view[i][g]) for g in gammas} if others else ():
         density = scaled(frames[leader].density, density_scale)
-        in_view[leader] |= {g: _in_view(density, recipes[leader], g, sizes[-1]) for g in others}
+        in_view[leader] |= {g: _in_view(density, recipes[leader], g, size) for g in others}
     longest = max(column.ray for column in columns)
     found = []
     for index, recipe in enumerate(recipes):

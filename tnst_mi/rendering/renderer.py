@@ -103,9 +103,11 @@ class EmissionAbsorptionRenderer(Renderer):
         shape: (D, H, W) of the grid.
         gamma: ratio γ of extinction to density, per full-resolution cell.
         quadrature: one of `tnst_mi.choices.QUADRATURES`.
-        h: size of a cell in full-resolution cells; also the distance between pixels.
+        h: size of a cell in full-resolution cells.
         step: distance between the samples of a ray in full-resolution cells; h if None.
         size: rows and columns of the images, around the grid's centre; those of the grid if None.
+        pixel: distance between pixels in full-resolution cells; h if None. Rays are not averaged over pixels that are
+            larger than cells: resample the density instead.
     """
 
     def __init__(
@@ -116,8 +118,10 @@ class EmissionAbsorptionRenderer(Renderer):
         h: float,
         step: float | None = None,
         size: tuple[int, int] | None = None,
+        pixel: float | None = None,
     ) -> None:
         self.shape, self.gamma, self.h, self.size = shape, gamma, h, size or shape[1:]
+        self.pixel = pixel or h
         self._medium = _medium(mi.variant(), shape, h)
         self._integrator = _integrator(mi.variant(), gamma, quadrature, step or h)
 
@@ -169,7 +173,7 @@ class EmissionAbsorptionRenderer(Renderer):
 
     def _rays(self, views: Sequence[View]) -> OrthographicRays:
         rows, columns = self.size
-        return OrthographicRays(columns, rows, self.h, view_distance(self.shape, self.h), views)
+        return OrthographicRays(columns, rows, self.pixel, view_distance(self.shape, self.h), views)
 
     def _place(self, density: mi.TensorXf, attached: bool = False) -> mi.TensorXf:
         """Set the medium's density, which stays until the next call; returns the medium's tensor."""

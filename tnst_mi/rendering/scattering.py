@@ -59,16 +59,23 @@ class ScatteringRenderer(Renderer):
         h: size of a cell in full-resolution cells.
         lighting: the smoke's scattering and its light.
         size: rows and columns of the images; those of the grid if None.
+        pixel: distance between pixels in full-resolution cells; h if None.
 
     Raises:
         InputError: the light's file cannot be used, or a GPU lacks OptiX.
     """
 
     def __init__(
-        self, shape: Shape, gamma: float, h: float, lighting: Lighting, size: tuple[int, int] | None = None
+        self,
+        shape: Shape,
+        gamma: float,
+        h: float,
+        lighting: Lighting,
+        size: tuple[int, int] | None = None,
+        pixel: float | None = None,
     ) -> None:
         require_optix("--integrator prbvolpath")
-        self.size = size or shape[1:]
+        self.size, self.pixel = size or shape[1:], pixel or h
         self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
         # Kept alive: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)
@@ -125,6 +132,7 @@ class ScatteringRenderer(Renderer):
     def _load(self, view_count: int, majorant: float) -> _LoadedScene:
         lighting = self.lighting
         description = scene_description(self.shape, self.gamma, "exact", self.h, view_count, size=self.size)
+        description["sensor"]["spacing"] = self.pixel
         description["integrator"] = {
             "type": "prbvolpath",
             "max_depth": _MAX_DEPTH,

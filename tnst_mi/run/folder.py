@@ -247,7 +247,7 @@ class RunFolder:
         report.write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
         before, after = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
         flickers, changes = sequence["flicker_pairs"], sequence["relative_changes"]
-        report.plot_sequence(images / "sequence.png", names, before, after, flickers, changes)
+        report.plot_sequence(images / "sequence.png", names, before, after, flickers, changes, sequence["mass_changes"])
 
     def remove_work(self) -> None:
         """Remove the working state of a finished run."""

@@ -167,7 +167,7 @@ class Run(Iterator[StylizedFrame]):
     def _write(self, folder: RunFolder, frame: StylizedFrame, plan: FramePlan) -> None:
         run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
         before, after = (
-            exposure * main_view(scaled(density, run.density_scale), recipe, run.image_size(run.octaves[-1]))
+            exposure * main_view(scaled(density, run.density_scale), recipe, run.full.size)
             for density in (source.density, frame.stylized.density)
         )
         attributes = {

@@ -12,7 +12,7 @@ from tnst_mi.losses.evaluation import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
+from tnst_mi.rendering.levels import levels_of
 from tnst_mi.rendering.renderer import LARGEST_SAMPLES, view_samples
 
 #: Bytes of a process that has loaded Mitsuba, Dr.Jit, LLVM, torch and a GoogLeNet, and compiled its kernels.
@@ -72,7 +72,8 @@ class Need:
         by_pixel: of the network, per pixel of an image, for all views of a batch.
         views: number of views.
         at_once: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
-        size: rows and columns of an image of the finest grid.
+        size: rows and columns of an image of the finest octave.
+        fixed_size: whether images keep it whatever the grid.
     """
 
     shape: tuple[int, int, int]
@@ -82,6 +83,7 @@ class Need:
     views: int
     at_once: int
     size: tuple[int, int]
+    fixed_size: bool = False
 
     @property
     def total(self) -> int:
@@ -96,7 +98,8 @@ class Need:
         depth, height, width = self.shape
         for rows in range(height, 0, -1):
             shape = (max(1, depth * rows // height), rows, max(1, width * rows // height))
-            size = (max(1, self.size[0] * rows // height), max(1, self.size[1] * rows // height))
+            smaller = (max(1, self.size[0] * rows // height), max(1, self.size[1] * rows // height))
+            size = self.size if self.fixed_size else smaller
             if replace(self, shape=shape, size=size).total <= free:
                 return shape
         return None
@@ -112,7 +115,8 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    costs, components, at_once, size = COSTS[torch_device().type], recipe.components, 0, image_size(recipe, shape)
+    costs, components, at_once = COSTS[torch_device().type], recipe.components, 0
+    size = levels_of(recipe, shape)[-1].size
     by_cell: float = costs.transport_cell + costs.transport_component * components
     if recipe.transport == "flow":
         by_cell += costs.flow_cell + costs.volume_cell * recipe.conservative
@@ -126,7 +130,7 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
     elif not on_disk:
         by_cell += working_bytes(shape, count, recipe) / math.prod(shape)
     by_pixel = costs.network_factor * saved + costs.network_pixel
-    return Need(shape, costs.process, by_cell, by_pixel, recipe.views, at_once, size)
+    return Need(shape, costs.process, by_cell, by_pixel, recipe.views, at_once, size, recipe.motif_size != "auto")
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:

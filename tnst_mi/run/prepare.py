@@ -14,7 +14,6 @@ from typing import Any
 from tqdm import tqdm
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import FORMATS
@@ -28,8 +27,8 @@ from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
@@ -166,7 +165,7 @@ def prepare(
     first = next(iter(Readable(sequence, recipe.skip_bad)))
     shape = first.density.shape
     require_indexable(3 * math.prod(shape), f"{first.name}: its velocity is an array")
-    rows, columns = image_size(recipe, shape)
+    rows, columns = levels_of(recipe, shape)[-1].size
     if recipe.views * rows * columns >= LARGEST_COUNT:
         raise InputError(
             f"views = {recipe.views}: images of {rows}×{columns} pixels have {recipe.views * rows * columns} values "
@@ -188,20 +187,19 @@ def prepare(
     if out is not None:
         require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)
-    recipes = [recipe.at(measure.number) for measure in measures]
-    levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
+    recipes = [by_cell(recipe.at(measure.number), shape) for measure in measures]
+    density_scale = reference.scale(recipe.density_scale)
     densest = max(measure.densest for measure in measures)
     if densest * density_scale > _DENSEST:
         raise InputError(
             f"density_scale = {density_scale:g}: makes the density of {densest:g} larger than {_DENSEST:g}, with which "
             'images cannot be computed; take density_scale = "auto"'
         )
-    sizes = [image_size(recipe, octave.shape) for octave in levels]
     if progress and recipe.integrator != "emission_absorption":
         tqdm.write("measuring how bright the frames are path traced …", file=sys.stderr)
     watch = partial(_watched, doing="measuring", shown=progress)
     unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
-    bright = brightness(unchanged, recipes, levels, sizes, density_scale, watch)
+    bright = brightness(unchanged, recipes, levels_seen(recipe, shape), density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
     record: dict[str, Any] = {

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tnst_mi.fields.folding import folded_share
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
@@ -33,6 +34,7 @@ def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str,
         "mass_before": frame.mass,
         "mass_after": float(stylized.density.sum(dtype=np.float64)),
         "largest_displacement": float(np.sqrt(np.einsum("...c,...c", stylized.velocity, stylized.velocity).max())),
+        "folded": _folded(plan.recipe, stylized),
         "exposure": plan.exposure,
         "step_scale": plan.step_scale,
         "loss_before": stylized.loss_before,
@@ -55,6 +57,13 @@ def run_identity(recipe: Recipe, run: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(decisive).encode("utf-8")).hexdigest()
 
 
+def _folded(recipe: Recipe, stylized: Stylized) -> float | None:
+    """`folded_share` of transport in straight steps, each a part of v*; None where smoke follows the flow."""
+    if recipe.parameterisation != "transport" or recipe.transport != "step" or not isinstance(recipe.steps, int):
+        return None
+    return folded_share(stylized.density, stylized.velocity / np.float32(recipe.steps))
+
+
 def sequence_record(
     recipe: Recipe, frames: Iterable[Frame], densities: Iterable[np.ndarray], records: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
@@ -68,7 +77,8 @@ def sequence_record(
 
     Returns:
         window; flicker (mean over the pairs) and flicker_pairs; relative_changes ‖d* − d‖/‖d‖ per frame, and their
-        mean; loss_before and loss_after, means over the frames, and likewise those of the unscaled terms;
+        mean; mass_changes Σ d*/Σ d − 1 per frame, None without smoke, and mass_drift, the largest less the smallest of
+        them; loss_before and loss_after, means over the frames, and likewise those of the unscaled terms;
         loss_reduction, 1 − after/before where that is meaningful.
     """
     meter, changes = FlickerMeter(), []
@@ -82,12 +92,24 @@ def sequence_record(
         "flicker_pairs": meter.pairs,
         "relative_changes": changes,
         "relative_change": _mean(changes),
+        "mass_changes": (masses := [mass_change(record) for record in records]),
+        "mass_drift": _range(masses),
         "loss_before": before,
         "loss_after": after,
         **{key: _mean_terms([record[key] for record in records]) for key in ("terms_before", "terms_after")},
         # Only a positive loss (style distances) can fall by a share; activations to be raised are negative losses.
         "loss_reduction": None if before is None or after is None or before <= 0 else 1 - after / before,
     }
+
+
+def mass_change(record: dict[str, Any]) -> float | None:
+    """Σ d*/Σ d − 1 of the record of a frame; None if it has no smoke."""
+    return record["mass_after"] / record["mass_before"] - 1 if record["mass_before"] > 0 else None
+
+
+def _range(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) - min(known) if known else None
 
 
 def _mean_terms(terms: Sequence[dict[str, float]]) -> dict[str, float | None]:

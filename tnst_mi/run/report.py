@@ -32,6 +32,9 @@ _LEAST_COLUMN = 120
 #: Pixels per inch of the contact sheet: a power of two, so that inches convert back to whole pixels.
 _RESOLUTION = 128
 
+#: Least range of the axis of mass on either side, in percent, so that what is kept looks kept.
+_LEAST_MASS_AXIS = 5.0
+
 #: Maximum number of frame names along the axis of a plot, and of characters in one.
 _NAMES, _LETTERS = 12, 16
 
@@ -106,8 +109,9 @@ def plot_sequence(
     losses_after: Sequence[float | None],
     pairs: Sequence[dict[str, Any]],
     changes: Sequence[float | None],
+    masses: Sequence[float | None],
 ) -> None:
-    """Plot the measurements of the frames as PNG: loss before and after, flicker, and size of the change.
+    """Plot the measurements of the frames as PNG: loss before and after, flicker, size of the change, and mass.
 
     Args:
         path: the file, ending in .png.
@@ -116,9 +120,10 @@ def plot_sequence(
         losses_after: the same at the end.
         pairs: adjacent frames and their flicker, as in `FlickerMeter.pairs`.
         changes: ‖d* − d‖ / ‖d‖ of each frame.
+        masses: Σ d* / Σ d − 1 of each frame.
     """
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    losses, flickers, sizes = figure.subplots(3, 1, sharex=True)
+    figure = Figure(figsize=(9, 10), layout="constrained")
+    losses, flickers, sizes, kept = figure.subplots(4, 1, sharex=True)
     losses.plot(_with_gaps(losses_before), marker=".", color="0.55", label="before")
     losses.plot(_with_gaps(losses_after), marker=".", color="tab:blue", label="after")
     losses.set(ylabel="loss")
@@ -142,11 +147,16 @@ def plot_sequence(
     size = _with_gaps(changes)
     sizes.plot(size, marker=".", color="tab:green")
     sizes.set(ylabel="change ‖d* − d‖ / ‖d‖", ylim=(0.0, _top(size)))
-    sizes.set(xlabel="frame", xlim=(-0.5, len(names) - 0.5))
+    mass = 100 * _with_gaps(masses)
+    kept.plot(mass, marker=".", color="tab:purple")
+    farthest = max(_LEAST_MASS_AXIS, 1.1 * float(np.nanmax(np.abs(mass), initial=0.0)))
+    kept.axhline(0.0, color="0.55", linewidth=1)
+    kept.set(ylabel="change of mass / %", ylim=(-farthest, farthest))
+    kept.set(xlabel="frame", xlim=(-0.5, len(names) - 0.5))
     ticks = range(0, len(names), _round_step(len(names) / _NAMES))
     labels = [_shortened(names[i], _LETTERS) for i in ticks]
-    sizes.set_xticks(ticks, labels, rotation=30, ha="right", rotation_mode="anchor", parse_math=False)
-    for axes in (losses, flickers, sizes):
+    kept.set_xticks(ticks, labels, rotation=30, ha="right", rotation_mode="anchor", parse_math=False)
+    for axes in (losses, flickers, sizes, kept):
         axes.grid(alpha=0.3)
     with written_whole(path) as temporary:
         FigureCanvasAgg(figure).print_png(str(temporary))

@@ -15,9 +15,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from tnst_mi.fields.grid import Shape, octaves
+from tnst_mi.fields.grid import Shape
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
+from tnst_mi.rendering.levels import levels_of
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ class OctaveSize:
 
 def octave_sizes(recipe: Recipe, shape: Shape) -> list[OctaveSize]:
     """The sizes of a recipe's octaves for frames of a shape (D, H, W), from coarse to fine."""
-    grids = [octave.shape for octave in octaves(shape, recipe.octaves, recipe.scale_factor)]
-    return [OctaveSize(math.prod(grid), math.prod(image_size(recipe, grid))) for grid in grids]
+    return [OctaveSize(math.prod(level.shape), math.prod(level.size)) for level in levels_of(recipe, shape)]
 
 
 @dataclass

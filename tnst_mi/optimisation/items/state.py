@@ -1,6 +1,6 @@
 """The items of an optimisation: what a `Store` holds for each frame on the grid of an octave o, as tensors.
 
-inputs.o    density, mask and simulation velocity of a frame
+inputs.o    density, mask and simulation velocity of a frame, and how far its cells may be moved
 fields.o    the optimised fields; generation = iterations done
 gain.o      normalises the average over the window to that over smoke, see `averaging_gain`
 step.o      the step of one iteration along the frame's own gradient, or the gradient itself, and the change
@@ -39,10 +39,14 @@ CHECKPOINT_SECONDS = 30.0
 
 @dataclass(frozen=True)
 class Inputs:
-    """Density and mask (D, H, W) of an unstylized frame on the grid of an octave."""
+    """Density and mask (D, H, W) of an unstylized frame on the grid of an octave.
+
+    `allowed` is how far each of its cells may be moved; None if it is the same for all.
+    """
 
     density: mi.TensorXf
     mask: mi.TensorXf
+    allowed: mi.TensorXf | None = None
 
 
 @dataclass(frozen=True)
@@ -132,6 +136,8 @@ class Items:
             "density": resample_density(density, 1.0, grid.shape, grid.cell_size),
             "mask": mi.TensorXf16(resample_mask(mask, 1.0, grid.shape, grid.cell_size)),
         }
+        if (allowed := self.plan.allowed(frame, source, grid)) is not None:
+            arrays["allowed"] = allowed
         if self.plan.window > 1 and frame.index + 1 < len(self.plan.frames):
             if source.velocity is None:
                 raise InputError(f"{frame.name}: has no velocity, which a window of {self.plan.window} frames needs")
@@ -175,11 +181,11 @@ class Items:
             yield from (Current(frame, self._inputs[frame.index], self.fields(frame)) for frame in waiting)
             return
         requests = (
-            [(self._group("inputs"), frame.index, ("density", "mask")), self._fields_request(frame)]
+            [(self._group("inputs"), frame.index, self._input_names(frame)), self._fields_request(frame)]
             for frame in waiting
         )
         for frame, (inputs, fields) in zip(waiting, self._store.read_each(requests), strict=True):
-            now = Current(frame, Inputs(inputs["density"], inputs["mask"]), Fields(fields))
+            now = Current(frame, Inputs(**inputs), Fields(fields))
             if self._alone:
                 self._inputs = {frame.index: now.inputs}
                 self._fields = {frame.index: (self._stored_iterations(frame), now.fields)}
@@ -189,6 +195,10 @@ class Items:
         """The current fields of a frame."""
         kept = self._fields.get(frame.index)
         return Fields(self._store.read(*self._fields_request(frame))) if kept is None else kept[1]
+
+    @staticmethod
+    def _input_names(frame: FramePlan) -> tuple[str, ...]:
+        return ("density", "mask", *(["allowed"] if frame.keeps_silhouette else []))
 
     def _fields_request(self, frame: FramePlan) -> Request:
         return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)

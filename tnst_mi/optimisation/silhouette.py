@@ -1,0 +1,66 @@
+"""The outline of smoke in its main view, and how far its cells may be moved so that the outline stays where it is.
+
+A cell may be moved `keep` full-resolution cells, or as far as it lies inside the outline as seen, if that is farther.
+Smoke that comes to a place outside the outline then started at most `keep` from there, and what comes to a place
+deeper inside than `keep` started inside: the outline neither grows nor retreats by more, whatever happens within. This
+holds for a straight step. Along the flow it holds too, since a path slows down as it nears the outline: one that starts
+deeper inside than `keep` does not reach the band of that width within a frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import camera_frame
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+
+#: Opacity of a pixel from which on it counts as smoke.
+_SEEN = 0.05
+
+#: Where smoke starts and where it arrives may each be half a diagonal from the centre of the pixel that stands for it.
+_PIXELS = math.sqrt(2)
+
+
+def displacement_allowed(density: np.ndarray, recipe: Recipe, size: tuple[int, int], keep: float) -> np.ndarray:
+    """How far each cell may be moved: (D, H, W) float32, in full-resolution cells, `keep` or more.
+
+    Args:
+        density: (D, H, W) of the unstylized frame at full resolution, in the run's unit.
+        recipe: of the frame, with γ per full-resolution cell.
+        size: rows and columns of images that show the frame.
+        keep: by how much the outline may move, in full-resolution cells.
+    """
+    renderer = EmissionAbsorptionRenderer(density.shape, recipe.gamma, "transmittance", 1.0, size=size)
+    opacity = renderer.render(mi.TensorXf(density), [recipe.main_view]).numpy()[0]
+    inside = distance_inside(opacity > _SEEN)
+    right, up, _ = camera_frame(*recipe.main_view)
+    z, y, x = (np.arange(n) - (n - 1) / 2 for n in density.shape)
+    places = (
+        axis[2] * z[:, None, None] + axis[1] * y[:, None] + axis[0] * x + (n - 1) / 2
+        for axis, n in ((-up, size[0]), (right, size[1]))
+    )
+    row, column = (np.rint(place).astype(np.int64) for place in places)
+    shown = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
+    depth = np.where(shown, inside[row.clip(0, size[0] - 1), column.clip(0, size[1] - 1)], 0)
+    return np.maximum(depth - _PIXELS, keep).astype(np.float32)
+
+
+def distance_inside(mask: np.ndarray) -> np.ndarray:
+    """The distance of each pixel of a mask (H, W) to the nearest one outside it, in pixels; 0 outside.
+
+    What lies beyond the image is outside. Exact: the least of column distances² + row offsets² (Felzenszwalb and
+    Huttenlocher 2012, without their envelope, as images are small).
+    """
+    padded = np.pad(mask, 1)
+    rows = np.arange(padded.shape[0])
+    # By column, the distance to the nearest row outside, which the border is at the latest.
+    above = rows[:, None] - np.maximum.accumulate(np.where(padded, 0, rows[:, None]), axis=0)
+    below = np.minimum.accumulate(np.where(padded, rows[-1], rows[:, None])[::-1], axis=0)[::-1] - rows[:, None]
+    square = np.minimum(above, below).astype(np.float64) ** 2
+    offsets = np.subtract.outer(np.arange(padded.shape[1]), np.arange(padded.shape[1])).astype(np.float64) ** 2
+    nearest = np.stack([(row + offsets).min(axis=1) for row in square])
+    return np.sqrt(nearest)[1:-1, 1:-1]

@@ -1,0 +1,69 @@
+"""The octaves of a recipe: the grids on which it is optimised, and the images in which the network sees them.
+
+A network draws motifs of so many pixels, whatever they show. With `motif_size = "auto"` a pixel is a cell, as in the
+paper, so that motifs shrink as a grid gets finer. A number fixes the rows of the images instead, and with them the size
+of motifs relative to the frame. The octaves are then those of a grid of so many rows: where the input's grid is finer,
+it is the smoke that is resampled, and where it is coarser, its cells stay and its images get finer than they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from tnst_mi.fields.grid import Octave, Shape, octaves
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
+
+#: Size in pixels of what `motif_size` calls a motif: on 96 rows, "auto" is a motif size of a quarter.
+MOTIF_PIXELS = 24.0
+
+
+@dataclass(frozen=True)
+class Level(Octave):
+    """An octave with its images.
+
+    Attributes:
+        size: rows and columns of an image.
+        pixel: distance between pixels in full-resolution cells.
+    """
+
+    size: tuple[int, int]
+    pixel: float
+
+
+def finest_rows(recipe: Recipe, shape: Shape) -> int:
+    """Rows of the grid of square pixels that stands for the finest octave's images (without the room of `fit`)."""
+    rows = shape[1]
+    # On a single row nothing can be drawn, and it has no height to measure a motif by.
+    if rows == 1 or not isinstance(recipe.motif_size, float):
+        return rows
+    return max(1, round(MOTIF_PIXELS / recipe.motif_size))
+
+
+def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
+    """The octaves of a recipe for frames (D, H, W), from coarse to fine."""
+    rows = finest_rows(recipe, shape)
+    finest = [n if n == 1 or rows == shape[1] else max(1, round(n * rows / shape[1])) for n in shape]
+    levels = []
+    for seen in octaves(finest, recipe.octaves, recipe.scale_factor):
+        pixel, size = shape[1] / seen.shape[1], image_size(recipe, seen.shape)
+        finer = seen.shape[1] >= shape[1]
+        levels.append(Level(shape, 1.0, size, pixel) if finer else Level(seen.shape, pixel, size, pixel))
+    return levels
+
+
+def full_level(recipe: Recipe, shape: Shape) -> Level:
+    """The input's own grid, and images of which a pixel is a cell: those of results."""
+    return Level(shape, 1.0, image_size(recipe, shape), 1.0)
+
+
+def levels_seen(recipe: Recipe, shape: Shape) -> list[Level]:
+    """All grids of which a run renders images: its octaves, and last the input's own."""
+    levels, full = levels_of(recipe, shape), full_level(recipe, shape)
+    return levels if levels[-1] == full else [*levels, full]
+
+
+def by_cell(recipe: Recipe, shape: Shape) -> Recipe:
+    """A frame's recipe with γ per full-resolution cell: with a motif size, a recipe has it per pixel of the images."""
+    rows = finest_rows(recipe, shape)
+    return recipe if rows == shape[1] else replace(recipe, gamma=recipe.gamma * rows / shape[1])
