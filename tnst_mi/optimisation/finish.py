@@ -59,7 +59,11 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         )
     blend, before = opaque(frame.recipe.blend), unstylized.array
     after = density.array if solid is None else dr.select(solid, before, density.array)
-    blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape).numpy()
+    mixed = (1 - blend) * before + blend * dr.maximum(after, 0)
+    if items.plan.regions is not None:
+        # Outside a region nothing changes, not even by rounding.
+        mixed = dr.select(after == before, before, mixed)
+    blended = mi.TensorXf(mixed, source.density.shape).numpy()
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
     result = Stylized(np.ldexp(blended, -exponent), velocity.numpy(), (phi, psi))
     begun = items.level > 0 or items.iterations_done(frame) > 0

@@ -15,6 +15,8 @@ from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Parameterisation, Transport
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import Target, targets_of
+from tnst_mi.regions.regions import Regions
 from tnst_mi.rendering.driving import image_size
 
 
@@ -31,7 +33,8 @@ class FramePlan:
             frame that is left unchanged.
         exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
-        weights: of the terms of the loss; None if the objective has its own.
+        weights: for each target, those of the terms of its loss; None if the objective has its own.
+        shares: for each target, the factor of its steps.
     """
 
     index: int
@@ -41,7 +44,8 @@ class FramePlan:
     step_scale: float
     exposure: float
     parameterisation: Parameterisation
-    weights: tuple[float, ...] | None
+    weights: tuple[tuple[float, ...], ...] | None
+    shares: tuple[float, ...] = (1.0,)
 
     @property
     def eta(self) -> float:
@@ -67,14 +71,16 @@ class Plan:
         frames: the plans of the frames, in their order.
         shape: (D, H, W) of the frames.
         density_scale: factor of the frames' densities, see `fields.density_unit`.
-        objective: what to minimise.
+        objectives: what to minimise, for each target.
+        regions: the masks of the targets; None if there is one target, which applies everywhere.
     """
 
     recipe: Recipe
     frames: tuple[FramePlan, ...]
     shape: Shape
     density_scale: float
-    objective: Objective
+    objectives: tuple[Objective, ...]
+    regions: Regions | None = None
 
     @cached_property
     def octaves(self) -> list[Octave]:
@@ -125,6 +131,7 @@ def plan_of(
     shape: Shape,
     density_scale: float = 1.0,
     objective: Objective | None = None,
+    regions: Regions | None = None,
 ) -> Plan:
     """Plan a sequence.
 
@@ -138,6 +145,7 @@ def plan_of(
         shape: (D, H, W) of the frames.
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
+        regions: the masks of its targets, see `regions_of`.
 
     Raises:
         InputError: the recipe's window cannot be averaged as it says, its keys of the transport do not belong together,
@@ -145,6 +153,7 @@ def plan_of(
     """
     require_averageable(recipe)
     require_one_transport(recipe)
+    targets = targets_of(recipe)
     recipes = [recipe.at(number) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
@@ -167,13 +176,20 @@ def plan_of(
                 recipe.stages,
                 recipe.conservative,
             ),
-            None if objective is not None else tuple(term_weights(at_frame)),
+            None if objective is not None else tuple(_weights(target, number) for target in targets),
+            tuple(target.weight(number) for target in targets),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
             zip(names, numbers, recipes, step_scales, exposures, strict=True)
         )
     )
-    return Plan(recipe, frames, shape, density_scale, objective or objective_of(recipe))
+    objectives = (objective,) if objective is not None else tuple(objective_of(target.recipe) for target in targets)
+    return Plan(recipe, frames, shape, density_scale, objectives, regions)
+
+
+def _weights(target: Target, number: int | float | None) -> tuple[float, ...]:
+    """The weights of the terms of a target in a frame."""
+    return tuple(term_weights(target.recipe.at(number)))
 
 
 def _seed_number(index: int, number: int | float | None) -> int:
@@ -192,12 +208,18 @@ def require_averageable(recipe: Recipe) -> None:
     """Check that a window can be averaged as a recipe says.
 
     Raises:
-        InputError: an average over smoke is wanted of gradients, which no mask has weighted.
+        InputError: an average over smoke is wanted of gradients, which no mask has weighted, or gradients of several
+            targets are to be averaged.
     """
     if recipe.window > 1 and recipe.step_order == "align_first" and recipe.window_average == "smoke":
         raise InputError(
             "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
             "nothing to count smoke by; expected window_average = 'plain'"
+        )
+    if recipe.window > 1 and recipe.step_order == "align_first" and len(recipe.target) > 1:
+        raise InputError(
+            f"step_order = 'align_first' averages the gradients of one target, and there are {len(recipe.target)}; "
+            "expected step_order = 'normalise_first'"
         )
 
 

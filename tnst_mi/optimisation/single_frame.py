@@ -14,6 +14,7 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import brightness
 
@@ -51,6 +52,7 @@ def optimise(
     sizes = [image_size(recipe, octave.shape) for octave in levels]
     (alone,) = brightness([frame], [at_frame], levels, sizes, density_scale)
     scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
-    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective)
+    regions = regions_of(recipe, [frame], [frame.number])
+    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective, regions)
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

@@ -22,15 +22,16 @@ Keyframes = tuple[tuple[int, Any], ...]
 KEYABLE = ("style", "style_weight", "semantic_weight", "lam", "gamma", "azimuth", "elevation", "eta", "blend")
 
 
-#: The keys whose values are tables from layers to weights.
+#: The keys whose values are tables from layers to weights, and those whose values are tables with keys of their own.
 LAYER_TABLES = ("style_layers", "content_layers")
+REGION_TABLES = ("mask", "target")
 
 
 def is_keyframed(name: str, value: Any) -> bool:
     """Whether the value of a key is a table from frames to values; a table from layers to weights is not."""
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping) or name in REGION_TABLES:
         return False
-    return name not in LAYER_TABLES or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
+    return name not in LAYER_TABLES or (len(value) > 0 and all(frame_number(key) is not None for key in value))
 
 
 def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, str], Any]) -> Any:
@@ -89,7 +90,7 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
         raise InputError(f"{source}{name} = {{}}: expected at least one frame number with a value")
     entries = {}
     for key, entry in table.items():
-        frame = _frame_number(key)
+        frame = frame_number(key)
         if frame is None:
             shown = reprlib.repr(key)
             raise InputError(f"{source}{name}: {shown} is no frame number, expected a whole number of up to 9 digits")
@@ -100,7 +101,8 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
     return entries
 
 
-def _frame_number(key: Any) -> int | None:
+def frame_number(key: Any) -> int | None:
+    """The frame number that a key of a table means; None if it is none."""
     if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key):
         return int(key)
     if isinstance(key, int) and not isinstance(key, bool) and abs(key) < 10**9:
