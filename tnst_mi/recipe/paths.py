@@ -68,7 +68,7 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
         return str(path.resolve())
     if name == "mask":
         return _mask(value, source, folder)
-    if name == "target":
+    if name == "target" and value is not None:
         return tuple(_target(number, table, source, folder) for number, table in enumerate(value, start=1))
     return value
 

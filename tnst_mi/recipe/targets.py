@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,7 +43,7 @@ class Target:
         Raises:
             InputError: it has keyframes, and the frame has no number.
         """
-        return self.weights if isinstance(self.weights, float) else value_at_frame(self.weights, frame, "weight")
+        return value_at_frame(self.weights, frame, "weight") if isinstance(self.weights, tuple) else self.weights
 
 
 def targets_of(recipe: Recipe) -> list[Target]:
@@ -97,15 +97,16 @@ def value_at_frame(keys: tuple[tuple[int, Any], ...], frame: int | float | None,
     return value_at(keys, frame)
 
 
-def files_of(recipe: Recipe) -> Iterator[str]:
-    """The files that masks name, and the pictures and maps of targets, as `Recipe.located` has them."""
-    for target in targets_of(recipe):
-        for part in target.mask:
-            named = (part,) if isinstance(part, str) else (part.get("file"), part.get("image"))
-            yield from (name for name in named if name is not None)
-        if target.number:
-            yield from (*target.recipe.style, *target.recipe.content)
-            yield from (str(file) for _, file in target.recipe.maps)
+def mask_files(recipe: Recipe) -> list[str]:
+    """The files that the masks of a located recipe name: grids and pictures."""
+    parts = [part for target in targets_of(recipe) for part in target.mask]
+    named = [(part,) if isinstance(part, str) else (part.get("file"), part.get("image")) for part in parts]
+    return [name for names in named for name in names if name is not None and is_path(name)]
+
+
+def is_path(text: str) -> bool:
+    """Whether the text of a mask in a located recipe is the path of a file, rather than the name of a grid."""
+    return "/" in text or "\\" in text
 
 
 def _target(recipe: Recipe, number: int, table: Mapping[str, Any]) -> Target:

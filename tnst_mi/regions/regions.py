@@ -11,7 +11,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import form_of
-from tnst_mi.recipe.targets import Part, Target, part_at, targets_of
+from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
 from tnst_mi.regions.following import FollowingMask
 from tnst_mi.regions.projection import painted, projected
 from tnst_mi.regions.shapes import shape_mask
@@ -39,6 +39,8 @@ class Regions:
         self._targets, self._frames, self._files, self._numbers = targets, frames, files, numbers
         self._pictures: dict[str, np.ndarray] = {}
         self._mask_files: dict[tuple[str, str | None], MaskFiles] = {}
+        #: By the name of a stored grid that exceeds 1, its largest value.
+        self._largest: dict[str, float] = {}
         #: By target and part.
         self._following: dict[tuple[int, int], FollowingMask] = {}
 
@@ -46,6 +48,14 @@ class Regions:
     def present(self) -> list[bool]:
         """For each target, whether it has a mask."""
         return [bool(target.mask) for target in self._targets]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of the masks that have been evaluated."""
+        return [
+            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1"
+            for name, largest in self._largest.items()
+        ]
 
     @property
     def bounded(self) -> bool:
@@ -75,7 +85,7 @@ class Regions:
         return product
 
     def _part(self, key: tuple[int, int], part: Part, index: int, frame: Frame) -> np.ndarray:
-        table = part if isinstance(part, Mapping) else _named(part)
+        table: Mapping[str, Any] = part if isinstance(part, Mapping) else _named(part)
         follow = table.get("follow", False)
         now = part_at(table, self._numbers[index])
         # What is painted or shaped moves; how much it counts is that of the frame itself.
@@ -100,12 +110,12 @@ class Regions:
         if form == "everywhere":
             return np.ones(shape, np.float32)
         if form == "grid":
-            return checked_grid(input_grid(self._files, index, part["grid"]), shape, f"grid {part['grid']!r}")
+            return self._checked(input_grid(self._files, index, part["grid"]), shape, f"grid {part['grid']!r}")
         if form == "file":
             key = part["file"], part.get("grid")
             if key not in self._mask_files:
                 self._mask_files[key] = MaskFiles(*key, self._files, self._numbers)
-            return checked_grid(self._mask_files[key].at(index), shape, part["file"])
+            return self._checked(self._mask_files[key].at(index), shape, part["file"])
         if form == "image":
             size = image_size(self._targets[0].recipe, shape)
             if part["image"] not in self._pictures:
@@ -113,10 +123,18 @@ class Regions:
             return projected(self._pictures[part["image"]], part["view"], shape, size)
         return shape_mask(form, part, shape, frame.placement)
 
+    def _checked(self, values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+        """A stored grid as a mask; how far it exceeds 1 is noted."""
+        mask = checked_grid(values, shape, name)
+        largest = float(values.max())
+        if largest > 1:
+            self._largest[name] = max(largest, self._largest.get(name, 0.0))
+        return mask
+
 
 def _named(text: str) -> dict[str, str]:
     """The table that a text means: located recipes hold files by absolute paths."""
-    return {"file": text} if "/" in text or "\\" in text else {"grid": text}
+    return {"file": text} if is_path(text) else {"grid": text}
 
 
 def regions_of(

@@ -16,6 +16,7 @@ from tnst_mi.io.files.frame_numbers import is_next, step_of
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import mask_files, targets_of
 from tnst_mi.run.folder import is_file_name
 
 
@@ -114,6 +115,9 @@ def digests(measures: Sequence[Measure]) -> dict[str, str]:
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:
-    """The SHA-256 of the pictures, the maps and the light that a recipe names, by their paths."""
+    """The SHA-256 of the pictures, the maps, the masks and the light that a recipe names, by their paths."""
     paths = [*recipe.style, *recipe.content, *(str(file) for _, file in recipe.maps), recipe.light]
-    return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}
+    paths += mask_files(recipe)
+    for target in targets_of(recipe):
+        paths += [*target.recipe.style, *target.recipe.content, *(str(file) for _, file in target.recipe.maps)]
+    return {path: file_hash(Path(path), "sha256") for path in dict.fromkeys(paths) if Path(path).is_file()}

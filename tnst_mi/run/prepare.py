@@ -27,6 +27,8 @@ from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of, require_averageable, require_one_transport
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import targets_of
+from tnst_mi.regions.regions import regions_of, smoke_shares
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.resources import expanded
@@ -43,6 +45,7 @@ from tnst_mi.run.measure import (
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
+from tnst_mi.run.record import target_record
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -104,7 +107,7 @@ class Prepared:
     @property
     def moving(self) -> Sequence[Frame]:
         """The frames with velocities that lead from each to the next, which may not be the next of the simulation."""
-        return self.frames if self.step == 1 else ScaledFrames(self.frames, velocity_factor=self.step)
+        return _moving(self.frames, self.step)
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -121,7 +124,8 @@ def load_network(recipe: Recipe) -> Network:
     """
     weights = find_weights(recipe.weights)
     network = GoogLeNet.from_file(weights.path)
-    require_meant(recipe, network, weights.fallback)
+    for target in targets_of(recipe):
+        require_meant(target.recipe, network, weights.fallback)
     return Network(network, weights.fallback)
 
 
@@ -149,7 +153,7 @@ def prepare(
     Raises:
         InputError: something cannot be used.
     """
-    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
+    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match or recipe.target):
         raise InputError(
             "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
         )
@@ -158,6 +162,7 @@ def prepare(
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     recipe = recipe.located(Path.cwd())
+    targets = targets_of(recipe)
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
     if out is not None:
@@ -178,9 +183,10 @@ def prepare(
     variant = activate(recipe.variant)
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
-    objective = objective_of(recipe)
+    objectives = [objective_of(target.recipe) for target in targets]
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows))
-    saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
+    saved = max(objective.bind(network.model, *trial_size).saved_bytes for objective in objectives)
+    saved /= math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
@@ -189,6 +195,13 @@ def prepare(
     measures, reference = measured(_watched(readable, "reading", progress))
     sequence = readable.frames()
     require_coherent(measures, recipe)
+    numbers = [measure.number for measure in measures]
+    step = frame_step(numbers)
+    regions = regions_of(recipe, _moving(sequence, step), numbers, sequence)
+    target_records = None
+    if regions is not None:
+        shares = smoke_shares(regions, targets, _watched(sequence, "masking", progress))
+        target_records = [target_record(target, share) for target, share in zip(targets, shares, strict=True)]
     recipes = [recipe.at(measure.number) for measure in measures]
     levels, density_scale = octaves(shape, recipe.octaves, recipe.scale_factor), reference.scale(recipe.density_scale)
     densest = max(measure.densest for measure in measures)
@@ -226,6 +239,8 @@ def prepare(
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
+    if target_records is not None:
+        record["targets"] = target_records
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
     if earlier is not None and out is not None:
         require_same_input(measures, recipe, earlier, out)
@@ -235,16 +250,22 @@ def prepare(
     plan = plan_of(
         recipe,
         [measure.name for measure in measures],
-        [measure.number for measure in measures],
+        numbers,
         [of_frame.step_scale for of_frame in bright],
         exposures,
         shape,
         density_scale,
+        regions=regions,
     )
-    step, said = frame_step([measure.number for measure in measures]), readable.lines()
+    said = [*readable.lines(), *(f"note: {note}" for note in (regions.notes if regions is not None else ()))]
     return Prepared(
         recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
     )
+
+
+def _moving(frames: Sequence[Frame], step: int | float) -> Sequence[Frame]:
+    """Frames that are `step` apart, with velocities that lead from each to the next."""
+    return frames if step == 1 else ScaledFrames(frames, velocity_factor=step)
 
 
 def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:

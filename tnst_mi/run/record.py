@@ -11,6 +11,8 @@ from tnst_mi.frame import Frame
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import GOALS
+from tnst_mi.recipe.targets import Target
 from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
@@ -39,6 +41,19 @@ def frame_record(frame: Frame, plan: FramePlan, stylized: Stylized) -> dict[str,
         "losses": _losses_by_octave(stylized.history),
         "timings": stylized.timings,
     }
+
+
+def target_record(target: Target, shares: Sequence[float]) -> dict[str, Any]:
+    """The record of a target: its goal, mask and weight as the recipe has them, and what it reaches.
+
+    Args:
+        target: the target.
+        shares: for each frame, the share of its smoke that is in the mask.
+    """
+    recipe = target.recipe
+    goals = {goal: list(getattr(recipe, goal)) for goal in GOALS if getattr(recipe, goal)}
+    weight = dict(target.weights) if isinstance(target.weights, tuple) else target.weights
+    return {"goals": goals, "mask": list(target.mask), "weight": weight, "smoke_shares": list(shares)}
 
 
 def sequence_record(
