@@ -31,7 +31,8 @@ from tnst_mi.io.formats import (
     require_format,
     write_frame,
 )
-from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
+from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Conventions, StoredFrame
+from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.interpretation.roles import NONE, Wanted
 from tnst_mi.machine.gate import gate
 from tnst_mi.resources import expanded
@@ -159,6 +160,9 @@ class FrameFiles(Sequence[Frame]):
                 "the names of the frames, or take the whole grid (--crop off)"
             )
         stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE))
+        if any(note.text == WITHOUT_SMOKE for note in stored.notes):
+            what = "density" if name is None else f"grid {name!r}"
+            raise InputError(f"{file}: has no {what}; the others in it are {listed(sorted(stored.taken.left))}")
         with naming(file):
             return stored.scaled_density(replace(self._given, scale=None))
 

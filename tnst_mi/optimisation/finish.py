@@ -68,11 +68,17 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     result = Stylized(np.ldexp(blended, -exponent), velocity.numpy(), (phi, psi))
     begun = items.level > 0 or items.iterations_done(frame) > 0
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
-        result.note = (
-            f"{source.name}: left unchanged, since nothing that the loss looks at responds to it: choose other layers "
-            "or channels, or check the network's weights"
-        )
+        result.note = f"{source.name}: left unchanged, since {_why_unchanged(items, frame, source)}"
     return result
+
+
+def _why_unchanged(items: Items, frame: FramePlan, source: Frame) -> str:
+    regions = items.plan.regions
+    if regions is not None and regions.outside(frame.index, source):
+        return "it has no smoke in a mask"
+    return (
+        "nothing that the loss looks at responds to it: choose other layers or channels, or check the network's weights"
+    )
 
 
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:

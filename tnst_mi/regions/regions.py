@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import form_of
@@ -74,6 +75,10 @@ class Regions:
         """
         return tuple(self._mask(number, target, index, frame) for number, target in enumerate(self._targets))
 
+    def outside(self, index: int, frame: Frame) -> bool:
+        """Whether a frame has no smoke in any of its masks, so that nothing of it changes; see `masks`."""
+        return not any(mask is None or (mask * frame.density).any() for mask in self.masks(index, frame))
+
     def _mask(self, number: int, target: Target, index: int, frame: Frame) -> np.ndarray | None:
         product = None
         for place, part in enumerate(target.mask):
@@ -86,7 +91,7 @@ class Regions:
 
     def _part(self, key: tuple[int, int], part: Part, index: int, frame: Frame) -> np.ndarray:
         table: Mapping[str, Any] = part if isinstance(part, Mapping) else _named(part)
-        follow = table.get("follow", False)
+        follow: bool | int = table.get("follow", False)
         now = part_at(table, self._numbers[index])
         # What is painted or shaped moves; how much it counts is that of the frame itself.
         shape = self._standing(now, index, frame) if follow is False else self._moved(key, table, follow, index)
@@ -123,7 +128,7 @@ class Regions:
             return projected(self._pictures[part["image"]], part["view"], shape, size)
         return shape_mask(form, part, shape, frame.placement)
 
-    def _checked(self, values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+    def _checked(self, values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
         """A stored grid as a mask; how far it exceeds 1 is noted."""
         mask = checked_grid(values, shape, name)
         largest = float(values.max())
@@ -132,7 +137,7 @@ class Regions:
         return mask
 
 
-def _named(text: str) -> dict[str, str]:
+def _named(text: str) -> dict[str, Any]:
     """The table that a text means: located recipes hold files by absolute paths."""
     return {"file": text} if is_path(text) else {"grid": text}
 
