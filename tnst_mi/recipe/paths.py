@@ -110,7 +110,7 @@ def _map(entry: str, source: str, folder: Path) -> str:
     return f"{layer}:{path.resolve()}"
 
 
-def _target(number: int, table: Mapping[str, Any], source: str, folder: Path) -> dict[str, Any]:
+def _target(number: int, table: Any, source: str, folder: Path) -> dict[str, Any]:
     """The table of a target; its keys are those of a recipe, but for the weight."""
     locate, where = functools.partial(located, folder=folder), f"{source}target: number {number}: "
     return {key: value if key == "weight" else converted(key, value, where, locate) for key, value in table.items()}
