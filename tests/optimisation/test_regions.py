@@ -24,11 +24,13 @@ from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import problem_of
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import plan_of
+from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.regions import regions_of
 from tnst_mi.run.api import Result
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
+from tnst_mi.run.progress import ProgressBar
 
 SHAPE = (16, 22, 18)
 SPHERE = {"shape": "sphere", "centre": [6.5, 10.5, 7.5], "radius": 6.0, "edge": 2.0}
@@ -251,15 +253,28 @@ def targets() -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("window", [1, 3])
-def test_a_run_is_reproduced_and_resumed(window: int, weights: str, tmp_path: Path) -> None:
-    """By the recipe.toml that it wrote, and after a stop, with the same bits."""
+def test_a_run_is_reproduced_and_resumed(
+    window: int, weights: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the recipe.toml that it wrote, and after stops in both octaves and between results, with the same bits."""
     frames = moving_smoke(4, SHAPE)
     first = stylized(frames, weights, tmp_path / "first", target=targets(), window=window)
     recipe = Recipe.from_toml(tmp_path / "first" / "recipe.toml")
     again = tnst_mi.stylize(frames, tmp_path / "first" / "recipe.toml", progress=False)
-    stopped = Run(prepare(frames, recipe, tmp_path / "stopped"), progress=False)
-    next(stopped)
-    stopped._frames.close()
+    for last in (3, 11):
+        calls = itertools.count()
+
+        def stop(bar: ProgressBar, progress: Progress, calls: Any = calls, last: int = last) -> None:
+            if next(calls) == last:
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(ProgressBar, "advance", stop)
+        stopped = Run(prepare(frames, recipe, tmp_path / "stopped", resume=True), progress=False)
+        assert len(list(stopped)) < 4 and stopped.record["status"] == "interrupted"
+    monkeypatch.undo()
+    closed = Run(prepare(frames, recipe, tmp_path / "stopped", resume=True), progress=False)
+    next(closed)
+    closed._frames.close()
     for _ in Run(prepare(frames, recipe, tmp_path / "stopped", resume=True), progress=False):
         pass
     for frame, density, other in zip(frames, first.densities, again.densities, strict=True):

@@ -159,7 +159,11 @@ class FrameFiles(Sequence[Frame]):
                 f"{file}: the grid moves with the smoke, and places in it are known by names of files; give the masks "
                 "the names of the frames, or take the whole grid (--crop off)"
             )
-        stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE))
+        try:
+            stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE))
+        except InputError as error:
+            # It is not the density that was asked for.
+            raise InputError(str(error).replace(f"--density {name!r}", f"grid {name!r}")) from None
         if any(note.text == WITHOUT_SMOKE for note in stored.notes):
             what = "density" if name is None else f"grid {name!r}"
             raise InputError(f"{file}: has no {what}; the others in it are {listed(sorted(stored.taken.left))}")

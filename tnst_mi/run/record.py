@@ -10,6 +10,7 @@ import numpy as np
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
+from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.recipe.targets import Target
@@ -51,7 +52,7 @@ def target_record(target: Target, shares: Sequence[float]) -> dict[str, Any]:
         shares: for each frame, the share of its smoke that is in the mask.
     """
     recipe = target.recipe
-    goals = {goal: list(getattr(recipe, goal)) for goal in GOALS if getattr(recipe, goal)}
+    goals = {goal: [shipped_name(name) for name in getattr(recipe, goal)] for goal in GOALS if getattr(recipe, goal)}
     weight = dict(target.weights) if isinstance(target.weights, tuple) else target.weights
     return {"goals": goals, "mask": list(target.mask), "weight": weight, "smoke_shares": list(shares)}
 
