@@ -300,6 +300,18 @@ def test_a_changed_mask_file_does_not_resume_a_run(weights: str, tmp_path: Path)
         prepare(frames, recipe, tmp_path / "out", resume=True)
 
 
+def test_a_changed_grid_of_the_input_does_not_resume_a_run(weights: str, tmp_path: Path) -> None:
+    (frame,), smoke = moving_smoke(1, SHAPE), tmp_path / "s_0001.npz"
+    recipe = Recipe.from_dict(GOAL | {"mask": "heat", "octaves": 1, "iterations": 1, "views": 1, "weights": weights})
+    for strength in (0.5, 0.25):
+        np.savez(smoke, density=frame.density, heat=np.full(SHAPE, strength, np.float32))
+        if strength == 0.5:
+            for _ in Run(prepare(smoke, recipe, tmp_path / "out"), progress=False):
+                pass
+    with pytest.raises(InputError, match="its run had other masks, or other smoke in them"):
+        prepare(smoke, recipe, tmp_path / "out", resume=True)
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [

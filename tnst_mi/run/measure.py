@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,25 @@ def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[st
             raise InputError(f"{out}: its run had another {name} than the input has now; {remedy}")
     if list(run["inputs"]) != list(now):
         raise InputError(f"{out}: its run had the frames in another order; {remedy}")
+
+
+def require_same_masks(targets: Sequence[dict[str, Any]] | None, run: dict[str, Any], out: Path) -> None:
+    """Check that the masks of a run to be resumed held the same smoke: grids of the input are no part of its digests.
+
+    Args:
+        targets: the records of the targets now, or None.
+        run: the record of the run.
+        out: its folder.
+
+    Raises:
+        InputError: they did not.
+    """
+    # As they are once they have been written and read.
+    if run.get("targets") != json.loads(json.dumps(targets)):
+        raise InputError(
+            f"{out}: its run had other masks, or other smoke in them, than there are now; resume with the same input, "
+            "or use --overwrite"
+        )
 
 
 def digests(measures: Sequence[Measure]) -> dict[str, str]:

@@ -42,6 +42,7 @@ from tnst_mi.run.measure import (
     measured,
     require_coherent,
     require_same_input,
+    require_same_masks,
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
@@ -244,6 +245,7 @@ def prepare(
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
     if earlier is not None and out is not None:
         require_same_input(measures, recipe, earlier, out)
+        require_same_masks(target_records, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe))
