@@ -187,8 +187,8 @@ def smoke_shares(regions: Regions, targets: Sequence[Target], frames: Iterable[F
     for target, none, of_target in zip(targets, empty, shares, strict=True):
         if none:
             raise InputError(
-                f"{target.name}: is 0 everywhere in all frames; check its place and size, in the "
-                "units of docs/regions.md, and its strength"
+                f"{target.name}: is 0 everywhere in all frames; check its strength, and its place "
+                "and size: lengths are those of the scene, or cells where the files have none"
             )
         if target.mask and not any(of_target):
             raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change")
