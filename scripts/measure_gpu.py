@@ -301,7 +301,7 @@ def iteration_kernels(options: argparse.Namespace, shape: tuple[int, int, int], 
     pictures = parts.render_forward().torch().clone().requires_grad_()
 
     def judge() -> None:
-        whole.problem.loss(pictures).backward()
+        whole.problem.losses[0](pictures).backward()
         pictures.grad = None
 
     phases = {

@@ -23,6 +23,7 @@ FLOORS = (
     "io fields network",
     "losses recipe",
     "rendering",
+    "regions",
     "optimisation",
     "compare atlas",
     "run",

@@ -93,7 +93,7 @@ class Iteration:
     def __call__(self) -> object:
         """The potential after the iteration."""
         found = self.problem.gradient(self.frame, self.fields, self.density, (0,))
-        step = self.frame.parameterisation.step(found.gradient, self.density, 1e-9, self.rows, 1.0, 3)
+        step = self.frame.parameterisation.step(found.gradients[0], self.density, 1e-9, self.rows, 1.0, 3)
         self.fields = self.fields - step
         return self.fields["phi"]
 

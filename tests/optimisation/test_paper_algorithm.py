@@ -106,7 +106,7 @@ def test_align_first_is_algorithm_1(lam: float, network: GoogLeNet) -> None:
     fields = [frame.parameterisation.zeros(octave) for frame in planned.frames]
     for k in range(recipe.iterations):
         found = [
-            problem.gradient(frame, fields[i], mi.TensorXf(frames[i].density), frame.seed(0, k)).gradient
+            problem.gradient(frame, fields[i], mi.TensorXf(frames[i].density), frame.seed(0, k)).gradients[0]
             for i, frame in enumerate(planned.frames)
         ]
         gradients = [{name: gradient.numpy() for name, gradient in fields_of.items()} for fields_of in found]

@@ -175,7 +175,7 @@ def test_strength_fades_in_over_the_frames(weights: Path, smoke: Frame) -> None:
 
 @pytest.mark.parametrize("value", [0, -3, "0%", "101%", "five", "5 cells", True, float("inf"), None, "-5%"])
 def test_other_lengths_are_refused_in_one_line(value: object) -> None:
-    with pytest.raises(InputError, match=r'^recipe: reach = [^\n]*a share of the height such as 5% [^\n]*$'):
+    with pytest.raises(InputError, match=r"^recipe: reach = [^\n]*a share of the height such as 5% [^\n]*$"):
         Recipe(reach=value)
 
 

@@ -28,6 +28,15 @@ CHANGED: dict[str, Any] = {
     "style_weight": 3.0,
     "semantic_weight": 0.0,
     "damping": 0.25,
+    "mask": "heat",
+    "target": (
+        {
+            "style": ("flames",),
+            "weight": {3: 0.0, 9: 1.0},
+            "mask": {"shape": "sphere", "centre": (0.0, 1.0, 0.5), "radius": {3: 0.5, 9: 1.5}, "follow": True},
+        },
+        {"tag": ("volcano",), "mask": ("heat", {"height": (2.0, 0.5), "strength": 0.5, "invert": True})},
+    ),
     "preset": "paper",
     "lam": 0.5,
     "gamma": 1e-3,
@@ -128,7 +137,9 @@ def test_flags_say_what_toml_says() -> None:
     texts |= {"azimuth": "80,110", "elevation": "0,0", "origin": "1,-2,0.5"}
     texts |= {name: CHANGED[name] for name in ("style", "semantic", "tag")}
     by_flags = Recipe().updated_by_flags(texts)
-    assert by_flags == Recipe().updated(CHANGED, "", Path.cwd())
+    # Targets are tables, for which there is no flag.
+    expected = {name: value for name, value in CHANGED.items() if name != "target"}
+    assert by_flags == Recipe().updated(expected, "", Path.cwd())
 
 
 @settings(max_examples=50, deadline=None)

@@ -90,7 +90,7 @@ def test_half_the_motif_size_has_twice_the_rows() -> None:
 
 @pytest.mark.parametrize("size", [0.0, -0.25, 0.005, 3, "large", True, [0.25]])
 def test_other_sizes_are_refused_in_one_line(size: object) -> None:
-    with pytest.raises(InputError, match=r'^recipe: motif_size = [^\n]*a number from 0.01 to 2 or auto$'):
+    with pytest.raises(InputError, match=r"^recipe: motif_size = [^\n]*a number from 0.01 to 2 or auto$"):
         Recipe(motif_size=size)
 
 

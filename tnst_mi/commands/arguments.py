@@ -26,7 +26,7 @@ FULL_SPP, FULL_DIRECTIONS = 256, 64
 ATLAS_FOLDER = "tnst_mi-atlas"
 
 # Dataclasses created at run time: a type checker cannot know them, so their fields are `Any`.
-_GoalFlags = recipe_flags(Goals.__annotations__)
+_GoalFlags = recipe_flags(key for key in Goals.__annotations__ if key != "target")
 _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _InputFlags = recipe_flags(Reading.__annotations__)

@@ -16,7 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import overload
 
-from tnst_mi.errors import InputError
+import numpy as np
+
+from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Frame
 from tnst_mi.io.context import SequenceContext
 from tnst_mi.io.files.companions import companion_groups, companions_of
@@ -30,7 +32,9 @@ from tnst_mi.io.formats import (
     require_format,
     write_frame,
 )
-from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
+from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Conventions, StoredFrame
+from tnst_mi.io.interpretation.grid_names import listed
+from tnst_mi.io.interpretation.roles import NONE, Wanted
 from tnst_mi.machine.gate import gate
 from tnst_mi.resources import expanded
 
@@ -137,6 +141,35 @@ class FrameFiles(Sequence[Frame]):
         stored = read_stored(file, context=self._context)
         # Its velocity is not that of the smoke: it does not go with a moving grid.
         return replace(stored, drift=None)
+
+    def grid_on_cells(self, index: int, name: str | None, file: Path | None = None) -> np.ndarray:
+        """A scalar grid other than the density, on the cells of a frame (D, H, W), in our axes; not checked.
+
+        Args:
+            index: of the frame.
+            name: of the grid; None for what would be taken as the density.
+            file: that has it; None for that of the frame.
+
+        Raises:
+            InputError: the file cannot be used, or has no such grid.
+        """
+        own = self.files[index]
+        file, run = own if file is None else file, None if self._context is None else self._context.run
+        if run is not None and run.lows and file.stem != own.stem:
+            raise InputError(
+                f"{file}: the grid moves with the smoke, and places in it are known by names of files; give the masks "
+                "the names of the frames, or take the whole grid (--crop off)"
+            )
+        try:
+            stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE))
+        except InputError as error:
+            # It is not the density that was asked for.
+            raise InputError(str(error).replace(f"--density {name!r}", f"grid {name!r}")) from None
+        if any(note.text == WITHOUT_SMOKE for note in stored.notes):
+            what = "density" if name is None else f"grid {name!r}"
+            raise InputError(f"{file}: has no {what}; the others in it are {listed(sorted(stored.taken.left))}")
+        with naming(file):
+            return stored.scaled_density(replace(self._given, scale=None))
 
     def frame_of(self, index: int, stored: StoredFrame) -> Frame:
         """The frame made from what `stored` has read.

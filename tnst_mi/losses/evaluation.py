@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
+from tnst_mi.losses.guided import Guide
 from tnst_mi.losses.recorded import RecordedEvaluation
-from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.googlenet import LAST_BLOCK, LOGITS, GoogLeNet
 
 #: Lower bound of a scale, so that a gradient that is zero up to rounding is not amplified.
 SMALLEST_SCALE = 1e-12
@@ -34,10 +35,11 @@ Features = Mapping[str, Tensor]
 
 
 class BoundTerm(NamedTuple):
-    """A term with its targets: the layers it reads, and the loss (N,) of each of N views by their features."""
+    """A term with its targets: the layers it reads, and the loss (N,) of each of N views by their features and, if
+    there is one, their region."""
 
     layers: tuple[str, ...]
-    loss: Callable[[Features], Tensor]
+    loss: Callable[[Features, Guide | None], Tensor]
 
 
 class BoundObjective:
@@ -85,35 +87,42 @@ class BoundObjective:
         """
         return self.evaluate(images)[0]
 
-    def evaluate(self, images: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Like a call, but also return the raw values L_i by name, scalar tensors without gradient."""
+    def evaluate(self, images: Tensor, guide: Guide | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+        """Like a call, but also return the raw values L_i by name, scalar tensors without gradient.
+
+        With a guide, the losses are those of a region; of a view that does not show it, 0.
+        """
         if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
             raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         if torch.is_grad_enabled() and images.requires_grad:
             terms: dict[str, Tensor] = {}
-            return _ViewByView.apply(images, self, terms), terms
-        return self._forward(images)
+            return _ViewByView.apply(images, self, terms, guide), terms
+        return self._forward(images, guide)
 
-    def _forward(self, images: Tensor, gradient: Tensor | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+    def _forward(
+        self, images: Tensor, guide: Guide | None, gradient: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted sum and the raw values of the terms; if `gradient` is given, the derivative is written to it."""
         totals: dict[str, Tensor] = {}
         for part in self._parts(images):
+            shown = None if guide is None else guide.of(part)
             if gradient is None:
-                losses, _ = self._losses(images[part], False)
+                losses, _ = self._losses(images[part], False, shown)
             else:
-                losses, gradient[part] = self._differentiated(images[part])
+                losses, gradient[part] = self._differentiated(images[part], shown)
             for name, loss in losses.items():
                 totals[name] = totals.get(name, 0) + loss.detach()
         return self._sum(totals), totals
 
-    def _differentiated(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+    def _differentiated(self, images: Tensor, guide: Guide | None) -> tuple[dict[str, Tensor], Tensor]:
         """The values of the terms, and the derivative of their weighted sum."""
         factors = [self._weights[name] / self.scales[name] for name in self.names]
-        if self._recorded is None or not images.is_cuda or images.numel() > LARGEST_RECORDED:
-            return self._evaluated(images, factors)
+        # A recording has no place for the weights of a region, which differ from call to call.
+        if self._recorded is None or guide is not None or not images.is_cuda or images.numel() > LARGEST_RECORDED:
+            return self._evaluated(images, factors, guide)
 
         def evaluate(images: Tensor, factors: Tensor) -> tuple[Tensor, Tensor]:
-            losses, gradient = self._evaluated(images, factors.unbind())
+            losses, gradient = self._evaluated(images, factors.unbind(), None)
             return torch.stack([losses[name].detach() for name in self.names]), gradient
 
         if images.shape not in self._recorded:
@@ -123,8 +132,10 @@ class BoundObjective:
         values, gradient = self._recorded[images.shape](images, factors)
         return dict(zip(self.names, values, strict=True)), gradient
 
-    def _evaluated(self, images: Tensor, factors: Sequence[float | Tensor]) -> tuple[dict[str, Tensor], Tensor]:
-        losses, views = self._losses(images, True)
+    def _evaluated(
+        self, images: Tensor, factors: Sequence[float | Tensor], guide: Guide | None
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        losses, views = self._losses(images, True, guide)
         with torch.enable_grad():
             weighted = [factor * losses[name] for name, factor in zip(self.names, factors, strict=True)]
             total = torch.stack(weighted).sum()
@@ -184,11 +195,11 @@ class BoundObjective:
         other.scales = {name: float(scales[name]) for name in self.names}
         return other
 
-    def gradient_square_sum(self, images: Tensor) -> dict[str, tuple[float, int]]:
+    def gradient_square_sum(self, images: Tensor, guide: Guide | None = None) -> dict[str, tuple[float, int]]:
         """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and the number of pixels."""
         sums = dict.fromkeys(self.names, 0.0)
         for part in self._parts(images):
-            losses, views = self._losses(images[part], True)
+            losses, views = self._losses(images[part], True, None if guide is None else guide.of(part))
             for name, loss in losses.items():
                 # The last one need not keep what is saved for the others.
                 (gradient,) = torch.autograd.grad(loss, views, retain_graph=name != self.names[-1])
@@ -199,33 +210,46 @@ class BoundObjective:
         """A copy in which each scale is the RMS of its term's image gradient over this batch."""
         return self.scaled(rms_scales([self.gradient_square_sum(images)]))
 
-    def _losses(self, images: Tensor, differentiable: bool) -> tuple[dict[str, Tensor], Tensor]:
+    def _losses(
+        self, images: Tensor, differentiable: bool, guide: Guide | None = None
+    ) -> tuple[dict[str, Tensor], Tensor]:
         """The values of the terms by name, and the leaf tensor of images to differentiate them with respect to."""
         images = images.detach().requires_grad_(differentiable)
         with torch.set_grad_enabled(differentiable):
-            features = self._net(as_rgb(images), layers=self._layers)
-            by_view = {name: term.loss(features) for name, term in self._terms.items()}
+            features = self._features(images, guide)
+            by_view = {name: term.loss(features, guide) for name, term in self._terms.items()}
+            if guide is not None:
+                by_view = {name: guide.seen * loss for name, loss in by_view.items()}
             if self._sigma:
                 sigma = images.flatten(1).sum(1)
                 by_view = {name: sigma * loss for name, loss in by_view.items()}
             return {name: loss.sum() for name, loss in by_view.items()}, images
+
+    def _features(self, images: Tensor, guide: Guide | None) -> Features:
+        """The features of the layers; of a region, the logits are those of the mean of its features alone."""
+        if guide is None or LOGITS not in self._layers:
+            return self._net(as_rgb(images), layers=self._layers)
+        features = self._net(as_rgb(images), layers=[*self._layers, LAST_BLOCK])
+        return features | {LOGITS: self._net.classifier(guide.mean(features[LAST_BLOCK]))}
 
 
 class _ViewByView(torch.autograd.Function):
     """A bound objective that computes its derivative along with its value, so that no view's features are kept."""
 
     @staticmethod
-    def forward(ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor]) -> Tensor:
+    def forward(
+        ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor], guide: Guide | None
+    ) -> Tensor:
         gradient = torch.empty_like(images)
-        value, found = objective._forward(images, gradient)
+        value, found = objective._forward(images, guide, gradient)
         terms.update(found)
         ctx.save_for_backward(gradient)
         return value
 
     @staticmethod
-    def backward(ctx: Any, factor: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, factor: Tensor) -> tuple[Tensor, None, None, None]:
         (gradient,) = ctx.saved_tensors
-        return gradient * factor, None, None
+        return gradient * factor, None, None, None
 
 
 def views_at_once(count: int, saved_bytes: float) -> int:

@@ -21,9 +21,10 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.losses.evaluation import BoundTerm, Features, as_rgb
 from tnst_mi.losses.feature_maps import resampled
+from tnst_mi.losses.guided import Guide, mean_gram, mean_over_view
 from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage, read_image, resized
-from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.googlenet import LOGITS, GoogLeNet
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +56,11 @@ class Semantic(Term):
             for channels in (set(self.channels), rest)
         )
 
-        def loss(features: Features) -> Tensor:
+        def loss(features: Features, guide: Guide | None) -> Tensor:
             values = features[layer]
-            found = -values.index_select(1, chosen).flatten(1).mean(1)
+            found = -mean_over_view(values.index_select(1, chosen), guide)
             if self.damping and rest:
-                found = found + self.damping * values.index_select(1, others).abs().flatten(1).mean(1)
+                found = found + self.damping * mean_over_view(values.index_select(1, others).abs(), guide)
             return found
 
         return BoundTerm((layer,), loss)
@@ -78,7 +79,7 @@ class ClassTag(Term):
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Look up the tag."""
-        return Semantic("logits", (net.class_index(self.tag),)).bind_term(net, height, width)
+        return Semantic(LOGITS, (net.class_index(self.tag),)).bind_term(net, height, width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +198,9 @@ class Style(Term):
             for layer, gram in grams.items()
         }
 
-        def loss(features: Features) -> Tensor:
+        def loss(features: Features, guide: Guide | None) -> Tensor:
             distances = [
-                scales[layer] * (mean_gram(features[layer]) - gram).square().flatten(1).sum(1)
+                scales[layer] * (mean_gram(features[layer], guide) - gram).square().flatten(1).sum(1)
                 for layer, gram in grams.items()
             ]
             return torch.stack(distances).sum(0)
@@ -213,15 +214,9 @@ def _require_opaque(alpha: np.ndarray | None, name: str, where: str) -> None:
         raise InputError(f"{name}: transparent {where}; use a picture that is opaque there")
 
 
-def mean_gram(values: Tensor) -> Tensor:
-    """FᵀF / area, (N, C, C), of features (N, C, H, W): the products of channels, averaged over the positions."""
-    flat = values.flatten(2)
-    return flat @ flat.transpose(1, 2) / flat.shape[2]
-
-
 def _match(layer: str, target: Tensor) -> BoundTerm:
-    def loss(features: Features) -> Tensor:
-        return (features[layer] - target).square().flatten(1).mean(1)
+    def loss(features: Features, guide: Guide | None) -> Tensor:
+        return mean_over_view((features[layer] - target).square(), guide)
 
     return BoundTerm((layer,), loss)
 

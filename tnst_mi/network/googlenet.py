@@ -35,16 +35,19 @@ from tnst_mi.network.response_norm import LocalResponseNorm
 from tnst_mi.network.shipped import DOWNLOAD_COMMAND, PATTERNS
 from tnst_mi.network.weights import announce_fallback, find_weights
 
+LOGITS, LAST_BLOCK = "logits", f"{BLOCKS[-1]}/output"
+"""The last layer, and the one whose mean over all positions it classifies."""
+
 LAYERS = (
     *STEM,
     *(f"{block}/{layer}" for block in BLOCKS for layer in (*BRANCH_LAYERS, "output")),
-    "logits",
+    LOGITS,
 )
 """The layers that can be requested, in the order of evaluation."""
 
 ALIASES = {
-    CLASSIFIER: "logits",
-    "softmax2_pre_activation": "logits",
+    CLASSIFIER: LOGITS,
+    "softmax2_pre_activation": LOGITS,
     **{tensorflow_name(layer): layer for layer in STEM},
     **{f"{tensorflow_name(layer)}_pre_relu": layer for layer in CONVOLUTIONS if layer not in STEM},
     **{block.replace("inception_", "mixed"): f"{block}/output" for block in BLOCKS},
@@ -164,7 +167,7 @@ class GoogLeNet(nn.Module):
     def channels(self, layer: str) -> int:
         """Number of channels of a layer; raises `InputError` for an unknown one."""
         name = self.resolve(layer)
-        if name == "logits":
+        if name == LOGITS:
             return self.classifier.out_features
         if name in self.convolutions:
             return self._convolution(name).out_channels
@@ -213,9 +216,9 @@ class GoogLeNet(nn.Module):
             return F.relu(self.convolutions[name](self.norm1(self._pool(self._value(STEM[0], known)))))
         if name == STEM[2]:
             return F.relu(self.convolutions[name](self._value(STEM[1], known)))
-        if name == "logits":
+        if name == LOGITS:
             # At 224x224 the mean over all positions is Caffe's 7x7 average; it works for images of any size.
-            return self.classifier(self._value(f"{BLOCKS[-1]}/output", known).mean((2, 3)))
+            return self.classifier(self._value(LAST_BLOCK, known).mean((2, 3)))
         block, layer = name.split("/")
         if layer == "input":
             return self._block_input(block, known)

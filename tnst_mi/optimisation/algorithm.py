@@ -6,6 +6,7 @@ which frame is processed when, skip what an earlier run has already done, and ha
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
@@ -72,17 +73,21 @@ def iterated(
 def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:
     """What a frame finds by itself: views → loss → ∇Φ, ∇Ψ, and the step along them (paper Eq. 4)."""
     since, frame, density = time.perf_counter(), now.frame, now.inputs.density
-    found = problem.gradient(frame, now.fields, density, frame.seed(level, k))
+    found = problem.gradient(frame, now.fields, density, frame.seed(level, k), now.inputs.regions)
     raw = plan.averages_gradients
-    step = found.gradient if raw else step_along(found.gradient, plan, now, problem.octave.cell_size)
+    step = found.gradients[0] if raw else step_along(found.gradients, plan, now, problem.octave.cell_size)
     change = found.density - density if plan.recipe.coherence > 0 and plan.window > 1 else None
     return OwnStep(step, change, found.loss, found.terms, since, raw)
 
 
-def step_along(gradient: Fields, plan: Plan, now: Current, h: float) -> Fields:
-    """η · mask · N(g): the step to subtract from a frame's fields; the gradient is consumed."""
-    frame = now.frame
-    return frame.parameterisation.step(gradient, now.inputs.mask, frame.eta, plan.rows, h, frame.recipe.pyramid_levels)
+def step_along(gradients: Sequence[Fields], plan: Plan, now: Current, h: float) -> Fields:
+    """η · mask · N(g), summed over the targets: the step to subtract from a frame's fields; gradients are consumed."""
+    frame, levels = now.frame, now.frame.recipe.pyramid_levels
+    steps = (
+        frame.parameterisation.step(gradient, mask, frame.eta * share, plan.rows, h, levels)
+        for gradient, mask, share in zip(gradients, now.inputs.target_masks(), frame.shares, strict=True)
+    )
+    return functools.reduce(Fields.__add__, steps)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:
@@ -94,5 +99,5 @@ def window_average(plan: Plan, now: Current, items: Items) -> Fields:
         return items.own_step
     average = items.averaged_step(now.frame)
     if plan.averages_gradients:
-        average = step_along(average, plan, now, items.octave.cell_size)
+        average = step_along([average], plan, now, items.octave.cell_size)
     return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

@@ -64,16 +64,26 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         )
     blend, before = opaque(frame.recipe.blend), unstylized.array
     after = density.array if solid is None else dr.select(solid, before, density.array)
-    blended = mi.TensorXf((1 - blend) * before + blend * dr.maximum(after, 0), source.density.shape).numpy()
+    mixed = (1 - blend) * before + blend * dr.maximum(after, 0)
+    if items.plan.regions is not None:
+        # Outside a region nothing changes, not even by rounding.
+        mixed = dr.select(after == before, before, mixed)
+    blended = mi.TensorXf(mixed, source.density.shape).numpy()
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
     result = Stylized(np.ldexp(blended, -exponent), velocity.numpy(), (phi, psi))
     begun = items.level > 0 or items.iterations_done(frame) > 0
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
-        result.note = (
-            f"{source.name}: left unchanged, since nothing that the loss looks at responds to it: choose other layers "
-            "or channels, or check the network's weights"
-        )
+        result.note = f"{source.name}: left unchanged, since {_why_unchanged(items, frame, source)}"
     return result
+
+
+def _why_unchanged(items: Items, frame: FramePlan, source: Frame) -> str:
+    regions = items.plan.regions
+    if regions is not None and regions.outside(frame.index, source):
+        return "it has no smoke in a mask"
+    return (
+        "nothing that the loss looks at responds to it: choose other layers or channels, or check the network's weights"
+    )
 
 
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:

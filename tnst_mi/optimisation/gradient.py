@@ -11,15 +11,19 @@ import mitsuba as mi
 import numpy as np
 import torch
 
+from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import opaque
-from tnst_mi.fields.resampling import resample_density
+from tnst_mi.fields.resampling import resample_density, resample_mask
 from tnst_mi.losses.evaluation import BoundObjective
+from tnst_mi.losses.guided import Guide
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
+from tnst_mi.regions.seen import seen_shares
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
 from tnst_mi.rendering.levels import Level
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 #: Offset of the outer views for judging results, as a share of the way from the main view to the end of the azimuths.
 _JUDGED_REACH = 0.8
@@ -27,7 +31,8 @@ _JUDGED_REACH = 0.8
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The loss, its terms, the stylized density (D, H, W) that has it, and its gradient with respect to the fields.
+    """The loss, its terms, the stylized density (D, H, W) that has it, and the gradient of each target's loss with
+    respect to the fields.
 
     Everything is on the device; the loss and its terms are scalar tensors.
     """
@@ -35,7 +40,7 @@ class Evaluation:
     loss: torch.Tensor
     terms: dict[str, torch.Tensor]
     density: mi.TensorXf
-    gradient: Fields
+    gradients: tuple[Fields, ...]
 
 
 @dataclass(frozen=True)
@@ -44,24 +49,51 @@ class OctaveProblem:
 
     Attributes:
         octave: the grid and its images.
-        loss: for images of this size, with its targets and scales.
+        losses: for each target, that for images of this size, with its targets and scales.
     """
 
     octave: Level
-    loss: BoundObjective
+    losses: tuple[BoundObjective, ...]
+
+    @property
+    def scales(self) -> dict[str, float]:
+        """The scales of the terms of all targets, by `term_name`."""
+        return {
+            self.term_name(number, name): scale
+            for number, loss in enumerate(self.losses)
+            for name, scale in loss.scales.items()
+        }
 
     def scaled(self, scales: Mapping[str, float]) -> OctaveProblem:
         """The same problem with other scales of the terms."""
-        return replace(self, loss=self.loss.scaled(scales))
+        if set(scales) != set(self.scales):
+            raise InputError(f"loss scales: they are for {sorted(scales)}, expected {sorted(self.scales)}")
+        losses = tuple(
+            loss.scaled({name: scales[self.term_name(number, name)] for name in loss.names})
+            for number, loss in enumerate(self.losses)
+        )
+        return replace(self, losses=losses)
 
-    def gradient(self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]) -> Evaluation:
-        """The loss, summed over random views, and its derivative with respect to the fields.
+    def term_name(self, number: int, name: str) -> str:
+        """The name of a term among those of all targets, which may have the same terms."""
+        return name if len(self.losses) == 1 else f"target {number + 1}: {name}"
+
+    def gradient(
+        self,
+        frame: FramePlan,
+        fields: Fields,
+        density: mi.TensorXf,
+        seed: Sequence[int],
+        regions: Sequence[mi.TensorXf | None] = (),
+    ) -> Evaluation:
+        """The loss, summed over random views, and the derivative of each target's with respect to the fields.
 
         Args:
             frame: the plan of the frame.
             fields: on the octave's grid.
             density: (D, H, W), unstylized, on the octave's grid.
             seed: of the views, and of the renderer where it is random.
+            regions: for each target, its mask on the octave's grid, or None for everywhere; none at all if all are.
         """
         # Two phases: the views accumulate their gradient on a copy of the density; it is then propagated back through
         # the transport once instead of once per view.
@@ -69,57 +101,100 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        images = self._images(seen, frame, seed)
+        views = self._views(frame, seed)
+        images = self._rendered(seen, views, frame, seed)
         found: dict[str, torch.Tensor] = {}
-        loss_of_frame = self._loss_of(frame)
+        values: list[torch.Tensor] = []
+        gradients = []
 
         @dr.wrap(source="drjit", target="torch")
-        def loss_of(batch):  # noqa: ANN202
-            value, terms = loss_of_frame.evaluate(batch)
-            found.update(terms | {"": value.detach()})
+        def loss_of(batch, target, guide):  # noqa: ANN202
+            value, terms = self._loss_of(frame, target).evaluate(batch, guide)
+            found.update({self.term_name(target, name): term for name, term in terms.items()})
+            values.append(value.detach())
             return value
 
-        loss = loss_of(images)
-        dr.backward(loss)
-        gradient = pull_back(dr.grad(seen))
-        value = found.pop("")
+        guides = self._guides(stylized, regions, views, frame)
+        for target, guide in enumerate(guides):
+            # The images are those of all targets: their graph is kept until the last one has been differentiated.
+            last = target == len(guides) - 1
+            dr.backward(loss_of(images, target, guide), dr.ADFlag.Default if last else dr.ADFlag.ClearVertices)
+            gradients.append(pull_back(dr.grad(seen), last))
+            dr.clear_grad(seen)
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
         # collector, so the young generations are collected explicitly, which is cheap.
-        del loss, images, seen, pull_back, loss_of
+        del images, seen, pull_back, loss_of
         gc.collect(1)
-        return Evaluation(value, found, stylized, gradient)
+        return Evaluation(_total(values, frame.shares), found, stylized, tuple(gradients))
 
     def gradient_square_sum(
-        self, frame: FramePlan, fields: Fields, density: mi.TensorXf, seed: Sequence[int]
+        self,
+        frame: FramePlan,
+        fields: Fields,
+        density: mi.TensorXf,
+        seed: Sequence[int],
+        regions: Sequence[mi.TensorXf | None] = (),
     ) -> dict[str, tuple[float, int]]:
         """Per term, the sum of its squared image gradient over the views, and the pixel count; see `rms_scales`."""
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
-            images = self._images(stylized, frame, seed)
-        return self.loss.gradient_square_sum(images.torch().clone())
+            views = self._views(frame, seed)
+            images = self._rendered(stylized, views, frame, seed).torch().clone()
+            guides = self._guides(stylized, regions, views, frame)
+        return {
+            self.term_name(target, name): found
+            for target, guide in enumerate(guides)
+            for name, found in self.losses[target].gradient_square_sum(images, guide).items()
+        }
 
-    def judge(self, frame: FramePlan, density: np.ndarray) -> tuple[float, dict[str, float]]:
+    def judge(
+        self, frame: FramePlan, density: np.ndarray, regions: Sequence[np.ndarray | None] = ()
+    ) -> tuple[float, dict[str, float]]:
         """Loss of a scaled full-resolution density (D, H, W), and its unscaled terms, as means over three fixed views.
 
         They are the main view, and the views 0.8 of the way from it to either end of the range of azimuths.
+        `regions` are the masks of the targets at full resolution, as for `gradient`.
         """
         recipe = frame.recipe
         (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
         views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
         with torch.no_grad(), dr.suspend_grad():
-            seen = resample_density(mi.TensorXf(density), 1.0, self.octave.shape, self.octave.cell_size)
-            images = self._rendered(seen, views, frame, (recipe.seed,))
-            loss, terms = self._loss_of(frame).evaluate(images.torch())
+            shape, h = self.octave.shape, self.octave.cell_size
+            smoke = resample_density(mi.TensorXf(density), 1.0, shape, h)
+            images = self._rendered(smoke, views, frame, (recipe.seed,)).torch()
+            masks = [None if mask is None else resample_mask(mi.TensorXf(mask), 1.0, shape, h) for mask in regions]
+            found = [
+                self._loss_of(frame, target).evaluate(images, guide)
+                for target, guide in enumerate(self._guides(smoke, masks, views, frame))
+            ]
+        loss = _total([value for value, _ in found], frame.shares)
+        terms = {
+            self.term_name(i, name): value for i, (_, of_one) in enumerate(found) for name, value in of_one.items()
+        }
         return float(loss) / len(views), {name: float(value) / len(views) for name, value in terms.items()}
 
-    def _loss_of(self, frame: FramePlan) -> BoundObjective:
-        return self.loss if frame.weights is None else self.loss.weighed(frame.weights)
+    def _loss_of(self, frame: FramePlan, target: int) -> BoundObjective:
+        loss = self.losses[target]
+        return loss if frame.weights is None else loss.weighed(frame.weights[target])
 
-    def _images(self, density: mi.TensorXf, frame: FramePlan, seed: Sequence[int]) -> mi.TensorXf:
+    def _views(self, frame: FramePlan, seed: Sequence[int]) -> list[View]:
         recipe = frame.recipe
         angles = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
-        views = [(float(azimuth), float(elevation)) for azimuth, elevation in angles]
-        return self._rendered(density, views, frame, seed)
+        return [(float(azimuth), float(elevation)) for azimuth, elevation in angles]
+
+    def _guides(
+        self, density: mi.TensorXf, regions: Sequence[mi.TensorXf | None], views: Sequence[View], frame: FramePlan
+    ) -> list[Guide | None]:
+        """Where the region of each target is seen in the views of a density; None for one that is everywhere."""
+        masks = [mask for mask in regions if mask is not None]
+        if not masks:
+            return [None] * len(self.losses)
+        octave, gamma = self.octave, frame.recipe.gamma
+        renderer = EmissionAbsorptionRenderer(
+            octave.shape, gamma, "exact", octave.cell_size, size=octave.size, pixel=octave.pixel
+        )
+        shares = iter(seen_shares(density, masks, views, renderer))
+        return [None if mask is None else Guide(next(shares).torch()) for mask in regions]
 
     def _rendered(
         self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]
@@ -135,5 +210,15 @@ def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:
     Raises:
         InputError: the network lacks a layer, channel or class, or a picture cannot be used.
     """
-    loss = plan.objective.bind(network, *octave.size, record=True, sigma=plan.recipe.sigma == "loss")
-    return OctaveProblem(octave, loss)
+    losses = tuple(
+        objective.bind(network, *octave.size, record=True, sigma=plan.recipe.sigma == "loss")
+        for objective in plan.objectives
+    )
+    return OctaveProblem(octave, losses)
+
+
+def _total(values: Sequence[torch.Tensor], shares: Sequence[float]) -> torch.Tensor:
+    """The sum of the losses of the targets, each times the factor of its steps."""
+    if len(values) == 1:
+        return values[0]
+    return torch.stack([share * value for share, value in zip(shares, values, strict=True)]).sum()

@@ -67,11 +67,13 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore,
     if scales is None and any(items.iterations_done(frame) > 0 for frame in plan.alive):
         raise DamagedItemError(name, "they have got lost")
     if scales is None and plan.recipe.loss_scaling == "none":
-        scales = problem.loss.scales
+        scales = problem.scales
         store.backing.write_numbers(name, scales)
     elif scales is None:
         scales = rms_scales(
-            problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0))
+            problem.gradient_square_sum(
+                now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0), now.inputs.regions
+            )
             for now in items.current(each(plan.alive))
         )
         store.backing.write_numbers(name, scales)

@@ -122,17 +122,23 @@ class Parameterisation(ABC):
 
 
 class Pullback:
-    """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields. It can be called once."""
+    """The adjoint of the map from fields to a density, at one point: ∂L/∂d* → ∂L/∂fields.
+
+    It can be called until the `last` call, which releases its memory.
+    """
 
     def __init__(self, leaves: Fields, stylized: mi.TensorXf) -> None:
         self._leaves, self._stylized = leaves, stylized
 
-    def __call__(self, gradient: mi.TensorXf) -> Fields:
+    def __call__(self, gradient: mi.TensorXf, last: bool = True) -> Fields:
         """The derivative with respect to the fields."""
         dr.set_grad(self._stylized, gradient)
         dr.enqueue(dr.ADMode.Backward, self._stylized)
-        dr.traverse(dr.ADMode.Backward)
+        dr.traverse(dr.ADMode.Backward, dr.ADFlag.Default if last else dr.ADFlag.ClearVertices)
         found = Fields({name: dr.grad(leaf) for name, leaf in self._leaves.items()})
+        if not last:
+            dr.clear_grad(list(self._leaves.values()))
+            return found
         # Release the graph: its memory is needed.
         del self._leaves, self._stylized
         return found

@@ -22,6 +22,8 @@ from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.combinations import require_averageable, require_one_transport
 from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import Target, targets_of
+from tnst_mi.regions.regions import Regions
 from tnst_mi.rendering.levels import Level, by_cell, full_level, levels_of
 
 
@@ -38,9 +40,10 @@ class FramePlan:
             frame that is left unchanged.
         exposure: factor from the frame's rendered images to the network's [0, 1].
         parameterisation: what is optimised, and how a density follows from it.
-        weights: of the terms of the loss; None if the objective has its own.
+        weights: for each target, those of the terms of its loss; None if the objective has its own.
         reach: how far its smoke may be moved, in full-resolution cells; None for any distance.
         keep_silhouette: how far its outline in the main view may move, likewise.
+        shares: for each target, the factor of its steps.
     """
 
     index: int
@@ -50,9 +53,10 @@ class FramePlan:
     step_scale: float
     exposure: float
     parameterisation: Parameterisation
-    weights: tuple[float, ...] | None
+    weights: tuple[tuple[float, ...], ...] | None
     reach: float | None
     keep_silhouette: float | None
+    shares: tuple[float, ...] = (1.0,)
 
     @property
     def eta(self) -> float:
@@ -91,14 +95,16 @@ class Plan:
         frames: the plans of the frames, in their order.
         shape: (D, H, W) of the frames.
         density_scale: factor of the frames' densities, see `fields.density_unit`.
-        objective: what to minimise.
+        objectives: what to minimise, for each target.
+        regions: the masks of the targets; None if there is one target, which applies everywhere.
     """
 
     recipe: Recipe
     frames: tuple[FramePlan, ...]
     shape: Shape
     density_scale: float
-    objective: Objective
+    objectives: tuple[Objective, ...]
+    regions: Regions | None = None
 
     @cached_property
     def octaves(self) -> list[Level]:
@@ -168,6 +174,7 @@ def plan_of(
     shape: Shape,
     density_scale: float = 1.0,
     objective: Objective | None = None,
+    regions: Regions | None = None,
 ) -> Plan:
     """Plan a sequence.
 
@@ -181,6 +188,7 @@ def plan_of(
         shape: (D, H, W) of the frames.
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
+        regions: the masks of its targets, see `regions_of`.
 
     Raises:
         InputError: the recipe's window cannot be averaged as it says, its keys of the transport do not belong together,
@@ -188,6 +196,7 @@ def plan_of(
     """
     require_averageable(recipe)
     require_one_transport(recipe)
+    targets = targets_of(recipe)
     recipes = [by_cell(recipe.at(number), shape) for number in numbers]
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
@@ -210,15 +219,22 @@ def plan_of(
                 recipe.stages,
                 recipe.conservative,
             ),
-            None if objective is not None else tuple(term_weights(at_frame)),
+            None if objective is not None else tuple(_weights(target, number) for target in targets),
             in_cells(recipe.reach, shape[1]),
             in_cells(recipe.keep_silhouette, shape[1]),
+            tuple(target.weight(number) for target in targets),
         )
         for index, (name, number, at_frame, scale, exposure) in enumerate(
             zip(names, numbers, recipes, step_scales, exposures, strict=True)
         )
     )
-    return Plan(recipe, frames, shape, density_scale, objective or objective_of(recipe))
+    objectives = (objective,) if objective is not None else tuple(objective_of(target.recipe) for target in targets)
+    return Plan(recipe, frames, shape, density_scale, objectives, regions)
+
+
+def _weights(target: Target, number: int | float | None) -> tuple[float, ...]:
+    """The weights of the terms of a target in a frame."""
+    return tuple(term_weights(target.recipe.at(number)))
 
 
 def _seed_number(index: int, number: int | float | None) -> int:

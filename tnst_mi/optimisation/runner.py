@@ -190,8 +190,9 @@ class SequenceOptimisation:
             result.timings["total"] = sum(result.timings.values())
         if problem is not None and result.history:
             before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
-            result.loss_before, result.terms_before = problem.judge(frame, before)
-            result.loss_after, result.terms_after = problem.judge(frame, after)
+            regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
+            result.loss_before, result.terms_before = problem.judge(frame, before, regions)
+            result.loss_after, result.terms_after = problem.judge(frame, after, regions)
         return result
 
     def _as_far_as_it_got(self, frame: FramePlan, store: DeviceStore) -> Stylized:

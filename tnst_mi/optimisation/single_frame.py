@@ -13,6 +13,7 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.exposure import brightness
 from tnst_mi.rendering.levels import by_cell, levels_seen
 
@@ -49,6 +50,7 @@ def optimise(
     at_frame = by_cell(recipe.at(frame.number), shape)
     (alone,) = brightness([frame], [at_frame], levels_seen(recipe, shape), density_scale)
     scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
-    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective)
+    regions = regions_of(recipe, [frame], [frame.number])
+    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective, regions)
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

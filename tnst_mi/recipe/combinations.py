@@ -10,12 +10,18 @@ def require_averageable(recipe: Recipe) -> None:
     """Check that a window can be averaged as a recipe says.
 
     Raises:
-        InputError: an average over smoke is wanted of gradients, which no mask has weighted.
+        InputError: an average over smoke is wanted of gradients, which no mask has weighted, or gradients of several
+            targets are to be averaged.
     """
     if recipe.window > 1 and recipe.step_order == "align_first" and recipe.window_average == "smoke":
         raise InputError(
             "step_order = 'align_first' averages gradients before the mask, so that window_average = 'smoke' has "
             "nothing to count smoke by; expected window_average = 'plain'"
+        )
+    if recipe.window > 1 and recipe.step_order == "align_first" and len(recipe.target) > 1:
+        raise InputError(
+            f"step_order = 'align_first' averages the gradients of one target, and there are {len(recipe.target)}; "
+            "expected step_order = 'normalise_first'"
         )
 
 

@@ -33,8 +33,9 @@ KEYABLE = {
 }
 
 
-#: The keys whose values are tables from layers to weights.
+#: The keys whose values are tables from layers to weights, and those whose values are tables with keys of their own.
 LAYER_TABLES = ("style_layers", "content_layers")
+REGION_TABLES = ("mask", "target")
 
 
 def with_keyframes(name: str, text: str, introduction: str) -> str:
@@ -49,9 +50,9 @@ def with_keyframes(name: str, text: str, introduction: str) -> str:
 
 def is_keyframed(name: str, value: Any) -> bool:
     """Whether the value of a key is a table from frames to values; a table from layers to weights is not."""
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping) or name in REGION_TABLES:
         return False
-    return name not in LAYER_TABLES or (len(value) > 0 and all(_frame_number(key) is not None for key in value))
+    return name not in LAYER_TABLES or (len(value) > 0 and all(frame_number(key) is not None for key in value))
 
 
 def converted(name: str, value: Any, source: str, convert: Callable[[str, Any, str], Any]) -> Any:
@@ -110,7 +111,7 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
         raise InputError(f"{source}{name} = {{}}: expected at least one frame number with a value")
     entries = {}
     for key, entry in table.items():
-        frame = _frame_number(key)
+        frame = frame_number(key)
         if frame is None:
             shown = reprlib.repr(key)
             raise InputError(f"{source}{name}: {shown} is no frame number, expected a whole number of up to 9 digits")
@@ -121,7 +122,8 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
     return entries
 
 
-def _frame_number(key: Any) -> int | None:
+def frame_number(key: Any) -> int | None:
+    """The frame number that a key of a table means; None if it is none."""
     if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key):
         return int(key)
     if isinstance(key, int) and not isinstance(key, bool) and abs(key) < 10**9:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.formats import READABLE
 from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.keyframes import converted
 from tnst_mi.resources import DATA, expanded
 
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
@@ -62,6 +66,10 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
         return str(path.resolve())
     if name == "weights" and value not in (None, PATTERNS) and (path := _path(name, value, source, folder)).exists():
         return str(path.resolve())
+    if name == "mask":
+        return _mask(value, source, folder)
+    if name == "target" and value is not None:
+        return tuple(_target(number, table, source, folder) for number, table in enumerate(value, start=1))
     return value
 
 
@@ -100,3 +108,41 @@ def _map(entry: str, source: str, folder: Path) -> str:
     if not path.is_file():
         raise InputError(f"{source}match = {entry!r}: no such file ({path})")
     return f"{layer}:{path.resolve()}"
+
+
+def _target(number: int, table: Any, source: str, folder: Path) -> dict[str, Any]:
+    """The table of a target; its keys are those of a recipe, but for the weight."""
+    locate, where = functools.partial(located, folder=folder), f"{source}target: number {number}: "
+    return {key: value if key == "weight" else converted(key, value, where, locate) for key, value in table.items()}
+
+
+def _mask(value: Any, source: str, folder: Path) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_mask(part, source, folder) for part in value)
+    if isinstance(value, str):
+        return _grid_or_file(value, source, folder)
+    if isinstance(value, Mapping):
+        return {
+            key: _mask_file(key, entry, source, folder) if key in ("file", "image") else entry
+            for key, entry in value.items()
+        }
+    return value
+
+
+def _grid_or_file(text: str, source: str, folder: Path) -> str:
+    """What exists is a file, and what looks like one has to exist; all else is the name of a grid."""
+    path = _path("mask", text, source, folder)
+    if path.exists():
+        return str(path.resolve())
+    if Path(text).suffix.lower() in READABLE or "/" in text or "\\" in text:
+        return _mask_file("mask", text, source, folder)
+    return text
+
+
+def _mask_file(key: str, text: str, source: str, folder: Path) -> str:
+    path = _path(key, text, source, folder)
+    # The number of a pattern has no digits yet.
+    exists = path.parent.is_dir() if "#" in path.name and key != "image" else path.exists()
+    if not exists:
+        raise InputError(f"{source}{'mask' if key == 'mask' else f'mask: {key}'} = {text!r}: no such file ({path})")
+    return str(path.resolve())

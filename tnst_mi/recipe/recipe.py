@@ -25,6 +25,7 @@ from tnst_mi.machine.gate import decoding
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.flag_values import value_of_flag
 from tnst_mi.recipe.keyframes import (
+    REGION_TABLES,
     Keyframes,
     converted,
     is_keyframed,
@@ -245,6 +246,8 @@ class Recipe(Reading, Resources, Method, Goals):
 def _checked(name: str, value: Any, source: str) -> Any:
     try:
         return KINDS[name].check(value)
+    except InputError as error:  # inside a table
+        raise InputError(f"{source}{name}: {error}") from None
     except (ValueError, OverflowError):
         raise InputError(f"{source}{name} = {reprlib.repr(value)}: {expectation(KINDS[name], value, name)}") from None
 
@@ -261,8 +264,14 @@ def _meant(name: str, value: Any) -> str:
 def _toml_value(name: str, value: Any) -> Any:
     if isinstance(value, dict):
         table = tomlkit.inline_table()
-        table.update({str(key): _toml_value(name, entry) for key, entry in value.items()})
+        for key, entry in value.items():
+            table[str(key)] = _toml_value(key if name in REGION_TABLES else name, entry)
         return table
     if name in ("style", "content"):
         return [shipped_name(path) for path in value]
+    if name in REGION_TABLES and isinstance(value, tuple):
+        # Inline, since what follows [[target]] in a file would belong to it.
+        array = tomlkit.array()
+        array.extend(_toml_value(name, entry) for entry in value)
+        return array.multiline(name == "target" and bool(value))
     return list(value) if isinstance(value, tuple) else value

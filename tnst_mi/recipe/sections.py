@@ -7,7 +7,7 @@ import functools
 import inspect
 import itertools
 from dataclasses import dataclass, field
-from typing import Annotated, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
@@ -15,6 +15,12 @@ from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.optional_keys import Point, Unset
+from tnst_mi.recipe.region_keys import MaskKind, TargetsKind
+
+
+def _kinds() -> dict[str, Kind]:
+    """The kinds of all keys, which are known once the sections are."""
+    return KINDS
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,13 @@ class Goals:
     """Weight of the semantic, tag, content and match terms, 0 or more."""
     damping: Annotated[float, Number(low=0.0)] = 0.0
     """Weight of an L1 penalty on the other channels of a semantic layer, 0 or more."""
+    mask: Annotated[Any, MaskKind()] = None
+    """Where the smoke changes, from 0 (not at all) to 1: a grid of the input by its name, or a file of the same grid
+    for all frames or for each. In a recipe file also a sphere or box in the scene, a ramp over the height, a picture
+    painted over a view, or a product of these, with keyframes (docs/regions.md). If not set, everywhere."""
+    target: Annotated[tuple[dict[str, Any], ...], TargetsKind(_kinds)] = ()
+    """Several goals in regions of their own, in a recipe file: tables [[target]] with one of style, semantic, tag,
+    content or match each, and with mask and weight (docs/regions.md)."""
 
 
 @dataclass(frozen=True)

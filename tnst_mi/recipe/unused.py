@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.recipe.sections import KINDS
 
 #: Keys of Mitsuba's path tracer, and of a window.
@@ -30,18 +31,21 @@ def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
 
 
 def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ...], str]]:
-    other_goals = bool(recipe.semantic or recipe.tag or recipe.content or recipe.match)
-    if not recipe.style:
+    goals = {goal for goal in GOALS if getattr(recipe, goal) or any(goal in table for table in recipe.target)}
+    other_goals = goals - {"style"}
+    if recipe.target:
+        yield ("style_weight", "semantic_weight"), "each target has a weight of its own"
+    if "style" not in goals:
         yield ("style_weight", "style_layers", "style_loss"), "there is no style"
     elif not other_goals and _only_scales(recipe, "style_weight"):
         yield ("style_weight",), "there is no other goal to weigh the style against"
     if not other_goals:
         yield ("semantic_weight",), "there is no semantic, tag, content or match"
-    elif not recipe.style and _only_scales(recipe, "semantic_weight"):
+    elif "style" not in goals and _only_scales(recipe, "semantic_weight"):
         yield ("semantic_weight",), "there is no style to weigh it against"
-    if not recipe.content:
+    if "content" not in goals:
         yield ("content_layers",), "there is no content"
-    if not recipe.semantic:
+    if "semantic" not in goals:
         yield ("damping",), "there is no semantic"
     if recipe.parameterisation == "density":
         yield _OF_TRANSPORT, 'it belongs to parameterisation = "transport"'

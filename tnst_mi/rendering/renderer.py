@@ -25,6 +25,8 @@ from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import View, common_size
+from tnst_mi.rendering.march.grid_march import GridMarch
+from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
 from tnst_mi.rendering.scene import medium_description, view_distance
 
@@ -123,7 +125,8 @@ class EmissionAbsorptionRenderer(Renderer):
         self.shape, self.gamma, self.h, self.size = shape, gamma, h, size or shape[1:]
         self.pixel = pixel or h
         self._medium = _medium(mi.variant(), shape, h)
-        self._integrator = _integrator(mi.variant(), gamma, quadrature, step or h)
+        self._step = step or h
+        self._integrator = _integrator(mi.variant(), gamma, quadrature, self._step)
 
     def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
@@ -166,6 +169,12 @@ class EmissionAbsorptionRenderer(Renderer):
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
                 L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
         return mi.TensorXf(L, (len(views), *self.size))
+
+    def march(self, density: mi.TensorXf, views: Sequence[View]) -> tuple[GridMarch, mi.Float]:
+        """The samples of all rays of the views in a density, without derivatives, and the distance between them."""
+        self._place(density)
+        lattice = Lattice(self._medium, self._rays(views).through_pixels(0, len(views)), self._step)
+        return GridMarch(self._medium, lattice), lattice.step
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""

@@ -8,6 +8,7 @@ from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
+from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
 from tnst_mi.run.prepare import Prepared
 
@@ -30,7 +31,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield prepared.memory
     if prepared.step != 1:
         yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
-    for path in (*recipe.style, *recipe.content):
+    for path in dict.fromkeys(path for target in targets_of(recipe) for path in _pictures(target)):
         picture = read_image(path)
         yield from (f"note: {picture.name} {remark}" for remark in picture.remarks)
     for key, reason in unused_keys(recipe, len(prepared.frames)).items():
@@ -40,6 +41,10 @@ def announcement(prepared: Prepared) -> Iterator[str]:
         yield f'note: preset = "{recipe.preset}" leaves {", ".join(own)} as the recipe gives them'
     yield from _of_density(prepared)
     yield from _of_images(prepared)
+
+
+def _pictures(target: Target) -> tuple[str, ...]:
+    return (*target.recipe.style, *target.recipe.content)
 
 
 def _of_density(prepared: Prepared) -> Iterator[str]:

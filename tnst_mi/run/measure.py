@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from tnst_mi.io.files.frame_numbers import is_next, step_of
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import mask_files, targets_of
 from tnst_mi.run.folder import is_file_name
 from tnst_mi.run.inputs import frame_digest
 
@@ -105,12 +107,34 @@ def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[st
         raise InputError(f"{out}: its run had the frames in another order; {remedy}")
 
 
+def require_same_masks(targets: Sequence[dict[str, Any]] | None, run: dict[str, Any], out: Path) -> None:
+    """Check that the masks of a run to be resumed held the same smoke: grids of the input are no part of its digests.
+
+    Args:
+        targets: the records of the targets now, or None.
+        run: the record of the run.
+        out: its folder.
+
+    Raises:
+        InputError: they did not.
+    """
+    # As they are once they have been written and read.
+    if run.get("targets") != json.loads(json.dumps(targets)):
+        raise InputError(
+            f"{out}: its run had other masks, or other smoke in them, than there are now; resume with the same input, "
+            "or use --overwrite"
+        )
+
+
 def digests(measures: Sequence[Measure]) -> dict[str, str]:
     """The SHA-256 of the frames by their names."""
     return {measure.name: measure.sha256 for measure in measures}
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:
-    """The SHA-256 of the pictures, the maps and the light that a recipe names, by their paths."""
+    """The SHA-256 of the pictures, the maps, the masks and the light that a recipe names, by their paths."""
     paths = [*recipe.style, *recipe.content, *(str(file) for _, file in recipe.maps), recipe.light]
-    return {path: file_hash(Path(path), "sha256") for path in paths if Path(path).is_file()}
+    paths += mask_files(recipe)
+    for target in targets_of(recipe):
+        paths += [*target.recipe.style, *target.recipe.content, *(str(file) for _, file in target.recipe.maps)]
+    return {path: file_hash(Path(path), "sha256") for path in dict.fromkeys(paths) if Path(path).is_file()}

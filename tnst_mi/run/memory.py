@@ -12,6 +12,7 @@ from tnst_mi.losses.evaluation import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import targets_of
 from tnst_mi.rendering.levels import levels_of
 from tnst_mi.rendering.renderer import LARGEST_SAMPLES, view_samples
 
@@ -33,6 +34,7 @@ class Costs:
         density_cell: the same where density values are optimised.
         flow_cell, volume_cell: what transport along the flow adds: ends of paths, velocity, and sums of its derivative;
             and what its conservative form adds to that.
+        region_cell: what each mask of a region adds: on the full grid, on the octave's, and in use.
         window_cell, window_component: what a window adds: velocity, gain, sums, and an item that is read ahead.
         network_factor, network_pixel: the network's evaluation takes more than what autograd saves: gradients and
             workspaces as a factor, a convolution's columns per pixel.
@@ -44,6 +46,7 @@ class Costs:
     density_cell: int
     flow_cell: int
     volume_cell: int
+    region_cell: int
     window_cell: int
     window_component: int
     network_factor: float
@@ -54,10 +57,10 @@ class Costs:
 #: resident size, less what the network takes, is linear in the number of cells for each parameterisation. GPU: measured
 #: with scripts/measure_gpu.py on an H100 at three sizes (docs/gpu.md), of which the dearest counts: Dr.Jit rounds each
 #: array up to a power of two. What the flow takes on a GPU, where it is computed for all cells, is not measured: it is
-#: the sum of its arrays, a third of them empty.
+#: the sum of its arrays, a third of them empty. What regions take is the sum of their arrays too.
 COSTS = {
-    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 50, 16, 1.2, 1000),
-    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 60, 24, 2.5, 0),
+    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 16, 50, 16, 1.2, 1000),
+    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 16, 60, 24, 2.5, 0),
 }
 
 
@@ -124,6 +127,10 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
         by_cell = costs.density_cell
     if recipe.window > 1:
         by_cell += costs.window_cell + costs.window_component * components
+    targets = targets_of(recipe)
+    by_cell += costs.region_cell * sum(bool(target.mask) for target in targets)
+    # Their gradients are kept until the step is made of all.
+    by_cell += 4 * components * (len(targets) - 1)
     if torch_device().type != "cpu":
         at_once = recipe.views
         saved *= views_at_once(at_once, saved * math.prod(size))
@@ -136,14 +143,16 @@ def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
     """Upper bound of the bytes that a run of `count` frames (D, H, W) keeps or writes, including results.
 
-    Per cell: the density (4 bytes) and the mask (2) of a frame, its fields (4 per component); with a window also the
+    Per cell: the density (4 bytes) and the mask (2) of a frame, the masks of its regions (2 each, and 2 for their
+    support), its fields (4 per component); with a window also the
     velocity (6), the gain (2), the step (2 per component, 4 if it is a gradient) and the change (2); as results a
     density (4) and a velocity (12), assuming no compression. Coarser octaves add less than a quarter, which leaves room
     for an obstacle.
     """
     components = recipe.components
     step = components * (4 if recipe.step_order == "align_first" else 2)
-    by_cell = 6 + 4 * components + 16 + (10 + step if recipe.window > 1 else 0)
+    masks = sum(bool(target.mask) for target in targets_of(recipe))
+    by_cell = 6 + 2 * (masks + (masks > 0)) + 4 * components + 16 + (10 + step if recipe.window > 1 else 0)
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 

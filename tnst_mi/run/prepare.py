@@ -27,6 +27,8 @@ from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
 from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.targets import targets_of
+from tnst_mi.regions.regions import regions_of, smoke_shares
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
 from tnst_mi.resources import expanded
@@ -40,9 +42,11 @@ from tnst_mi.run.measure import (
     measured,
     require_coherent,
     require_same_input,
+    require_same_masks,
 )
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
+from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
@@ -110,7 +114,7 @@ class Prepared:
     @property
     def moving(self) -> Sequence[Frame]:
         """The same with velocities that lead from each to the next, which may not be the next of the simulation."""
-        return self.unchanged if self.step == 1 else ScaledFrames(self.unchanged, velocity_factor=self.step)
+        return _moving(self.unchanged, self.step)
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -128,8 +132,9 @@ def load_network(recipe: Recipe) -> Network:
     """
     weights = find_weights(recipe.weights)
     network = GoogLeNet.from_file(weights.path)
-    require_meant(recipe, network, weights.fallback)
-    require_known(recipe, network, weights.fallback)
+    for target in targets_of(recipe):
+        require_meant(target.recipe, network, weights.fallback)
+        require_known(target.recipe, network, weights.fallback)
     return Network(network, weights.fallback)
 
 
@@ -158,6 +163,7 @@ def prepare(
         InputError: something cannot be used, or another run writes to `out`.
     """
     recipe = recipe.located(Path.cwd())
+    targets = targets_of(recipe)
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
     sequence = requested_frames(frames, recipe, out, resume=resume, overwrite=overwrite)
@@ -174,9 +180,10 @@ def prepare(
     variant = activate(recipe.variant)
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
-    objective = objective_of(recipe)
+    objectives = [objective_of(target.recipe) for target in targets]
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows))
-    saved = objective.bind(network.model, *trial_size).saved_bytes / math.prod(trial_size)
+    saved = max(objective.bind(network.model, *trial_size).saved_bytes for objective in objectives)
+    saved /= math.prod(trial_size)
     need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
@@ -187,7 +194,15 @@ def prepare(
     if out is not None:
         require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)
-    recipes = [by_cell(recipe.at(measure.number), shape) for measure in measures]
+    numbers = [measure.number for measure in measures]
+    step = frame_step(numbers)
+    unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
+    regions = regions_of(recipe, _moving(unchanged, step), numbers, sequence)
+    target_records = None
+    if regions is not None:
+        shares = smoke_shares(regions, targets, _watched(unchanged, "masking", progress))
+        target_records = [target_record(target, share) for target, share in zip(targets, shares, strict=True)]
+    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
     density_scale = reference.scale(recipe.density_scale)
     densest = max(measure.densest for measure in measures)
     if densest * density_scale > _DENSEST:
@@ -198,7 +213,6 @@ def prepare(
     if progress and recipe.integrator != "emission_absorption":
         tqdm.write("measuring how bright the frames are path traced …", file=sys.stderr)
     watch = partial(_watched, doing="measuring", shown=progress)
-    unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
     bright = brightness(unchanged, recipes, levels_seen(recipe, shape), density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
@@ -224,25 +238,34 @@ def prepare(
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
+    if target_records is not None:
+        record["targets"] = target_records
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
     if earlier is not None and out is not None:
         require_same_input(measures, recipe, earlier, out)
+        require_same_masks(target_records, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe))
     plan = plan_of(
         recipe,
         [measure.name for measure in measures],
-        [measure.number for measure in measures],
+        numbers,
         [of_frame.step_scale for of_frame in bright],
         exposures,
         shape,
         density_scale,
+        regions=regions,
     )
-    step, said = frame_step([measure.number for measure in measures]), readable.lines()
+    said = [*readable.lines(), *(f"note: {note}" for note in (regions.notes if regions is not None else ()))]
     return Prepared(
         recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
     )
+
+
+def _moving(frames: Sequence[Frame], step: int | float) -> Sequence[Frame]:
+    """Frames that are `step` apart, with velocities that lead from each to the next."""
+    return frames if step == 1 else ScaledFrames(frames, velocity_factor=step)
 
 
 def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:

@@ -14,7 +14,10 @@ from tnst_mi.fields.folding import folded_share
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
+from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import GOALS
+from tnst_mi.recipe.targets import Target
 from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
@@ -55,6 +58,19 @@ def run_identity(recipe: Recipe, run: Mapping[str, Any]) -> str:
     """
     decisive = replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"]
     return hashlib.sha256(json.dumps(decisive).encode("utf-8")).hexdigest()
+
+
+def target_record(target: Target, shares: Sequence[float]) -> dict[str, Any]:
+    """The record of a target: its goal, mask and weight as the recipe has them, and what it reaches.
+
+    Args:
+        target: the target.
+        shares: for each frame, the share of its smoke that is in the mask.
+    """
+    recipe = target.recipe
+    goals = {goal: [shipped_name(name) for name in getattr(recipe, goal)] for goal in GOALS if getattr(recipe, goal)}
+    weight = dict(target.weights) if isinstance(target.weights, tuple) else target.weights
+    return {"goals": goals, "mask": list(target.mask), "weight": weight, "smoke_shares": list(shares)}
 
 
 def _folded(recipe: Recipe, stylized: Stylized) -> float | None:

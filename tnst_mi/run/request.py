@@ -32,10 +32,9 @@ def requested_frames(
 
     Raises:
         InputError: the recipe has no goal, or keys that do not go together; results cannot be written to `out`, or
-            another run writes there; or
-            there are no such frames.
+            another run writes there; or there are no such frames.
     """
-    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match):
+    if not (recipe.style or recipe.semantic or recipe.tag or recipe.content or recipe.match or recipe.target):
         raise InputError(
             "nothing to stylize towards: give --style, --semantic, --tag, --content or --match, or a recipe"
         )

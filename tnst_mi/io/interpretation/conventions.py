@@ -149,20 +149,29 @@ class StoredFrame:
         Raises:
             InputError: there is no density, an array cannot be used, or the size of a cell is needed but unknown.
         """
-        if self.density is None:
-            raise InputError(self.lacking)
-        scale = self.scale if given.scale is None else given.scale
-        density = self._turned(self.density, given)
+        density = self.scaled_density(given)
         notes = self.notes if self.notes or density.any() else (Note("no smoke in it"),)
         if self.velocity is None and self.taken.like_velocity:
             names = listed(list(self.taken.like_velocity))
             notes = (*notes, Note(f"looks like a velocity, which --velocity NAME takes it for: {names}"))
-        if scale != 1.0:
-            with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
-                density = density.astype(np.float32) * np.float32(scale)
         obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
         velocity, placement = self.centred_velocity(given), self._placement(given)
         return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes)
+
+    def scaled_density(self, given: Conventions) -> np.ndarray:
+        """The density (D, H, W) in our axes, times its factor; not checked.
+
+        Raises:
+            InputError: there is none.
+        """
+        if self.density is None:
+            raise InputError(self.lacking)
+        scale = self.scale if given.scale is None else given.scale
+        density = self._turned(self.density, given)
+        if scale == 1.0:
+            return density
+        with np.errstate(over="ignore"):  # Frame rejects what becomes infinite
+            return density.astype(np.float32) * np.float32(scale)
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
         """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None if there is none.

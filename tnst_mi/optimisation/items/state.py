@@ -1,6 +1,7 @@
 """The items of an optimisation: what a `Store` holds for each frame on the grid of an octave o, as tensors.
 
-inputs.o    density, mask and simulation velocity of a frame, and how far its cells may be moved
+inputs.o    density, mask and simulation velocity of a frame, and how far its cells may be moved; if targets have
+            regions, the mask of each on this grid, the mask of their union, and a factor that keeps fields inside it
 fields.o    the optimised fields; generation = iterations done
 gain.o      normalises the average over the window to that over smoke, see `averaging_gain`
 step.o      the step of one iteration along the frame's own gradient, or the gradient itself, and the change
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -19,13 +20,11 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.density_unit import scaled
-from tnst_mi.fields.resampling import resample_density, resample_mask, resample_velocity
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.device_store import DeviceStore, Request
+from tnst_mi.optimisation.items.inputs import INSIDE, Inputs, octave_inputs, region_name
 from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
 from tnst_mi.optimisation.items.store import DamagedItemError
-from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.temporal.alignment import averaging_gain, transported_sums
@@ -35,18 +34,6 @@ _GROUPS = ("inputs", "fields", "gain", "step")
 
 #: Without a window, fields are kept in memory between iterations, and written to the store after this many seconds.
 CHECKPOINT_SECONDS = 30.0
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """Density and mask (D, H, W) of an unstylized frame on the grid of an octave.
-
-    `allowed` is how far each of its cells may be moved; None if it is the same for all.
-    """
-
-    density: mi.TensorXf
-    mask: mi.TensorXf
-    allowed: mi.TensorXf | None = None
 
 
 @dataclass(frozen=True)
@@ -126,24 +113,17 @@ class Items:
     # ---------------------------------------------------------------- entering the octave
 
     def enter_inputs(self, frame: FramePlan, source: Frame) -> None:
-        """Write a frame's inputs for the octave. Half precision suffices for a mask in [0, 1] and for velocities."""
-        group, grid = self._group("inputs"), self.octave
-        if self._store.generation(group, frame.index) >= 0:
-            return
-        density = mi.TensorXf(scaled(source.density, self.plan.density_scale))
-        mask = soft_mask(density, source.obstacle, self.plan.recipe.mask_strength)
-        arrays = {
-            "density": resample_density(density, 1.0, grid.shape, grid.cell_size),
-            "mask": mi.TensorXf16(resample_mask(mask, 1.0, grid.shape, grid.cell_size)),
-        }
-        if (allowed := self.plan.allowed(frame, source, grid)) is not None:
-            arrays["allowed"] = allowed
-        if self.plan.window > 1 and frame.index + 1 < len(self.plan.frames):
-            if source.velocity is None:
-                raise InputError(f"{frame.name}: has no velocity, which a window of {self.plan.window} frames needs")
-            velocity = mi.TensorXf(source.velocity)
-            arrays["velocity"] = mi.TensorXf16(resample_velocity(velocity, 1.0, grid.shape, grid.cell_size))
-        self._store.write(group, frame.index, 0, arrays)
+        """Write a frame's inputs for the octave; see `octave_inputs`."""
+        group = self._group("inputs")
+        if self._store.generation(group, frame.index) < 0:
+            self._store.write(group, frame.index, 0, octave_inputs(self.plan, self.octave, frame, source))
+
+    def _inside(self, frame: FramePlan, fields: Fields) -> Fields:
+        """Fields that came from elsewhere, cut off where a frame has no region."""
+        if self.plan.regions is None or not self.plan.regions.bounded:
+            return fields
+        inside = self._store.read(self._group("inputs"), frame.index, [INSIDE])[INSIDE]
+        return Fields({name: times(inside, field) for name, field in fields.items()})
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
         """Carry the fields of a frame over from the previous octave; in the first one they are 0."""
@@ -154,6 +134,7 @@ class Items:
             fields = parameterisation.zeros(self.octave)
         else:
             fields = parameterisation.carried(coarser.fields(frame), coarser.octave, self.octave)
+            fields = self._inside(frame, fields)
         self._write_fields(frame, 0, fields)
 
     def enter_gain(self, frame: FramePlan) -> None:
@@ -185,7 +166,7 @@ class Items:
             for frame in waiting
         )
         for frame, (inputs, fields) in zip(waiting, self._store.read_each(requests), strict=True):
-            now = Current(frame, Inputs(**inputs), Fields(fields))
+            now = Current(frame, self._inputs_of(inputs), Fields(fields))
             if self._alone:
                 self._inputs = {frame.index: now.inputs}
                 self._fields = {frame.index: (self._stored_iterations(frame), now.fields)}
@@ -196,9 +177,18 @@ class Items:
         kept = self._fields.get(frame.index)
         return Fields(self._store.read(*self._fields_request(frame))) if kept is None else kept[1]
 
-    @staticmethod
-    def _input_names(frame: FramePlan) -> tuple[str, ...]:
-        return ("density", "mask", *(["allowed"] if frame.keeps_silhouette else []))
+    @property
+    def _regions_present(self) -> list[bool]:
+        """For each target, whether it has a mask; none at all if there are no regions."""
+        return [] if self.plan.regions is None else self.plan.regions.present
+
+    def _input_names(self, frame: FramePlan) -> tuple[str, ...]:
+        named = [region_name(i) for i, present in enumerate(self._regions_present) if present]
+        return ("density", "mask", *named, *(["allowed"] if frame.keeps_silhouette else []))
+
+    def _inputs_of(self, arrays: Mapping[str, mi.TensorXf]) -> Inputs:
+        masks = tuple(arrays.get(region_name(i)) for i in range(len(self._regions_present)))
+        return Inputs(arrays["density"], arrays["mask"], masks, arrays.get("allowed"))
 
     def _fields_request(self, frame: FramePlan) -> Request:
         return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)
@@ -213,7 +203,9 @@ class Items:
         if self.plan.recipe.window_average == "plain":
             window = window_of(frame.index, len(self.plan.frames), self.plan.window)
             present = sum(weights[abs(i - frame.index)] for i in window)
-            return Fields(self.windowed_sums(frame, "step", names, weights / present))
+            sums = Fields(self.windowed_sums(frame, "step", names, weights / present))
+            # Gradients are masked later, when a step is made of their average.
+            return sums if self.plan.averages_gradients else self._inside(frame, sums)
         sums = self.windowed_sums(frame, "step", names, weights)
         gain = self._store.read(self._group("gain"), frame.index, ["gain"])["gain"]
         return Fields({name: times(gain, total) for name, total in sums.items()})

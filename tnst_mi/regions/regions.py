@@ -1,0 +1,195 @@
+"""The masks of all targets of a run, evaluated frame by frame on the grid of the densities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.frame import Frame
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import form_of
+from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
+from tnst_mi.regions.following import FollowingMask
+from tnst_mi.regions.projection import painted, projected
+from tnst_mi.regions.shapes import shape_mask
+from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid
+from tnst_mi.rendering.driving import image_size
+
+
+class Regions:
+    """The masks of the targets of a recipe.
+
+    Args:
+        targets: of the recipe.
+        frames: the frames, with velocities that lead from each to the next.
+        files: the same frames as they are stored, whose grids masks may name.
+        numbers: of the frames.
+    """
+
+    def __init__(
+        self,
+        targets: Sequence[Target],
+        frames: Sequence[Frame],
+        files: Sequence[Frame],
+        numbers: Sequence[int | float | None],
+    ) -> None:
+        self._targets, self._frames, self._files, self._numbers = targets, frames, files, numbers
+        self._pictures: dict[str, np.ndarray] = {}
+        self._mask_files: dict[tuple[str, str | None], MaskFiles] = {}
+        #: By the name of a stored grid that exceeds 1, its largest value.
+        self._largest: dict[str, float] = {}
+        #: By target and part.
+        self._following: dict[tuple[int, int], FollowingMask] = {}
+
+    @property
+    def present(self) -> list[bool]:
+        """For each target, whether it has a mask."""
+        return [bool(target.mask) for target in self._targets]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of the masks that have been evaluated."""
+        return [
+            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1"
+            for name, largest in self._largest.items()
+        ]
+
+    @property
+    def bounded(self) -> bool:
+        """Whether all targets have masks, so that there is smoke that none of them changes."""
+        return all(self.present)
+
+    def masks(self, index: int, frame: Frame) -> tuple[np.ndarray | None, ...]:
+        """The mask of each target in a frame: (D, H, W) float32 in [0, 1], or None where it is 1 everywhere.
+
+        Args:
+            index: the place of the frame in the sequence.
+            frame: the frame.
+
+        Raises:
+            InputError: a mask cannot be read or does not fit the frame.
+        """
+        return tuple(self._mask(number, target, index, frame) for number, target in enumerate(self._targets))
+
+    def outside(self, index: int, frame: Frame) -> bool:
+        """Whether a frame has no smoke in any of its masks, so that nothing of it changes; see `masks`."""
+        return not any(mask is None or (mask * frame.density).any() for mask in self.masks(index, frame))
+
+    def _mask(self, number: int, target: Target, index: int, frame: Frame) -> np.ndarray | None:
+        product = None
+        for place, part in enumerate(target.mask):
+            try:
+                values = self._part((number, place), part, index, frame)
+            except InputError as error:
+                raise InputError(f"{target.name}: {error}") from None
+            product = values if product is None else product * values
+        return product
+
+    def _part(self, key: tuple[int, int], part: Part, index: int, frame: Frame) -> np.ndarray:
+        table: Mapping[str, Any] = part if isinstance(part, Mapping) else _named(part)
+        follow: bool | int = table.get("follow", False)
+        now = part_at(table, self._numbers[index])
+        # What is painted or shaped moves; how much it counts is that of the frame itself.
+        shape = self._standing(now, index, frame) if follow is False else self._moved(key, table, follow, index)
+        if now.get("invert", False):
+            shape = 1 - shape
+        return shape * np.float32(now["strength"]) if "strength" in now else shape
+
+    def _moved(self, key: tuple[int, int], table: Mapping[str, Any], follow: bool | int, index: int) -> np.ndarray:
+        """The mask of the frame that `follow` names, moved with the smoke to another."""
+        if key not in self._following:
+            if follow is not True and follow not in self._numbers:
+                raise InputError(f"follow = {follow}: there is no such frame, expected one of the run")
+            first = 0 if follow is True else self._numbers.index(follow)
+            start = self._standing(part_at(table, self._numbers[first]), first, self._frames[first])
+            self._following[key] = FollowingMask(start, first, self._frames)
+        return self._following[key].at(index)
+
+    def _standing(self, part: Mapping[str, Any], index: int, frame: Frame) -> np.ndarray:
+        """A mask in a frame where it stands, without its strength."""
+        shape, form = frame.density.shape, form_of(part)
+        if form == "everywhere":
+            return np.ones(shape, np.float32)
+        if form == "grid":
+            return self._checked(input_grid(self._files, index, part["grid"]), shape, f"grid {part['grid']!r}")
+        if form == "file":
+            key = part["file"], part.get("grid")
+            if key not in self._mask_files:
+                self._mask_files[key] = MaskFiles(*key, self._files, self._numbers)
+            return self._checked(self._mask_files[key].at(index), shape, part["file"])
+        if form == "image":
+            size = image_size(self._targets[0].recipe, shape)
+            if part["image"] not in self._pictures:
+                self._pictures[part["image"]] = painted(part["image"], size)
+            return projected(self._pictures[part["image"]], part["view"], shape, size)
+        return shape_mask(form, part, shape, frame.placement)
+
+    def _checked(self, values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
+        """A stored grid as a mask; how far it exceeds 1 is noted."""
+        mask = checked_grid(values, shape, name)
+        largest = float(values.max())
+        if largest > 1:
+            self._largest[name] = max(largest, self._largest.get(name, 0.0))
+        return mask
+
+
+def _named(text: str) -> dict[str, Any]:
+    """The table that a text means: located recipes hold files by absolute paths."""
+    return {"file": text} if is_path(text) else {"grid": text}
+
+
+def regions_of(
+    recipe: Recipe,
+    frames: Sequence[Frame],
+    numbers: Sequence[int | float | None],
+    files: Sequence[Frame] | None = None,
+) -> Regions | None:
+    """The regions of a recipe; None if it has neither masks nor targets of its own.
+
+    Args:
+        recipe: with absolute paths.
+        frames: the frames, with velocities that lead from each to the next.
+        numbers: of the frames.
+        files: the same frames as they are stored, whose grids masks may name; None if they are `frames`.
+
+    Raises:
+        InputError: it has targets beside goals or a mask of its own.
+    """
+    targets = targets_of(recipe)
+    if not any(target.mask or target.number for target in targets):
+        return None
+    return Regions(targets, frames, frames if files is None else files, numbers)
+
+
+def smoke_shares(regions: Regions, targets: Sequence[Target], frames: Iterable[Frame]) -> list[list[float]]:
+    """For each target, the share of the smoke of each frame that is in its mask, Σ m d / Σ d; 0 without smoke.
+
+    Args:
+        regions: the masks.
+        targets: whose they are.
+        frames: in their order; each is read once.
+
+    Raises:
+        InputError: a mask cannot be used, is 0 everywhere in all frames, or has no smoke in it in any.
+    """
+    shares: list[list[float]] = [[] for _ in targets]
+    empty = [True] * len(targets)
+    for index, frame in enumerate(frames):
+        mass = frame.mass
+        for number, mask in enumerate(regions.masks(index, frame)):
+            inside = mass if mask is None else float((mask * frame.density).sum(dtype=np.float64))
+            shares[number].append(inside / mass if mass > 0 else 0.0)
+            empty[number] &= mask is not None and not mask.any()
+    for target, none, of_target in zip(targets, empty, shares, strict=True):
+        if none:
+            raise InputError(
+                f"{target.name}: is 0 everywhere in all frames; check its strength, and its place "
+                "and size: lengths are those of the scene, or cells where the files have none"
+            )
+        if target.mask and not any(of_target):
+            raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change")
+    return shares

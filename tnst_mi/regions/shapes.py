@@ -1,0 +1,59 @@
+"""Masks in closed form: spheres, boxes and ramps over the height, in the scene's units of length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.fields.grid import Shape
+from tnst_mi.geometry.placement import Placement
+
+
+def cell_positions(shape: Shape, placement: Placement | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coordinates (X, Y, Z) in the scene of the cell centres of a grid (D, H, W), each broadcast along other axes.
+
+    A grid without a placement lies in a scene of its own: its unit is a cell, y is up, and the centre of its lowest
+    cell is the origin.
+    """
+    z, y, x = np.ogrid[tuple(slice(0.0, n) for n in shape)]
+    if placement is None:
+        return x, y, z
+    (X, Y, Z), size = placement.corner, placement.voxel_size
+    if placement.up == "y":
+        return X + size * x, Y + size * y, Z + size * z
+    # Our z runs along −Y of a scene whose Z is up.
+    return X + size * x, Y + size * (shape[0] - 1 - z), Z + size * y
+
+
+def shape_mask(form: str, part: Mapping[str, Any], shape: Shape, placement: Placement | None) -> np.ndarray:
+    """The mask (D, H, W) of a shape: 1 inside, falling linearly to 0 within `edge` of its surface, 0 outside.
+
+    Args:
+        form: "sphere", "box" or "height".
+        part: the shape's numbers, without keyframes: centre and radius, or low and high, and edge; or height, between
+            whose two numbers the mask rises from 0 to 1.
+        shape: (D, H, W).
+        placement: of the grid.
+    """
+    positions = cell_positions(shape, placement)
+    if form == "height":
+        first, last = part["height"]
+        up = positions[2 if placement is not None and placement.up == "z" else 1]
+        return _filled(np.clip((up - first) / (last - first), 0, 1), shape)
+    if form == "sphere":
+        square = sum((position - centre) ** 2 for position, centre in zip(positions, part["centre"], strict=True))
+        depth = part["radius"] - np.sqrt(square)
+    else:
+        sides = [
+            np.minimum(position - low, high - position)
+            for position, low, high in zip(positions, part["low"], part["high"], strict=True)
+        ]
+        depth = np.minimum(np.minimum(sides[0], sides[1]), sides[2])
+    edge = part.get("edge", 0.0)
+    return _filled(np.clip(depth / edge, 0, 1) if edge > 0 else depth >= 0, shape)
+
+
+def _filled(values: np.ndarray, shape: Shape) -> np.ndarray:
+    return np.ascontiguousarray(np.broadcast_to(values, shape), np.float32)

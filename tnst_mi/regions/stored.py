@@ -1,0 +1,73 @@
+"""Masks that are stored as grids: those of the input, and those in files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.frame import Frame
+from tnst_mi.io.files.listing import list_frames
+from tnst_mi.io.sequence import FrameFiles, open_frames
+
+
+def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
+    """A grid of the input by its name, on the grid of the density.
+
+    Raises:
+        InputError: the frame's file has no such grid, or the frames were given as arrays.
+    """
+    if not isinstance(frames, FrameFiles):
+        raise InputError(f"grid {name!r}: names a grid of the input's files, but the frames were given as arrays")
+    return frames.grid_on_cells(index, name)
+
+
+class MaskFiles:
+    """A file with a grid for all frames, or a folder or a pattern with one for each frame, by its number.
+
+    Args:
+        path: of the file or the folder, or the pattern.
+        name: of the grid in each file; None for what would be read as its density.
+        frames: the sequence that the masks are for.
+        numbers: of its frames.
+    """
+
+    def __init__(
+        self, path: str, name: str | None, frames: Sequence[Frame], numbers: Sequence[int | float | None]
+    ) -> None:
+        self._path, self._name, self._frames, self._numbers = Path(path), name, frames, numbers
+        self._one = self._path.is_file()
+        listing = None if self._one else list_frames(self._path, None)
+        self._files = {} if listing is None else dict(zip(listing.numbers, listing.files, strict=True))
+
+    def at(self, index: int) -> np.ndarray:
+        """The grid of a frame.
+
+        Raises:
+            InputError: there is none for it, or it cannot be read.
+        """
+        number = self._numbers[index]
+        file = self._path if self._one else self._files.get(number)
+        if file is None:
+            raise InputError(f"{self._path}: has no mask for frame {number}; one file is for all frames")
+        if isinstance(self._frames, FrameFiles):
+            return self._frames.grid_on_cells(index, self._name, file)
+        return open_frames(file).grid_on_cells(0, self._name)
+
+
+def checked_grid(values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
+    """A grid as a mask (D, H, W): what exceeds 1 counts as 1.
+
+    Raises:
+        InputError: it has another shape, negative values, or values that are not finite.
+    """
+    if values.shape != tuple(shape):
+        raise InputError(f"{name}: has shape {values.shape}, expected {tuple(shape)} like the density")
+    if bad := int((~np.isfinite(values)).sum()):
+        raise InputError(f"{name}: has {bad} values that are not finite, expected values from 0 to 1")
+    if values.min() < 0:
+        raise InputError(f"{name}: has negative values (smallest {values.min():g}), expected values from 0 to 1")
+    return np.minimum(values, 1).astype(np.float32)
