@@ -6,9 +6,8 @@ import io
 import time
 
 import pytest
-from tqdm import tqdm
 
-from tnst_mi.machine.progress_bar import PlainProgress, progress_bar
+from tnst_mi.machine.progress_bar import PlainProgress, SteadyProgress, progress_bar
 
 
 class Terminal(io.StringIO):
@@ -47,8 +46,27 @@ def test_short_work_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_terminals_get_bars(monkeypatch: pytest.MonkeyPatch) -> None:
-    for stream, kind in ((Terminal(), tqdm), (io.StringIO(), PlainProgress)):
+    for stream, kind in ((Terminal(), SteadyProgress), (io.StringIO(), PlainProgress)):
         monkeypatch.setattr("sys.stderr", stream)
         with progress_bar(total=2) as bar:
             bar.update(2)
-        assert type(bar) is kind and ("\r" in stream.getvalue()) == (kind is tqdm)
+        assert type(bar) is kind and ("\r" in stream.getvalue()) == (kind is SteadyProgress)
+
+
+def test_times_are_not_those_of_the_wall_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which may be set back in the middle."""
+    monkeypatch.setattr("tqdm.std.time", iter(range(10**6, 0, -3600)).__next__)
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress_bar(total=2, mininterval=0) as bar:
+            bar.update()
+            bar.update()
+        assert "2/2 [00:00<00:00" in stream.getvalue() and "-" not in stream.getvalue()
+
+
+def test_lines_of_logs_keep_the_format_of_the_bar() -> None:
+    log = io.StringIO()
+    layout = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [1:02<3:04{postfix}]"
+    with PlainProgress(total=2, desc="frame", bar_format=layout, postfix="loss 3", file=log) as bar:
+        bar.update(2)
+    assert log.getvalue() == "frame: 100% 2/2 [1:02<3:04, loss 3]\n"

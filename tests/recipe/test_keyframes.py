@@ -229,6 +229,12 @@ def test_a_bad_table_is_named(tmp_path: Path, text: str, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_table_of_a_flag_that_python_does_not_read_is_named(value: str) -> None:
+    with pytest.raises(InputError, match=r"^--gamma \{1: .*: expected a value for each frame, such as"):
+        Recipe().updated_by_flags({"gamma": f"{{1: {value}}}"})
+
+
 @pytest.mark.parametrize("key", [True, 4.0, -(10**9), 10**9, 10**400, None, "٤"])
 def test_bad_keys_of_a_dict(key: Any) -> None:
     with pytest.raises(InputError, match=r"recipe: gamma: .* is no frame number"):

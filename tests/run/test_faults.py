@@ -1,7 +1,7 @@
 """Every write of a run fails once, or the process dies there: one line, no half file, and the same bits after --resume.
 
 The suite takes every seventh write, each with another error; all of them with all errors (TNST_MI_EVERY_FAULT=1) take
-a quarter of an hour.
+half an hour or more.
 """
 
 from __future__ import annotations

@@ -13,7 +13,23 @@ from tqdm import tqdm
 _SHARE, _SECONDS, _LEAST = 0.1, 30.0, 1.0
 
 
-class PlainProgress(tqdm):
+#: Without a format of its own, a line of work whose end is known; the bar is left out of lines.
+_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+
+
+class SteadyProgress(tqdm):
+    """tqdm by a clock that nobody sets back: by the wall clock, it would then show negative times, or nothing."""
+
+    @property
+    def _time(self) -> Any:
+        return time.monotonic
+
+    @_time.setter
+    def _time(self, clock: Any) -> None:
+        """The wall clock, which tqdm puts here, is not kept."""
+
+
+class PlainProgress(SteadyProgress):
     """tqdm for streams that are no terminals: lines after each tenth of the work or each 30 s, and at its end.
 
     Example:
@@ -27,10 +43,8 @@ class PlainProgress(tqdm):
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         self._written: tuple[float, float] | None = None
-        # It is asked at each step whether a line is due; a bar would say no more than the percentage.
-        super().__init__(
-            *arguments, **(keywords | {"dynamic_ncols": False, "ncols": 0, "mininterval": 0, "miniters": 1})
-        )
+        # It is asked at each step whether a line is due.
+        super().__init__(*arguments, **(keywords | {"dynamic_ncols": False, "mininterval": 0, "miniters": 1}))
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
         """Write a line if one is due."""
@@ -44,19 +58,29 @@ class PlainProgress(tqdm):
         if msg is not None or steps == 0 or not due:
             return False
         self._written = now, self.n
-        print(str(self).strip(), file=self.fp, flush=True)
+        print(self._line(), file=self.fp, flush=True)
         return True
+
+    def _line(self) -> str:
+        """What tqdm shows, without the bar, which says no more than the percentage."""
+        if self.total is None:
+            return str(self).strip()
+        line = (self.bar_format or _FORMAT).replace("|{bar}|", "")
+        return self.format_meter(**{**self.format_dict, "ncols": None, "bar_format": line}).strip()
 
     def clear(self, *_: Any, **__: Any) -> None:
         """Other lines need no room."""
 
     def close(self) -> None:
-        """End it; there is no line to be ended."""
+        """End it, with a line for what was done since the last."""
+        if not self.disable and self._written is not None and self._written[1] < self.n:
+            print(self._line(), file=self.fp, flush=True)
+            self._written = time.monotonic(), self.n
         self.leave = False
         super().close()
 
 
 def progress_bar(*arguments: Any, **keywords: Any) -> tqdm:
     """tqdm's progress bar on stderr, or plain lines where that is no terminal; arguments are those of `tqdm.tqdm`."""
-    kind = tqdm if sys.stderr is not None and sys.stderr.isatty() else PlainProgress
+    kind = SteadyProgress if sys.stderr is not None and sys.stderr.isatty() else PlainProgress
     return kind(*arguments, **({"file": sys.stderr, "dynamic_ncols": True} | keywords))

@@ -35,5 +35,6 @@ def value_of_flag(name: str, text: str | tuple[str, ...]) -> Any:
 def _table(flag: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads("table = " + _KEY.sub(r"\1\2 =", text))["table"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
+        # TOML that is none, a number of more digits than Python reads, or tables without end.
         raise InputError(f"{flag} {text}: expected a value for each frame, such as '{{49: 0.1, 72: 1.0}}'") from None

@@ -40,7 +40,9 @@ class ProgressBar:
         now = time.perf_counter()
         left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))
         elapsed = tqdm.format_interval(now - self._begun)
-        self._bar.bar_format = f"{{l_bar}}{{bar}}| {{n_fmt}}/{{total_fmt}} [{elapsed}<{left}{{postfix}}]"
+        self._bar.bar_format = (
+            f"{{desc}}: {{percentage:3.0f}}%|{{bar}}| {{n_fmt}}/{{total_fmt}} [{elapsed}<{left}{{postfix}}]"
+        )
         self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
