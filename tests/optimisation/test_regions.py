@@ -18,7 +18,6 @@ from PIL import Image
 
 import tnst_mi
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Octave
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import problem_of
@@ -75,6 +74,9 @@ def distance_from(centre: list[float]) -> np.ndarray:
         {"window": 3, "window_average": "plain", "step_order": "align_first"},
         {"parameterisation": "density", "eta": 0.1},
         {"steps": "auto", "sigma": "loss"},
+        {"motif_size": 1.4},
+        {"motif_size": 0.6, "window": 3, "window_average": "plain"},
+        {"reach": 1.0, "keep_silhouette": 0.5, "window": 3},
     ],
     ids=str,
 )
@@ -116,7 +118,7 @@ def test_the_gradients_of_targets_are_those_of_each_alone(keys: dict[str, Any], 
         recipe = Recipe.from_dict({"target": targets, "views": 2, "gamma": 0.3, **keys})
         regions = regions_of(recipe, [frame], [5])
         plan = plan_of(recipe, ["f"], [5], [1.0], [0.2], SHAPE, regions=regions)
-        problem = problem_of(plan, Octave(SHAPE, 1.0), network)
+        problem = problem_of(plan, plan.full, network)
         (of_frame,) = plan.frames
         channels = of_frame.parameterisation.channels
         fields = Fields({name: mi.TensorXf(values[name]) for name in channels})
