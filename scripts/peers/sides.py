@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from peers import drjit_peer, torch_peer
-from tnst_mi.fields.grid import Octave
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import problem_of
@@ -86,7 +85,7 @@ class Iteration:
     ) -> None:
         plan = plan_of(recipe, ["smoke"], [0], [1.0], [exposure], density.shape)
         self.rows, (self.frame,) = plan.rows, plan.frames
-        self.problem = problem_of(plan, Octave(density.shape, 1.0), network)
+        self.problem = problem_of(plan, plan.full, network)
         self.density = mi.TensorXf(density)
         self.fields = Fields(phi=mi.TensorXf(2 * speed * wavy_potential(density.shape)))
 
