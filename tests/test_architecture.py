@@ -19,6 +19,7 @@ FLOORS = (
     "choices resources",
     "machine",
     "geometry",
+    "grids",
     "frame",
     "io fields network",
     "losses recipe",

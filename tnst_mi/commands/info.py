@@ -73,7 +73,9 @@ def _described(frames: FrameFiles, conventions: Conventions, skip_bad: bool) -> 
             stored = frames.stored(index)
             if stored.density is None:
                 _show([str(file), *describe(file), *_describe_alone(stored, conventions)])
-                if stored.velocity is not None and not (stored.taken.left or stored.taken.obstacle):
+                if stored.velocity is not None and not (
+                    stored.taken.others or stored.taken.left or stored.taken.obstacle
+                ):
                     print(f"  no frame: {stored.lacking}")
                     continue  # nothing is wrong with it: runs write velocities by themselves
             frame = frames.frame_of(index, stored)

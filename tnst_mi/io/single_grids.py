@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError, naming
+from tnst_mi.grids import OtherGrid
 from tnst_mi.io.files import companions
 from tnst_mi.io.grids.uni import UniHeader, read_uni
 from tnst_mi.io.grids.vol import read_vol
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, StoredFrame, Taken
+from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.io.interpretation.layouts import solid_cells
 from tnst_mi.io.interpretation.roles import NONE, Wanted
+from tnst_mi.io.interpretation.stored_grids import StoredGrid
 
 #: Our .uni files declare their conventions in the build information.
 OURS, Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
@@ -37,6 +42,7 @@ def read_vol_frame(file: Path, wanted: Wanted) -> StoredFrame:
         velocity=None if velocity is None else read_vol(velocity),
         obstacle=solid,
         scene_up="z",
+        grids=_others(file, read_vol, taken),
         taken=taken,
         layouts=layouts,
     )
@@ -56,7 +62,8 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
     if header.components == 3:
         return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
     velocity, obstacle, taken = _companions(file, wanted)
-    frame = StoredFrame(density=grid, up=up, up_because=because, taken=taken)
+    others = _others(file, lambda path: read_uni(path)[1], taken)
+    frame = StoredFrame(density=grid, up=up, up_because=because, grids=others, taken=taken)
     if velocity is not None:
         frame = _with_velocity(frame, *read_uni(velocity))
     if obstacle is not None:
@@ -82,7 +89,18 @@ def _companions(file: Path, wanted: Wanted) -> tuple[Path | None, Path | None, T
         found.append(path)
     velocity, obstacle = found
     named = [None if path is None else companions.numberless(path) for path in found]
-    return velocity, obstacle, Taken(companions.numberless(file), named[0], named[1])
+    others = tuple(name for name, path in companions.other_grids_of(file).items() if path not in found)
+    return velocity, obstacle, Taken(companions.numberless(file), named[0], named[1], others)
+
+
+def _others(file: Path, read: Callable[[Path], np.ndarray], taken: Taken) -> dict[str, StoredGrid]:
+    """The grids in files beside that of a density, by name."""
+    files = companions.other_grids_of(file)
+
+    def grid(path: Path) -> OtherGrid:
+        return OtherGrid(read(path))
+
+    return {name: StoredGrid(files[name], partial(grid, files[name]), not is_colour(name)) for name in taken.others}
 
 
 def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:

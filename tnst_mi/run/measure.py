@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
@@ -16,13 +18,14 @@ from tnst_mi.io.files.frame_numbers import is_next, step_of
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.carry import movable, read_chosen
 from tnst_mi.run.folder import is_file_name
 
 
 @dataclass(frozen=True)
 class Measure:
     """Measurements of a frame: name and number, the sum and the largest value of its density, the SHA-256 of its
-    arrays, and whether it has a velocity."""
+    arrays and of its grids that move with the smoke, whether it has a velocity, and the names of all that can move."""
 
     name: str
     number: int | float | None
@@ -30,10 +33,15 @@ class Measure:
     densest: float
     sha256: str
     moves: bool
+    movable: tuple[str, ...] = ()
 
 
-def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
+def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure], ReferenceDensity]:
     """Read every frame once, so that bad ones are found before any work; also returns their reference density.
+
+    Args:
+        frames: the frames.
+        carry: which of their other grids are read too, see `run.carry.chosen`.
 
     Raises:
         InputError: a frame cannot be read or differs in shape, or its name is a duplicate or cannot name files.
@@ -44,9 +52,13 @@ def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
         for array in (frame.velocity, frame.obstacle):
             if array is not None:
                 digest.update(array.data)
+        for name, values in read_chosen(frame, carry):
+            digest.update(name.encode() + np.ascontiguousarray(values).tobytes())
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        measures.append(Measure(frame.name, frame.number, frame.mass, densest, digest.hexdigest(), moves))
+        measures.append(
+            Measure(frame.name, frame.number, frame.mass, densest, digest.hexdigest(), moves, tuple(movable(frame)))
+        )
     names = [measure.name for measure in measures]
     for name in names:
         if not is_file_name(name):

@@ -30,6 +30,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.resources import expanded
+from tnst_mi.run.carry import chosen, require_known
 from tnst_mi.run.folder import frame_names, holds_run, resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, sequence_of
 from tnst_mi.run.measure import (
@@ -186,7 +187,9 @@ def prepare(
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
     readable = Readable(sequence, recipe.skip_bad)
-    measures, reference = measured(_watched(readable, "reading", progress))
+    measures, reference = measured(_watched(readable, "reading", progress), recipe.carry)
+    movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
+    require_known(recipe.carry, movable)
     sequence = readable.frames()
     require_coherent(measures, recipe)
     recipes = [recipe.at(measure.number) for measure in measures]
@@ -223,6 +226,7 @@ def prepare(
         "reference_density": reference.value,
         "density_scale": density_scale,
         # Frames of different γ have exposures of their own, which are with the frames.
+        "carried": chosen(recipe.carry, movable),
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,10 +10,11 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Note, Placement
 from tnst_mi.geometry.placement import FileSource, OwnVoxels
+from tnst_mi.grids import OtherGrids
 from tnst_mi.io.interpretation.grid_names import listed
-from tnst_mi.io.interpretation.orientation import from_z_up, mirrored
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.interpretation.staggered import centred_velocity, velocity_of_all_faces
+from tnst_mi.io.interpretation.stored_grids import Axes, StoredGrid
 
 #: Units of velocities in files: cells per frame; cells, or scene units of length, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"
@@ -78,12 +80,14 @@ class Taken:
         density: the name of the density's grid.
         velocity: that of the velocity's, or of its components.
         obstacle: that of the obstacle's.
-        left: the names of the other grids.
+        others: the names of the other grids, those that results can have again.
+        left: the names of what is left, which are not read.
     """
 
     density: str | None = None
     velocity: str | None = None
     obstacle: str | None = None
+    others: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
 
 
@@ -110,6 +114,7 @@ class StoredFrame:
         own: the voxels of the file, to which results return; None if it has none.
         source: what else results keep of the file, or None.
         scale: factor of the density, unless the user gives another.
+        grids: the other grids, by name.
         taken: names of the grids.
         layouts: in which other ways than the usual ones its arrays are stored, in words.
         notes: what else was assumed.
@@ -133,6 +138,7 @@ class StoredFrame:
     own: OwnVoxels | None = None
     source: FileSource | None = None
     scale: float = 1.0
+    grids: Mapping[str, StoredGrid] = field(default_factory=dict)
     taken: Taken = field(default_factory=Taken)
     layouts: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -154,7 +160,9 @@ class StoredFrame:
                 density = density.astype(np.float32) * np.float32(scale)
         obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
         velocity, placement = self.centred_velocity(given), self._placement(given)
-        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes)
+        axes = Axes(given.up or self.up, given.flip)
+        grids = OtherGrids({key: grid.reader(axes) for key, grid in self.grids.items()}, density.shape, name)
+        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes, grids)
 
     def centred_velocity(self, given: Conventions) -> np.ndarray | None:
         """The velocity (D, H, W, 3) at the cell centres, in our axes and cells per frame; None if there is none.
@@ -176,6 +184,10 @@ class StoredFrame:
             if self.drift is not None:
                 centres = centres - self.drift.astype(np.float32)
             return self._turned(centres, given)
+
+    def frame_duration(self, given: Conventions) -> float | None:
+        """The duration of a frame in the velocity's unit of time; None if this is not one of time."""
+        return None if self.velocity_units == CELLS_PER_FRAME else self._units(replace(given, velocity_units=None))[1]
 
     def reading(self, given: Conventions) -> str:
         """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
@@ -199,8 +211,11 @@ class StoredFrame:
                 ("obstacle", self.taken.obstacle),
             )
         ]
-        left = [f"not read: {listed(list(self.taken.left), quoted=False)}"] if self.taken.left else []
-        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *left])
+        others, left = (
+            [f"{words}: {listed(list(names), quoted=False)}"] if names else []
+            for words, names in (("other grids", self.taken.others), ("not read", self.taken.left))
+        )
+        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *others, *left])
 
     def _centres(self, velocity: np.ndarray) -> np.ndarray:
         if not self.staggered:
@@ -212,9 +227,7 @@ class StoredFrame:
     def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
         if array.ndim < 3:  # wrong shape: Frame reports it
             return array
-        if (given.up or self.up) == "z":
-            array = from_z_up(array)
-        return mirrored(array, given.flip) if given.flip else array
+        return Axes(given.up or self.up, given.flip).turned(array)
 
     def _units(self, given: Conventions) -> tuple[str, float | None]:
         """The unit of the velocity, and the duration of a frame in its unit of time if it has one, else None."""
@@ -247,7 +260,10 @@ class StoredFrame:
         size = given.voxel_size or self.voxel_size
         if size is None:
             return None
-        placement = Placement(size, self.corner, self.scene_up or given.up or self.up, self.own, self.source)
+        # A velocity in the file's own values keeps the unit that it is read in.
+        units = given.velocity_units or self.velocity_units
+        source = None if self.source is None else replace(self.source, velocity_units=units)
+        placement = Placement(size, self.corner, self.scene_up or given.up or self.up, self.own, source)
         untrue = self.own is not None and self.own.placed is not None
         if given.flip or size != self.voxel_size or (untrue and given.voxel_size is not None):
             # Such a grid is another one than that of the file.

@@ -23,6 +23,9 @@ _ELSE = (
     *("color", "colour", "cd", "sdf", "phi", "mask", "shadow", "emission", "normal", "gradient", "force", "rest"),
 )
 
+# Words for vectors whose three components are no directions in space.
+_COLOUR = ("cd", "color", "colour", "rgb", "albedo", "tint")
+
 # Names of the axis after or before that of the vector, such as vel.x, velocityX, vel[0] and x_velocity.
 _AXIS_LAST = re.compile(r"(.*?)[\s._:\-\[(]*([xyzuvw012])[\])]?$", re.DOTALL)
 _AXIS_FIRST = re.compile(r"([xyz])[\s._:\-]*(.*)$", re.DOTALL)
@@ -57,6 +60,17 @@ def is_partly_density(name: str) -> bool:
 def is_partly_velocity(name: str) -> bool:
     """Whether a part of a name says that it is a velocity, and no other part that it is something else."""
     return _says(name, _MOVING) and not set(plain_name(name).split()) & {*_ELSE}
+
+
+def is_colour(name: str) -> bool:
+    """Whether the vectors of a grid are colours, which do not turn with the axes.
+
+    Example:
+        >>> from tnst_mi.io.interpretation.grid_names import is_colour
+        >>> is_colour("Cd"), is_colour("emission_color"), is_colour("force")
+        (True, True, False)
+    """
+    return bool(set(plain_name(name).split()) & {*_COLOUR})
 
 
 def component(name: str, vector: str | None = None) -> tuple[str, int] | None:

@@ -24,6 +24,7 @@ from tnst_mi.io.grids.vdb.clumps import clumps_of
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, solid_on, stored_velocity, velocity_on
+from tnst_mi.io.grids.vdb.other_grids import other_grids
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
 from tnst_mi.io.grids.vdb.quantities import Quantities, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
@@ -82,7 +83,8 @@ def read_vdb_frame(
         else:
             motion = velocity_on(velocity, cells, run.cells)
     solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
-    program = program_of(file, main.main)
+    program, source = program_of(file, main.main), source_of(file, found, cells, run.cells)
+    others = other_grids(file, source)
     x, y, z = run.cells(cells[0]).tolist()
     return StoredFrame(
         density=_nothing(cells) if notes else values,
@@ -99,8 +101,9 @@ def read_vdb_frame(
         voxel_size=run.cells.edge,
         corner=(x, y, z),
         own=own,
-        source=source_of(file, found),
-        taken=found.taken,
+        source=source,
+        grids=others,
+        taken=replace(found.taken, others=tuple(map(repr, others)), left=found.unreadable),
         layouts=(words,) if words else (),
         notes=notes,
         lacking=found.lacking,
