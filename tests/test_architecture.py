@@ -19,7 +19,6 @@ FLOORS = (
     "choices resources",
     "machine",
     "geometry",
-    "grids",
     "frame",
     "io fields network",
     "losses recipe",

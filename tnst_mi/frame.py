@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.geometry.placement import Placement
-from tnst_mi.grids import OtherGrids
 
 __all__ = ["Frame", "Note", "Placement"]
 

@@ -66,6 +66,7 @@ CHANGED: dict[str, Any] = {
     "weights": "somewhere.pb",
     "variant": "llvm_ad_rgb",
     "format": "npz",
+    "carry": "flame,velocity",
     "fps": 12.0,
     "density": "smoke",
     "velocity": "vel",

@@ -11,7 +11,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Note
-from tnst_mi.grids import ROLES, OtherGrid
+from tnst_mi.geometry.other_grids import ROLES, OtherGrid
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken

@@ -14,7 +14,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
-from tnst_mi.grids import ROLES, OtherGrids
+from tnst_mi.geometry.other_grids import ROLES, OtherGrids
 from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_frame, read_authors_frame
 from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
 from tnst_mi.io.context import SequenceContext

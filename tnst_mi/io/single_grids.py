@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError, naming
-from tnst_mi.grids import OtherGrid
+from tnst_mi.geometry.other_grids import OtherGrid
 from tnst_mi.io.files import companions
 from tnst_mi.io.grids.uni import UniHeader, read_uni
 from tnst_mi.io.grids.vol import read_vol

@@ -11,7 +11,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
-from tnst_mi.grids import OtherGrid
+from tnst_mi.geometry.other_grids import OtherGrid
 from tnst_mi.optimisation.parameterisation import Fields, Transport
 
 #: Values are transported as they are scaled for the density, unless the largest is beyond these powers of two.

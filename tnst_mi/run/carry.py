@@ -10,7 +10,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.grids import OtherGrid, OtherGrids
+from tnst_mi.geometry.other_grids import OtherGrid, OtherGrids
 from tnst_mi.io.formats import held
 from tnst_mi.io.grids.vdb.other_grids import stored_velocity
 from tnst_mi.machine.terminal import some_of

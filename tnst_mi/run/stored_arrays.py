@@ -11,7 +11,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.grids import OtherGrid, OtherGrids
+from tnst_mi.geometry.other_grids import OtherGrid, OtherGrids
 from tnst_mi.io.formats import FORMATS, read_stored
 from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.sequence import FrameFiles

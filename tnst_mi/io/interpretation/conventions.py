@@ -9,8 +9,8 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Note, Placement
+from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.geometry.placement import FileSource, OwnVoxels
-from tnst_mi.grids import OtherGrids
 from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.interpretation.staggered import centred_velocity, velocity_of_all_faces

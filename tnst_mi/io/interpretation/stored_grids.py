@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.grids import OtherGrid
+from tnst_mi.geometry.other_grids import OtherGrid
 from tnst_mi.io.interpretation.orientation import from_z_up, mirrored, to_z_up
 from tnst_mi.machine.gate import gate
 

@@ -68,22 +68,23 @@ def read_vdb_frame(
         run = run_grid([span] if (span := _span_of(file, found)) else [])
     cells = run.box_of(name or path.stem)
     require_small(path, cells, sum(part.components for part in (density, velocity, obstacle) if part is not None) or 1)
-    if main is None:
+    # A frame without smoke may have other grids, which lie where they do.
+    grid = next((file.grids[index] for index in found.others), None) if main is None else main.main
+    if grid is None:
         return StoredFrame(density=_nothing(cells), taken=found.taken, notes=notes)
-    grid = main.main
     own = OwnVoxels(grid.stored_affine, _from(cells, between(run.cells, grid.affine)), grid.placed)
     values = None
     if density is not None:
         values, own = density_on(density, cells, run.cells, own)
     motion, known, staggered = None, None, False
     if velocity is not None:
-        staggered = is_as_stored(velocity, main.main, run.cells)
+        staggered = is_as_stored(velocity, grid, run.cells)
         if staggered:
-            motion, known = stored_velocity(velocity, main.main, cells, run.cells)
+            motion, known = stored_velocity(velocity, grid, cells, run.cells)
         else:
             motion = velocity_on(velocity, cells, run.cells)
     solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
-    program, source = program_of(file, main.main), source_of(file, found, cells, run.cells)
+    program, source = program_of(file, grid), source_of(file, found, cells, run.cells)
     others = other_grids(file, source)
     x, y, z = run.cells(cells[0]).tolist()
     return StoredFrame(

@@ -16,9 +16,9 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine, between
 from tnst_mi.geometry.boxes import Box, extents, image, union
+from tnst_mi.geometry.other_grids import ROLES, OtherGrid
 from tnst_mi.geometry.placement import FileSource, KeptGrid, OwnVoxels, Placement
 from tnst_mi.geometry.resampling import resampled
-from tnst_mi.grids import ROLES, OtherGrid
 from tnst_mi.io.grids.vdb.adaptive_domain import placed
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.file_format.writer import DenseGrid

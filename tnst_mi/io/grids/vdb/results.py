@@ -10,9 +10,9 @@ import numpy as np
 
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.geometry.boxes import Box, image, union
+from tnst_mi.geometry.other_grids import OtherGrid, OtherGrids
 from tnst_mi.geometry.placement import FileSource, GridSource, KeptGrid, OwnVoxels, Placement
 from tnst_mi.geometry.resampling import resampled
-from tnst_mi.grids import OtherGrid, OtherGrids
 from tnst_mi.io.grids.vdb.adaptive_domain import TRANSLATION, VOXEL_SIZE
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile
 from tnst_mi.io.grids.vdb.file_format.writer import DenseGrid, write_vdb
