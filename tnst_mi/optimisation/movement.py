@@ -96,11 +96,11 @@ class Movement:
                 moved = self._parameterisation.density(self._potentials, before, self._h).array
             else:
                 moved = self._parameterisation.around_solids(before, self.velocity, self._h).array
-                moved = dr.select(self._solid, before.array, moved)
-            moved = dr.maximum(moved, 0) if floor else moved
-            blend = opaque(self._blend)
-            blended = mi.TensorXf((1 - blend) * before.array + blend * moved, self._shape)
-        return np.ldexp(blended.numpy(), -exponent)
+            blend, moved = opaque(self._blend), dr.maximum(moved, 0) if floor else moved
+            blended = (1 - blend) * before.array + blend * moved
+            if self._solid is not None:
+                blended = dr.select(self._solid, before.array, blended)
+        return np.ldexp(mi.TensorXf(blended, self._shape).numpy(), -exponent)
 
     def _power_of(self, values: np.ndarray) -> int:
         """The power of two for some values: that of the density where they stay in range with it, else their own."""
