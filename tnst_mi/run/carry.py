@@ -49,8 +49,9 @@ class Carried:
 
 
 def movable(frame: Frame) -> list[str]:
-    """The names of what can move with the smoke of a frame."""
-    return [*frame.grids, *([] if frame.velocity is None else [VELOCITY])]
+    """The names of what can move with the smoke of a frame; a velocity in another file than the density stays there."""
+    has_velocity = frame.velocity is not None and stored_velocity(frame.placement) != {}
+    return [*frame.grids, *([VELOCITY] if has_velocity else [])]
 
 
 def chosen(carry: str, names: Iterable[str]) -> list[str]:
@@ -107,8 +108,6 @@ def carried(frame: Frame, stylized: Stylized, carry: str, suffix: str | None = N
             read_velocity = partial(_moved, partial(OtherGrid, frame.velocity), movement)
         else:
             readers |= own
-            # That of another file, such as the simulation of a noise, stays there.
-            names = names if own else [name for name in names if name != VELOCITY]
     moved = {name: partial(_moved, reader, movement) for name, reader in readers.items()}
     return Carried(OtherGrids(moved, frame.density.shape, frame.name), read_velocity, tuple(names))
 

@@ -17,7 +17,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
-from tnst_mi.io.formats import FORMATS
+from tnst_mi.io.formats import FORMATS, held
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
@@ -226,7 +226,13 @@ def prepare(
         "reference_density": reference.value,
         "density_scale": density_scale,
         # Frames of different γ have exposures of their own, which are with the frames.
-        "carried": chosen(recipe.carry, movable),
+        "carried": list(
+            dict.fromkeys(
+                name
+                for measure in measures
+                for name in held(measure.name, suffix, chosen(recipe.carry, measure.movable))
+            )
+        ),
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
