@@ -38,7 +38,7 @@ DENSITIES = ("density", "density_noise")
 #: The grid of the fire, likewise; it shines where there is one.
 FLAMES = ("flame", "flame_noise")
 #: What it sends out, where it says 1.
-BRIGHTNESS = 20.0
+BRIGHTNESS = 2.0
 LONGEST_LINE = 1000
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]

@@ -139,6 +139,26 @@ def test_a_grid_that_cannot_be_carried_is_found_before_the_work(optimiser: FakeO
     assert list(result.grids[0]) == ["flame"]
 
 
+def test_what_moves_is_said(optimiser: FakeOptimiser, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def said(**keys: object) -> list[str]:
+        capsys.readouterr()
+        for _ in Run(prepare(burning(1), Recipe(style=("spirals",), **keys), tmp_path / str(len(keys)))):
+            pass
+        lines = capsys.readouterr().err.splitlines()
+        return [line for line in lines if line.startswith(("carried", "note: densities", "note: .uni"))]
+
+    all_of_them = "copy, half, temperature, Cd, ids, whole and 1 more"
+    assert said() == [f"carried with the smoke: {all_of_them} (--carry all|NAMES|none)"]
+    assert said(carry="none", seed=1, gamma=0.2) == []
+    assert said(carry="half,Cd", format="uni") == [
+        "carried with the smoke: Cd (--carry all|NAMES|none)",
+        "note: .uni files do not hold other grids of such names: half",
+    ]
+    assert said(parameterisation="density", carry="Cd", seed=2, gamma=0.3) == [
+        "note: densities change in place, so other grids come back as they are: Cd"
+    ]
+
+
 def test_a_resumed_run_carries_the_same_bits(weights: str, tmp_path: Path) -> None:
     save_frames(tmp_path / "in", burning(3), "vdb")
     recipe, out = Recipe(**GOAL, window=3, weights=weights), tmp_path / "out"
