@@ -241,5 +241,5 @@ def test_names_of_grids_are_a_text_or_a_list() -> None:
     for value in ("flame,velocity", " flame , velocity", ["flame", "velocity"]):
         assert Recipe(carry=value).carry == "flame,velocity"
     for value in ("", "flame,", [], ["flame", 3], None, ["a,b"]):
-        with pytest.raises(InputError, match='carry = .*: expected "all", "none", or names of grids'):
+        with pytest.raises(InputError, match=r'carry = .*: expected "all", "none", or names of grids'):
             Recipe(carry=value)
