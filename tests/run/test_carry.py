@@ -16,11 +16,15 @@ from networks import random_googlenet
 import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io import load_frames, save_frames
+from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.grids.npz import read_arrays
+from tnst_mi.io.grids.uni import REAL, write_uni
 from tnst_mi.io.grids.vdb import DenseGrid, read_vdb, write_vdb
+from tnst_mi.io.grids.vol import write_vol
+from tnst_mi.io.single_grids import OURS, Y_UP
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import RunFolder
+from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 
@@ -186,6 +190,72 @@ def test_another_grid_is_another_input(optimiser: FakeOptimiser, tmp_path: Path)
         prepare(tmp_path / "in", recipe, tmp_path / "out", resume=True)
 
 
+@pytest.mark.parametrize("format", ["npz", "vdb", "uni"])
+def test_a_grid_that_changes_while_a_run_goes_on_is_refused(
+    format: str, optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    """Its density is what it was; one that is not carried may change."""
+    recipe, out = Recipe(style=("spirals",), carry="Cd"), tmp_path / "out"
+
+    def save(**grids: np.ndarray) -> None:
+        for frame in burning(2):
+            changed = {"Cd": frame.grids["Cd"], "temperature": frame.grids["temperature"]} | grids
+            save_frames(tmp_path / "in" / f"{frame.name}.{format}", dataclasses.replace(frame, grids=changed))
+
+    save()
+    job = Run(prepare(tmp_path / "in", recipe, out), progress=False)
+    next(job)
+    save(temperature=np.ones(SHAPE, np.float32), Cd=np.ones((*SHAPE, 3), np.float32))
+    with pytest.raises(InputError, match="s_006: grid 'Cd': has changed since the run began; restore it and go on"):
+        next(job)
+    assert not list((out / "density").glob("s_006*"))
+    save(temperature=np.ones(SHAPE, np.float32))
+    list(Run(prepare(tmp_path / "in", recipe, out, resume=True), progress=False))
+    np.testing.assert_array_equal(load_frames(out / "density")[1].grids["Cd"], burning(2)[1].grids["Cd"])
+
+
+@pytest.mark.parametrize("format", ["vdb", "npz"])
+def test_vectors_in_a_box_that_follows_its_smoke_stay_those_of_their_file(
+    format: str, optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    """A velocity is taken relative to the moving box, a force is not; files in the scene have both as they were."""
+    smoke = moving_smoke(1)[0].density + np.float32(0.1)
+    force = np.random.default_rng(0).normal(size=(*SHAPE, 3)).astype(np.float32)
+    velocity = force + np.float32([30, 0, 0])
+    room = {"tnst_mi_box_min": ("vec3i", (-9, -9, -9)), "tnst_mi_box_max": ("vec3i", (119, 29, 29))}
+    arrays = {"density": smoke, "vel": velocity, "force": force, "flame": 3 * smoke}
+    (tmp_path / "in").mkdir()
+    for number in range(3):
+        grids = [DenseGrid(name, array, (31 * number, 0, 0)) for name, array in arrays.items()]
+        write_vdb(tmp_path / "in" / f"s_{number:04d}.vdb", grids, room)
+    recipe = Recipe(style=("spirals",), crop=True, units="cells-per-frame", format=format)
+    result = tnst_mi.stylize(tmp_path / "in", recipe, tmp_path / "out", progress=False)
+    frames_of = open_frames(tmp_path / "in", given=conventions_of(recipe))
+    for number, frame in enumerate(frames_of):
+        inside = frame.density > 0
+        assert frame.placement.drift == (31, 0, 0) and frame.velocity is not None and inside.sum() == smoke.size
+        np.testing.assert_allclose(frame.velocity[inside], (velocity - [31, 0, 0]).reshape(-1, 3), atol=1e-5)
+        np.testing.assert_array_equal(frame.grids["force"][inside], force.reshape(-1, 3))
+        assert set(result.run["carried"]) == {"force", "flame", "velocity"}
+        np.testing.assert_array_equal(result.grids[number]["force"], frame.grids["force"])
+        path = tmp_path / "out" / "density" / f"s_{number:04d}.{format}"
+        if format == "npz":
+            np.testing.assert_array_equal(read_arrays(path, ["force"])["force"], frame.grids["force"])
+            continue
+        box = np.array([31 * number, 0, 0]), np.array([31 * number, 0, 0]) + SHAPE[::-1] - 1
+        written = {grid.name: grid.tree.values_in(box) for grid in read_vdb(path).grids}
+        assert set(written) == set(arrays)
+        for name, array in (arrays | {"density": 2 * smoke}).items():
+            np.testing.assert_array_equal(written[name], array)
+    # Other grids of frames that are converted are no velocities either.
+    save_frames(tmp_path / "converted", list(frames_of), "vdb")
+    for converted, frame in zip(open_frames(tmp_path / "converted"), frames_of, strict=True):
+        inside = converted.density > 0
+        np.testing.assert_array_equal(converted.grids["force"][inside], force.reshape(-1, 3))
+        assert converted.velocity is not None and frame.velocity is not None
+        np.testing.assert_allclose(converted.velocity[inside], velocity.reshape(-1, 3), atol=1e-5)
+
+
 def test_changes_in_place_move_nothing(weights: str) -> None:
     recipe = Recipe(**GOAL, weights=weights, parameterisation="density")
     result = tnst_mi.stylize(burning(1), recipe, progress=False)
@@ -218,6 +288,35 @@ def test_files_of_one_grid_each_have_those_with_words_for_names(
         # All of it is removed again with the run.
         RunFolder(out, Recipe(style=("spirals",)), overwrite=True)
         assert not (out / "density").exists()
+
+
+@pytest.mark.parametrize("format", ["uni", "vol"])
+@pytest.mark.parametrize("components", [("vel_x", "vel_y", "vel_z"), ("u", "v", "w")])
+def test_a_velocity_in_three_files_is_none_of_the_other_grids(
+    components: tuple[str, str, str], format: str, optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    """The file of another grid beside them moves, and so does the velocity, which comes back in one file."""
+    (frame,) = burning(1)
+    assert frame.velocity is not None
+    parts = dict(zip(components, np.moveaxis(frame.velocity, -1, 0), strict=True))
+    (tmp_path / "in").mkdir()
+    for name, array in ({"density": frame.density, "temperature": frame.grids["temperature"]} | parts).items():
+        path = tmp_path / "in" / f"{name}_0005.{format}"
+        if format == "uni":
+            write_uni(path, np.ascontiguousarray(array), REAL, OURS + Y_UP)
+        else:
+            write_vol(path, np.ascontiguousarray(array))
+    recipe = Recipe(style=("spirals",), units="cells-per-frame")
+    (read,) = open_frames(tmp_path / "in", given=conventions_of(recipe))
+    assert read.velocity is not None and list(read.grids) == ["temperature"]
+    assert "other grids: temperature" in read.reading and "not read" not in read.reading
+    result = tnst_mi.stylize(tmp_path / "in", recipe, tmp_path / "out", progress=False)
+    assert result.run["carried"] == ["temperature", "velocity"]
+    names = {path.name for path in (tmp_path / "out" / "density").iterdir()}
+    assert names == {f"{name}_0005.{format}" for name in ("density", "velocity", "temperature")}
+    (again,) = load_frames(tmp_path / "out" / "density")
+    np.testing.assert_array_equal(again.grids["temperature"], read.grids["temperature"])
+    np.testing.assert_array_equal(again.velocity, read.velocity)
 
 
 def noise_cache(folder: Path) -> None:
