@@ -35,6 +35,10 @@ EXTINCTION = 12.0
 SAMPLES = 16
 #: The grid of the smoke, the first of these that there is: the second is what the noise of a cache calls it.
 DENSITIES = ("density", "density_noise")
+#: The grid of the fire, likewise; it shines where there is one.
+FLAMES = ("flame", "flame_noise")
+#: What it sends out, where it says 1.
+BRIGHTNESS = 2.0
 LONGEST_LINE = 1000
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -81,9 +85,9 @@ def opened(file: Path) -> bpy.types.Object:
     return shown
 
 
-def density_of(volume: bpy.types.Object) -> str | None:
-    """The name of the grid with the smoke of a volume; None if there is none."""
-    return next((name for name in DENSITIES if name in volume.data.grids), None)
+def grid_of(volume: bpy.types.Object, names: Sequence[str]) -> str | None:
+    """The first of some names that a grid of a volume has; None if there is none."""
+    return next((name for name in names if name in volume.data.grids), None)
 
 
 def box_of(volume: bpy.types.Object) -> Box:
@@ -94,7 +98,7 @@ def box_of(volume: bpy.types.Object) -> Box:
 
 def smoke_box(volume: bpy.types.Object) -> Box | None:
     """The box around the smoke of a volume, in the world; None if there is none."""
-    density = density_of(volume)
+    density = grid_of(volume, DENSITIES)
     if density is None:
         return None
     surface = bpy.data.objects.new("surface", bpy.data.meshes.new("surface"))
@@ -124,8 +128,8 @@ def spelled(numbers: Sequence[float]) -> str:
     return "(" + ", ".join(f"{number:.4g}" for number in numbers) + ")"
 
 
-def smoke_material(density: str) -> bpy.types.Material:
-    """A scattering volume whose density is the grid of a name."""
+def smoke_material(density: str, flame: str | None) -> bpy.types.Material:
+    """A scattering volume whose density is the grid of a name, and which shines as that of another says."""
     material = bpy.data.materials.new("smoke")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -141,6 +145,15 @@ def smoke_material(density: str) -> bpy.types.Material:
     links.new(scaled.outputs[0], shader.inputs["Density"])
     shader.inputs["Density Attribute"].default_value = ""
     shader.inputs["Color"].default_value = (0.9, 0.9, 0.9, 1.0)
+    if flame is not None:
+        fire = nodes.new("ShaderNodeAttribute")
+        fire.attribute_name = flame
+        bright = nodes.new("ShaderNodeMath")
+        bright.operation = "MULTIPLY"
+        bright.inputs[1].default_value = BRIGHTNESS
+        links.new(fire.outputs["Fac"], bright.inputs[0])
+        links.new(bright.outputs[0], shader.inputs["Emission Strength"])
+        shader.inputs["Emission Color"].default_value = (1.0, 0.35, 0.05, 1.0)
     links.new(shader.outputs["Volume"], output.inputs["Volume"])
     return material
 
@@ -166,7 +179,8 @@ def render(volumes: Sequence[bpy.types.Object], out: Path) -> None:
     low, high = united([box_of(volume) for volume in volumes])
     width, height = 1.15 * (high[0] - low[0]), 1.1 * (high[2] - low[2])
     for index, volume in enumerate(volumes):
-        volume.data.materials.append(smoke_material(density_of(volume) or DENSITIES[0]))
+        smoke = grid_of(volume, DENSITIES) or DENSITIES[0]
+        volume.data.materials.append(smoke_material(smoke, grid_of(volume, FLAMES)))
         volume.location.x += index * width
         add_frame((low[0] + index * width, *low[1:]), (high[0] + index * width, *high[1:]))
     scene = bpy.context.scene

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.geometry.placement import Placement
 
 __all__ = ["Frame", "Note", "Placement"]
@@ -30,7 +32,7 @@ class Note:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A density grid with its velocity, obstacles, name and placement.
+    """A density grid with its velocity, obstacles, other grids, name and placement.
 
     Two faults that simulations leave in their files are mended, with a note: negative densities down to 1e-6 of the
     largest density, which are rounding errors, become 0; so do velocities that are no numbers in cells without smoke
@@ -47,6 +49,8 @@ class Frame:
         placement: where the grid lies in the scene it came from, or None if unknown.
         reading: how it was read from its file, in words; empty for frames made from arrays.
         notes: what was assumed or mended.
+        grids: every other grid by its name, such as temperature: (D, H, W) or (D, H, W, 3) of any type of number. Of a
+            frame from a file, each access reads the grid from there, so that a sequence does not hold them all.
 
     Raises:
         InputError: an array has another shape, is empty, or holds values that no simulation produces.
@@ -71,6 +75,7 @@ expected values of 0 or more; set them to 0, or choose another grid (--density N
     placement: Placement | None = None
     reading: str = ""
     notes: tuple[Note, ...] = ()
+    grids: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the arrays and convert them to the types of the attributes."""
@@ -95,6 +100,12 @@ expected values of 0 or more; set them to 0, or choose another grid (--density N
             object.__setattr__(self, "velocity", velocity)
         if self.obstacle is not None:
             object.__setattr__(self, "obstacle", self._checked_obstacle(density.shape))
+        object.__setattr__(self, "grids", self._checked_grids(density.shape))
+
+    @property
+    def other_grids(self) -> OtherGrids:
+        """`grids`, with what is known of them besides their values."""
+        return self._checked_grids(self.density.shape)
 
     @property
     def mass(self) -> float:
@@ -149,6 +160,13 @@ expected values of 0 or more; set them to 0, or choose another grid (--density N
         self._require_finite("velocity", mended, "set them to 0, or go without (--velocity none)")
         self._note(Note("velocities without smoke that are no numbers are taken as 0", _cells(int(bad.sum()))))
         return mended
+
+    def _checked_grids(self, shape: tuple[int, ...]) -> OtherGrids:
+        if not isinstance(self.grids, OtherGrids):
+            return OtherGrids.of_arrays(self.grids, shape, self.name)
+        if self.grids and self.grids.cells != shape:
+            raise InputError(f"{self.name}: grids have {self.grids.cells} cells, expected {shape} to fit the density")
+        return self.grids
 
     def _note(self, note: Note) -> None:
         object.__setattr__(self, "notes", (*self.notes, note))

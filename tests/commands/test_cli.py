@@ -412,7 +412,7 @@ def test_info_says_once_what_is_true_of_all_frames(run: Run, tmp_path: Path) -> 
         "  note",
         "  reference density",
     ]
-    assert lines[1].endswith(" (f_0, f_1, f_4)") and "not read: heat (f_2, f_3)" in lines[2]
+    assert lines[1].endswith(" (f_0, f_1, f_4)") and lines[2].endswith("; other grids: heat (f_2, f_3)")
     assert "f_0 (1 cell down to -1e-09), f_1 (1 cell" in lines[3] and lines[3].endswith("and 2 more")
     # A line for each frame, and the arrays only where they are others than before.
     assert [line.split(":")[0] for line in lines[5:]] == [

@@ -79,6 +79,7 @@ CHANGED: dict[str, Any] = {
     "weights": "somewhere.pb",
     "variant": "llvm_ad_rgb",
     "format": "npz",
+    "carry": "flame,velocity",
     "fps": 12.0,
     "density": "smoke",
     "velocity": "vel",
@@ -252,3 +253,11 @@ def test_unreadable_recipe_files(tmp_path: Path) -> None:
 def test_the_bundled_recipes_are_valid(scene: str) -> None:
     recipe = Recipe.from_toml(Path(__file__).parents[2] / "scenes" / scene / "recipe.toml")
     assert recipe.style and recipe.octaves == 2
+
+
+def test_names_of_grids_are_a_text_or_a_list() -> None:
+    for value in ("flame,velocity", " flame , velocity", ["flame", "velocity"]):
+        assert Recipe(carry=value).carry == "flame,velocity"
+    for value in ("", "flame,", [], ["flame", 3], None, ["a,b"]):
+        with pytest.raises(InputError, match=r'carry = .*: expected "all", "none", or names of grids'):
+            Recipe(carry=value)

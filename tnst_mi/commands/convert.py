@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from tqdm import tqdm
@@ -12,7 +13,8 @@ from tnst_mi.commands.base import checked, given, say
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
-from tnst_mi.io.formats import FORMATS, files_around, require_format
+from tnst_mi.io.formats import FORMATS, files_around, held, require_format
+from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
 from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.machine.progress_bar import progress_bar
@@ -35,12 +37,12 @@ def run(arguments: ConvertArguments) -> int:
     frames = every.only(readable.kept)
     files = _files(arguments, frames)
     say(readable.lines())
-    suffix, lost = files[0].suffix.lower(), None
+    suffix, lost = files[0].suffix.lower(), dict[str, None]()
     try:
         for file, frame in progress_bar(
             zip(files, checked_shapes(frames), strict=True), total=len(files), unit="frame"
         ):
-            lost = lost or _lost(frame, suffix)
+            lost |= dict.fromkeys(_lost(frame, file))
             save_frame(file, frame)
             # tqdm.write keeps the lines apart from the progress bar.
             tqdm.write(f"frame     {file}", file=sys.stdout)
@@ -50,8 +52,7 @@ def run(arguments: ConvertArguments) -> int:
         raise InputError(
             f"{error}; the frames before it have been written: empty {arguments.output} before converting again"
         ) from None
-    if lost:
-        print(f"note: {suffix} files do not hold {lost}", file=sys.stderr)
+    say(f"note: {suffix} files do not hold {what}" for what in lost)
     return 0
 
 
@@ -82,10 +83,12 @@ def _identity(path: Path) -> object:
     return status.st_dev, status.st_ino
 
 
-def _lost(frame: Frame, suffix: str) -> str | None:
-    """What a format cannot store of a frame, in words."""
-    place = frame.placement
-    if place is None or suffix == ".vdb":
-        return None
-    corner = ", ".join(f"{coordinate:g}" for coordinate in place.corner)
-    return f"where the grid lies in its scene: voxel size {place.voxel_size:g}, corner ({corner}), {place.up} up"
+def _lost(frame: Frame, file: Path) -> Iterator[str]:
+    """What the format of a file cannot store of a frame, in words; for all frames of a sequence the same."""
+    place, suffix = frame.placement, file.suffix.lower()
+    kept = held(file.stem, suffix, frame.grids)
+    if left := [name for name in frame.grids if name not in kept]:
+        yield f"grids of such names: {listed(left, in_quotes=False)}"
+    if place is not None and suffix != ".vdb":
+        corner = ", ".join(f"{coordinate:g}" for coordinate in place.corner)
+        yield f"where the grid lies in its scene: voxel size {place.voxel_size:g}, corner ({corner}), {place.up} up"

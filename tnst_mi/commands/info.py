@@ -98,7 +98,7 @@ class _Described:
                 stored = self._frames.stored(index)
                 if stored.density is None:
                     contents = describe(file)
-                    if stored.velocity is not None and not (stored.taken.left or stored.taken.obstacle):
+                    if stored.velocity is not None and not _has_more(stored):
                         self._add_velocity(file, stored, contents)
                         continue
                     self._add(f"{file.name}: no density", contents)
@@ -137,6 +137,11 @@ def _heading(path: Path, frames: FrameFiles) -> str:
     if len(frames) == 1:
         return str(path)
     return f"{path}: {len(frames)} frames, {frames.numbers[0]} to {frames.numbers[-1]}"
+
+
+def _has_more(stored: StoredFrame) -> bool:
+    """Whether a file holds anything but a velocity."""
+    return bool(stored.taken.others or stored.taken.left or stored.taken.obstacle)
 
 
 def _box_of(stored: StoredFrame, contents: list[Contents]) -> str:

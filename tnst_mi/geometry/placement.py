@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,12 +43,42 @@ class GridSource:
     half: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class KeptGrid:
+    """A grid of a file that results have again, besides the density: where it is found when it is needed.
+
+    Attributes:
+        path: the file.
+        index: which of its grids.
+        cells: the cells of the frame.
+        run: from cells to the scene.
+    """
+
+    path: Path
+    index: int
+    cells: Box
+    run: Affine
+
+
 @dataclass(frozen=True)
 class FileSource:
-    """What a result keeps of a file: its metadata, and its grids by what they are ("density", …)."""
+    """What a result keeps of a file.
+
+    Attributes:
+        metadata: of the file, type and value by name.
+        grids: its grids by what they are ("density", …).
+        velocity: the grids of the velocity of the simulation, by name.
+        velocity_units: the unit of these.
+        obstacle: those of the obstacle.
+        others: all other grids.
+    """
 
     metadata: Mapping[str, tuple[str, Any]]
     grids: Mapping[str, GridSource]
+    velocity: Mapping[str, KeptGrid] = field(default_factory=dict)
+    velocity_units: str = ""
+    obstacle: Mapping[str, KeptGrid] = field(default_factory=dict)
+    others: Mapping[str, KeptGrid] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

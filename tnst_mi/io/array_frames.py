@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError, naming
 from tnst_mi.frame import Note
+from tnst_mi.geometry.other_grids import ROLES, OtherGrid
 from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.grids.npy import ArrayHeader, read_npy, read_npy_header
 from tnst_mi.io.grids.npz import read_arrays, read_headers
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, WITHOUT_SMOKE, StoredFrame, Taken
-from tnst_mi.io.interpretation.grid_names import FLAGS, component, listed, plain_name
+from tnst_mi.io.interpretation.grid_names import FLAGS, component, is_colour, listed, plain_name
 from tnst_mi.io.interpretation.layouts import (
+    fits,
     is_vector_shape,
+    other_grid,
     picture_scale,
     scalar_grid,
     scalar_shape,
@@ -25,6 +29,7 @@ from tnst_mi.io.interpretation.layouts import (
     velocity_of_components,
 )
 from tnst_mi.io.interpretation.roles import Entry, Roles, Wanted, chosen_roles
+from tnst_mi.io.interpretation.stored_grids import StoredGrid
 from tnst_mi.machine.terminal import quoted
 
 #: File extensions of these formats.
@@ -55,9 +60,10 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
     arrays = _arrays(path, [names[index] for index in (*roles.density, *roles.velocity, *roles.obstacle)])
     with naming(path):
         if roles.density:
-            return _frame(arrays[names[roles.density[0]]], arrays, names, roles)
+            frame = _frame(arrays[names[roles.density[0]]], arrays, names, roles)
+            return _with_others(frame, path, headers, roles)
         if cells is not None:
-            frame = _frame(np.zeros(cells, np.float32), arrays, names, roles)
+            frame = _with_others(_frame(np.zeros(cells, np.float32), arrays, names, roles), path, headers, roles)
             return replace(frame, notes=(*frame.notes, Note(WITHOUT_SMOKE)))
     # By itself, a velocity such as runs write is described but makes no frame.
     name = names[roles.velocity[0]] if len(roles.velocity) == 1 else None
@@ -65,7 +71,7 @@ def read_array_frame(path: Path, wanted: Wanted, cells: tuple[int, ...] | None =
         density=None,
         velocity=None if name is None else arrays[name],
         scene_up="z",
-        taken=Taken(None, name, None, tuple(other for other in names if other != name)),
+        taken=Taken(None, name, None, left=tuple(other for other in names if other != name)),
         lacking=roles.lacking,
     )
 
@@ -260,11 +266,33 @@ def _frame(density: np.ndarray, arrays: Mapping[str, np.ndarray], names: Sequenc
             names[roles.density[0]] if roles.density else None,
             listed(parts, in_quotes=False) if parts else None,
             solid,
-            tuple(names[index] for index in roles.left),
-            tuple(names[index] for index in roles.like_velocity),
+            left=tuple(names[index] for index in roles.left),
+            like_velocity=tuple(names[index] for index in roles.like_velocity),
         ),
         layouts=tuple(words for words in layouts if words),
     )
+
+
+def _with_others(frame: StoredFrame, path: Path, headers: Mapping[str, ArrayHeader], roles: Roles) -> StoredFrame:
+    """A frame with the other arrays of its file, as far as they hold a number or a vector for each cell."""
+    names = list(headers)
+    shape = () if frame.density is None else frame.density.shape
+    others = [
+        name
+        for name in (names[index] for index in roles.left)
+        if name not in ROLES and headers[name].dtype.kind in "fiub" and fits(headers[name].shape, shape)
+    ]
+    grids = {name: StoredGrid(path, partial(_other, path, name, shape), not is_colour(name)) for name in others}
+    left = tuple(name for name in frame.taken.left if name not in others)
+    return replace(frame, grids=grids, taken=replace(frame.taken, others=tuple(others), left=left))
+
+
+def _other(path: Path, name: str, cells: tuple[int, ...]) -> OtherGrid:
+    """An array that is none of the parts of a frame."""
+    array = _arrays(path, [name]).get(name)
+    if array is None or not fits(array.shape, cells):
+        raise InputError(f"{path}: array {name!r} has changed since it was found; read the frames again")
+    return OtherGrid(other_grid(array, cells))
 
 
 def _velocity(arrays: Mapping[str, np.ndarray], names: Sequence[str], cells: tuple[int, ...]) -> tuple[np.ndarray, str]:

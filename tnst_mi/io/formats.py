@@ -6,7 +6,7 @@ Only npz and .vdb files hold whole frames; .vol and .uni have companion files be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Placement
+from tnst_mi.geometry.other_grids import ROLES, OtherGrids
 from tnst_mi.io.array_frames import ARRAY_FORMATS, describe_arrays, read_array_frame, read_authors_frame
 from tnst_mi.io.beside import with_arrays_beside, with_grids_beside
 from tnst_mi.io.context import SequenceContext
@@ -25,8 +26,9 @@ from tnst_mi.io.grids.vdb.frames import describe_vdb, read_vdb_frame
 from tnst_mi.io.grids.vdb.results import write_vdb_frame
 from tnst_mi.io.grids.vol import read_vol, write_vol
 from tnst_mi.io.interpretation.conventions import StoredFrame
-from tnst_mi.io.interpretation.orientation import to_z_up
+from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.io.interpretation.roles import Wanted
+from tnst_mi.io.interpretation.stored_grids import Axes
 from tnst_mi.io.single_grids import OURS, Y_UP, read_uni_frame, read_vol_frame
 from tnst_mi.machine.gate import gate
 
@@ -111,6 +113,7 @@ def write_frame(
     velocity: np.ndarray | None = None,
     obstacle: np.ndarray | None = None,
     placement: Placement | None = None,
+    others: OtherGrids | None = None,
 ) -> None:
     """Write the grids of a frame, or a velocity alone; the extension of the path selects the format.
 
@@ -122,21 +125,38 @@ def write_frame(
         velocity: (D, H, W, 3), cells per frame, or None.
         obstacle: (D, H, W), or None.
         placement: where the grid came from; only .vdb files store it, and .uni files which axis was up.
+        others: grids besides, one of which is in memory at a time; those that `held` leaves out are not written.
 
     Raises:
-        InputError: the format is unknown.
+        InputError: the format is unknown, or one of the other grids cannot be read.
     """
     grids = {"density": density, "velocity": velocity, "obstacle": obstacle}
     grids = {name: array for name, array in grids.items() if array is not None}
     match require_format(path):
         case ".npz":
-            write_arrays(path, grids)
+            write_arrays(path, grids, others)
         case ".vol":
-            _write_grids(write_vol, path, grids)
+            _write_grids(write_vol, path, grids, others or {})
         case ".uni":
-            _write_grids(partial(_write_uni, placement=placement), path, grids)
+            _write_grids(partial(_write_uni, placement=placement), path, grids, others or {})
         case _:
-            write_vdb_frame(path, grids, placement)
+            write_vdb_frame(path, grids, placement, others)
+
+
+def held(name: str, suffix: str, grids: Iterable[str]) -> list[str]:
+    """Those of some grids beside the density that a format holds.
+
+    In formats of one grid a file, a grid is found again by its name in that of the file: words of letters, and beside
+    files that are not called `density`, a usual one.
+
+    Args:
+        name: of the frame, and so of its file without the ending.
+        suffix: the ending.
+        grids: their names.
+    """
+    if suffix not in GRID_FORMATS:
+        return list(grids)
+    return [grid for grid in grids if grid in ROLES or companions.names_a_file(name, grid)]
 
 
 def describe(file: Path) -> list[Contents]:
@@ -171,23 +191,34 @@ def _described(file: Path, suffix: str) -> list[Contents]:
 
 def _write_uni(path: Path, array: np.ndarray, placement: Placement | None) -> None:
     y_up = placement is not None and placement.up == "y"
-    stored = array if y_up else to_z_up(array)
+    stored = Axes("y" if y_up else "z").turned_back(array, not is_colour(path.stem))
     kind = VECTOR if stored.ndim == 4 else REAL
     if stored.dtype == bool:
         stored, kind = stored.astype(np.int32) * OBSTACLE_FLAG, INTEGER | FLAGS
+    elif stored.dtype.kind in "iu" and stored.ndim == 3:
+        kind = INTEGER
     write_uni(path, stored, kind, OURS + (Y_UP if y_up else ""))
 
 
-def _write_grids(write: Callable[[Path, np.ndarray], None], path: Path, grids: dict[str, np.ndarray]) -> None:
+def _write_grids(
+    write: Callable[[Path, np.ndarray], None],
+    path: Path,
+    grids: dict[str, np.ndarray],
+    others: Mapping[str, np.ndarray],
+) -> None:
     """Write one file per grid of a frame; a velocity alone takes the density's file name."""
     main = "density" if "density" in grids else "velocity"
     beside = {companions.companion(path, name): array for name, array in grids.items() if name != main}
     stale = [file for file in companions.possible_companions(path) if file not in beside and file.is_file()]
-    if beside or stale:
+    held_too = held(path.stem, path.suffix.lower(), others)
+    other_files = {companions.companion(path, name): name for name in held_too}
+    if beside or stale or other_files:
         # Removed first: an interruption at any point must not leave a density beside the companions of another frame.
         path.unlink(missing_ok=True)
     for file in stale:
         file.unlink(missing_ok=True)
     for file, array in beside.items():
         write(file, array)
+    for file, name in other_files.items():
+        write(file, others[name])
     write(path, grids[main])

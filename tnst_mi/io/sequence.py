@@ -132,15 +132,21 @@ class FrameFiles(Sequence[Frame]):
             self.files[index], self._listing.velocities, self._context, self._given.names, self._given.fog
         )
 
-    def result(self, file: Path) -> StoredFrame:
+    def result(self, file: Path, simulated: bool = False) -> StoredFrame:
         """Read the result of a frame, a file of the same name, on the grid of these files.
+
+        Args:
+            file: the file.
+            simulated: whether its velocity is that of the simulation, as it is beside a density.
 
         Raises:
             InputError: it cannot be used.
         """
         stored = read_stored(file, context=self._context)
-        # Its velocity is not that of the smoke: it does not go with a moving grid.
-        return replace(stored, drift=None)
+        if not simulated:
+            # A velocity that is not that of the smoke does not go with a moving grid.
+            return replace(stored, drift=None)
+        return replace(stored, dt=stored.frame_duration(self._given))
 
     def grid_on_cells(self, index: int, name: str | None, file: Path | None = None) -> np.ndarray:
         """A scalar grid other than the density, on the cells of a frame (D, H, W), in our axes; not checked.
@@ -237,6 +243,7 @@ def load_frames(path: str | Path) -> list[Frame]:
 
     Returns:
         One `Frame` for each: densities (D, H, W), velocities (D, H, W, 3) in cells per frame, at the cell centres.
+        Other grids, such as `frame.grids["temperature"]`, are read from the files when they are accessed.
 
     Raises:
         InputError: nothing is there, the format is unknown, numbers are missing or duplicated, a file cannot be used,
@@ -314,4 +321,4 @@ def save_frame(path: Path, frame: Frame) -> None:
     Raises:
         InputError: the format is unknown.
     """
-    write_frame(path, frame.density, frame.velocity, frame.obstacle, frame.placement)
+    write_frame(path, frame.density, frame.velocity, frame.obstacle, frame.placement, frame.other_grids)

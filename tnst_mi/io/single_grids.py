@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError, naming
+from tnst_mi.geometry.other_grids import OtherGrid
 from tnst_mi.io.files import companions
 from tnst_mi.io.grids.uni import UniHeader, read_uni
 from tnst_mi.io.grids.vol import read_vol
 from tnst_mi.io.interpretation.conventions import CELLS_PER_TIME, StoredFrame, Taken
+from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.io.interpretation.layouts import solid_cells
 from tnst_mi.io.interpretation.roles import NONE, Wanted
+from tnst_mi.io.interpretation.stored_grids import StoredGrid
 
 #: Our .uni files declare their conventions in the build information.
 OURS, Y_UP = "tnst_mi: velocity at centres, cells per frame", ", y up"
@@ -38,6 +42,7 @@ def read_vol_frame(file: Path, wanted: Wanted) -> StoredFrame:
         velocity=_vectors(velocity, [read_vol(path) for path in velocity]) if velocity else None,
         obstacle=solid,
         scene_up="z",
+        grids=_others(file, read_vol, taken),
         taken=taken,
         layouts=layouts,
     )
@@ -57,7 +62,8 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
     if header.components == 3:
         return _with_velocity(StoredFrame(density=None, up=up, lacking=_VECTORS), header, grid)
     velocity, obstacle, taken = _companions(file, wanted)
-    frame = StoredFrame(density=grid, up=up, up_because=because, taken=taken)
+    others = _others(file, lambda path: read_uni(path)[1], taken)
+    frame = StoredFrame(density=grid, up=up, up_because=because, grids=others, taken=taken)
     if velocity:
         headers, grids = zip(*(read_uni(path) for path in velocity), strict=True)
         frame = _with_velocity(frame, headers[0], _vectors(velocity, grids))
@@ -86,7 +92,9 @@ def _companions(file: Path, wanted: Wanted) -> tuple[tuple[Path, ...], Path | No
             raise InputError(f"{file}: --{role} {name!r}: no file {companions.companion(file, name).name} beside it")
     named = companions.all_numberless(velocity) or None
     solid = None if obstacle is None else companions.numberless(obstacle)
-    return velocity, obstacle, Taken(companions.numberless(file), named, solid)
+    taken = (*velocity, obstacle)
+    others = tuple(name for name, path in companions.other_grids_of(file).items() if path not in taken)
+    return velocity, obstacle, Taken(companions.numberless(file), named, solid, others)
 
 
 def _vectors(files: Sequence[Path], grids: Sequence[np.ndarray]) -> np.ndarray:
@@ -104,6 +112,16 @@ def _vectors(files: Sequence[Path], grids: Sequence[np.ndarray]) -> np.ndarray:
                 f"({grids[0].shape}); --velocity none goes without it"
             )
     return np.stack(grids, axis=-1)
+
+
+def _others(file: Path, read: Callable[[Path], np.ndarray], taken: Taken) -> dict[str, StoredGrid]:
+    """The grids in files beside that of a density, by name."""
+    files = companions.other_grids_of(file)
+
+    def grid(path: Path) -> OtherGrid:
+        return OtherGrid(read(path))
+
+    return {name: StoredGrid(files[name], partial(grid, files[name]), not is_colour(name)) for name in taken.others}
 
 
 def _solid(file: Path, values: np.ndarray, flags: bool) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tnst_mi.optimisation.movement import Movement
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -37,6 +39,7 @@ class Stylized:
         loss_before, loss_after: loss of the unstylized and the stylized density, the mean over the same three views;
             None if nothing was stylized.
         terms_before, terms_after: likewise the terms of the loss, unscaled and so comparable between runs.
+        movement: what moves the frame's other grids likewise; None where nothing moves.
     """
 
     density: np.ndarray
@@ -50,3 +53,4 @@ class Stylized:
     loss_after: float | None = None
     terms_before: dict[str, float] = field(default_factory=dict)
     terms_after: dict[str, float] = field(default_factory=dict)
+    movement: Movement | None = None

@@ -14,6 +14,7 @@ from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 from tnst_mi.recipe.lengths import Length
+from tnst_mi.recipe.name_lists import Names
 from tnst_mi.recipe.optional_keys import Point, Unset
 from tnst_mi.recipe.region_keys import MaskKind, TargetsKind
 
@@ -210,6 +211,9 @@ class Resources:
     """Mitsuba variant: GPU or CPU. If not set, the GPU if one is available."""
     format: Annotated[str | None, Unset(Choice(("npz", "vol", "uni", "vdb")))] = None
     """File format of the results; the input's format if not set."""
+    carry: Annotated[str, Names()] = "all"
+    """Grids of the input that move with the smoke and come back with it: all, such as temperature, flame and velocity;
+    those with the given names, separated by commas; or none. Vectors keep their directions, obstacles their places."""
     fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None
     """Frames per second of a sequence, above 0: of its preview video (24 if not set), and of velocities per time, of
     which a frame lasts 1 / fps seconds, or 2.5 / fps of Mantaflow's units of time."""

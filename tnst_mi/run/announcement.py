@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tnst_mi.fields.density_unit import is_unusual
+from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
+from tnst_mi.run.carry import chosen
 from tnst_mi.run.prepare import Prepared
 
 #: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
@@ -28,6 +30,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
     yield from prepared.reading
+    yield from _of_other_grids(prepared)
     yield prepared.memory
     if prepared.step != 1:
         yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
@@ -45,6 +48,19 @@ def announcement(prepared: Prepared) -> Iterator[str]:
 
 def _pictures(target: Target) -> tuple[str, ...]:
     return (*target.recipe.style, *target.recipe.content)
+
+
+def _of_other_grids(prepared: Prepared) -> Iterator[str]:
+    """What moves with the smoke, and what does not."""
+    carry, carried = prepared.recipe.carry, prepared.record["carried"]
+    movable = dict.fromkeys(name for measure in prepared.measures for name in measure.movable)
+    names = listed(carried, in_quotes=False)
+    if carried and prepared.recipe.parameterisation == "density":
+        yield f"note: densities change in place, so other grids come back as they are: {names}"
+    elif carried:
+        yield f"carried with the smoke: {names} (--carry all|NAMES|none)"
+    if lost := [name for name in chosen(carry, movable) if name not in carried]:
+        yield f"note: {prepared.suffix} files do not hold other grids of such names: {listed(lost, in_quotes=False)}"
 
 
 def _of_density(prepared: Prepared) -> Iterator[str]:

@@ -13,11 +13,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import own_variant
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.carry import carried
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
-from tnst_mi.run.stored_arrays import StoredArrays
+from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Result:
         densities: stylized densities, (D, H, W) float32, blended as the recipe says.
         velocities: the velocities v* that transport the smoke, (D, H, W, 3) float32 in cells per frame; 0
             if the recipe changes densities directly.
+        grids: the other grids of each frame by name, such as temperature, carried with the smoke, in their own types;
+            and the simulation's velocity, as "velocity", (D, H, W, 3) in cells per frame, where the frame has one.
         frames: the input frames.
         history: one dict per iteration: octave, iteration, loss, terms, seconds.
         run: the contents of run.json.
@@ -36,6 +39,7 @@ class Result:
 
     densities: Sequence[np.ndarray]
     velocities: Sequence[np.ndarray]
+    grids: Sequence[Mapping[str, np.ndarray]]
     frames: Sequence[Frame]
     history: list[list[dict[str, Any]]]
     run: dict[str, Any]
@@ -90,6 +94,7 @@ def _stylized(frames: Frames, recipe: Recipe, out: str | Path | None, progress: 
     frames_done = Run(prepare(frames, recipe, out, progress=progress), progress)
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []
+    grids: Sequence[Mapping[str, np.ndarray]] = []
     history = []
     prepared, record = frames_done.prepared, frames_done.record
     for frame in frames_done:
@@ -97,10 +102,12 @@ def _stylized(frames: Frames, recipe: Recipe, out: str | Path | None, progress: 
         if prepared.out is None:
             densities.append(frame.stylized.density)
             velocities.append(frame.stylized.velocity)
+            grids.append(carried(frame.source, frame.stylized, prepared.recipe.carry).in_memory())
     names = [frame_record["name"] for frame_record in record["frames"]]
     if prepared.out is not None:
         densities = StoredArrays(prepared.out, "density", names, prepared.suffix, prepared.frames)
         velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix, prepared.frames)
+        grids = StoredGrids(prepared.out, names, prepared.suffix, prepared.frames)
     elif len(densities) == len(prepared.frames) > 1:
         record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
-    return Result(densities, velocities, prepared.frames_named(names), history, record, prepared.out)
+    return Result(densities, velocities, grids, prepared.frames_named(names), history, record, prepared.out)

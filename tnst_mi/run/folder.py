@@ -1,6 +1,7 @@
 """The folder of a run: its layout, how a finished frame is recognised, and what may be overwritten.
 
-    density/NAME.npz     stylized density, obstacle     velocity/NAME.npz    the velocity v* that transports
+    density/NAME.npz     stylized density, obstacle,    velocity/NAME.npz    the velocity v* that transports
+                         the grids carried with it
                          (.vol, .uni or .vdb instead of .npz if the results have that format)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
     recipe.toml          the recipe as run              run.json             the record of the run
@@ -25,7 +26,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
-from tnst_mi.io.files.companions import OBSTACLE, companion
+from tnst_mi.io.files.companions import OBSTACLE, VELOCITY, companion
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
@@ -38,6 +39,7 @@ from tnst_mi.run.before_after import side_by_side
 
 if TYPE_CHECKING:
     from tnst_mi.run import report
+    from tnst_mi.run.carry import Carried
 else:
     # It draws with matplotlib, which takes long to import; what a folder holds is asked before that is needed.
     report = LazyModule("tnst_mi.run.report")
@@ -191,11 +193,12 @@ class RunFolder:
         if self._metrics.exists():
             self._keep_metrics(finished)
 
-    def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray) -> None:
-        """Write a frame's stylized density with its obstacle, and the velocity that made it, with its placement."""
+    def write_arrays(self, source: Frame, density: np.ndarray, velocity: np.ndarray, carried: Carried) -> None:
+        """Write a frame's stylized density with its obstacle and what moved with it, and the velocity that made it."""
         self._may_write()
         file, place = f"{source.name}{self._suffix}", source.placement
-        write_frame(self.out / "density" / file, density, obstacle=source.obstacle, placement=place)
+        smoke = self.out / "density" / file
+        write_frame(smoke, density, carried.velocity, source.obstacle, place, carried.grids)
         write_frame(self.out / "velocity" / file, None, velocity, placement=place)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
@@ -284,7 +287,7 @@ def _results_of(out: Path, name: str, suffix: str) -> bool:
 
 def _remove_results(out: Path, names: Iterable[str]) -> None:
     """Remove the files of the named frames and of their run, then the folders left empty by this."""
-    for path in _result_files(out, names):
+    for path in _result_files(out, names, _carried_by_run(out)):
         # A symlinked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
@@ -298,9 +301,20 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
             (out / folder).rmdir()
 
 
-def _result_files(out: Path, names: Iterable[str]) -> Iterator[Path]:
+def _carried_by_run(out: Path) -> list[str]:
+    """The names of the grids that the run in a folder carried, as far as they can be part of a file's name."""
+    try:
+        run = json.loads((out / "run.json").read_text("utf-8"))
+        return [name for name in run.get("carried", ()) if isinstance(name, str) and is_file_name(name)]
+    except _DAMAGE:
+        return []
+
+
+def _result_files(out: Path, names: Iterable[str], carried: Iterable[str]) -> Iterator[Path]:
     for name in names:
         yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
         # For formats with one grid per file.
-        yield from (companion(out / "density" / f"{name}{suffix}", OBSTACLE[0]) for suffix in GRID_FORMATS)
+        for suffix in GRID_FORMATS:
+            density = out / "density" / f"{name}{suffix}"
+            yield from (companion(density, grid) for grid in (VELOCITY[0], OBSTACLE[0], *carried))
     yield from (out / name for name in _RUN_FILES)

@@ -95,6 +95,8 @@ class ScaledFrames(Sequence[Frame]):
 class UnchangedFrames(Sequence[Frame]):
     """Frames that are checked on access to be those that were measured: files can change while a run reads them again.
 
+    Their other grids are not read for that: they are checked when they are carried.
+
     Args:
         frames: the frames.
         digests: their SHA-256, see `frame_digest`, in their order.
@@ -121,20 +123,29 @@ class UnchangedFrames(Sequence[Frame]):
             return UnchangedFrames(self._frames[index], self._digests[index])
         frame = self._frames[index]
         if frame_digest(frame) != self._digests[index]:
-            raise InputError(
-                f"{frame.name}: has changed since the run began; restore it and go on with --resume, or begin anew "
-                "with --overwrite"
-            )
+            raise InputError(changed(frame.name))
         return frame
 
 
 def frame_digest(frame: Frame) -> str:
-    """The SHA-256 of a frame's arrays."""
+    """The SHA-256 of a frame's arrays, without its other grids."""
     digest = hashlib.sha256(frame.density.data)
     for array in (frame.velocity, frame.obstacle):
         if array is not None:
             digest.update(array.data)
     return digest.hexdigest()
+
+
+def grid_digest(values: np.ndarray) -> str:
+    """The SHA-256 of a grid beside the density."""
+    return hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()
+
+
+def changed(what: str) -> str:
+    """The message that a part of the input is not what was measured."""
+    return (
+        f"{what}: has changed since the run began; restore it and go on with --resume, or begin anew with --overwrite"
+    )
 
 
 def reference_density(frames: Iterable[Frame]) -> ReferenceDensity:

@@ -26,6 +26,7 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
+from tnst_mi.run.carry import Carried, carried
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
@@ -147,14 +148,18 @@ class Run(Iterator[StylizedFrame]):
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
         with closing(optimisation.run(self._bar.advance, done)) as results:
             for index, stylized in results:
-                source = prepared.unchanged[index]
-                record = frame_record(source, prepared.plan.frames[index], stylized)
+                source, files = prepared.unchanged[index], None if folder is None else prepared.suffix
+                digests = prepared.measures[index].others
+                carry = carried(source, stylized, prepared.recipe.carry, files, digests)
+                record = frame_record(source, prepared.plan.frames[index], stylized) | {"carried": list(carry.names)}
                 frame = StylizedFrame(source, stylized, record)
                 self.record["frames"].append(record)
                 if folder is not None:
-                    self._write(folder, frame, prepared.plan.frames[index])
+                    self._write(folder, frame, carry, prepared.plan.frames[index])
                     folder.write_run(self._progressed(started))
                 yield frame
+                # Callers may keep every frame of a run; what moves its grids is not part of the result.
+                stylized.movement = None
         self.record["status"] = "interrupted" if optimisation.interrupted else "done"
         self._progressed(started)
         if folder is None:
@@ -164,7 +169,7 @@ class Run(Iterator[StylizedFrame]):
         else:
             self._conclude(folder)
 
-    def _write(self, folder: RunFolder, frame: StylizedFrame, plan: FramePlan) -> None:
+    def _write(self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan) -> None:
         run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
         before, after = (
             exposure * main_view(scaled(density, run.density_scale), recipe, run.full.size)
@@ -176,7 +181,7 @@ class Run(Iterator[StylizedFrame]):
             "quadrature": recipe.quadrature,
             "exposure": exposure,
         }
-        folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity)
+        folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity, carry)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
         # Callers may keep every frame of a run; its largest arrays are not part of the result.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,25 @@ from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import mask_files, targets_of
+from tnst_mi.run.carry import movable, read_chosen
 from tnst_mi.run.folder import is_file_name
-from tnst_mi.run.inputs import frame_digest
+from tnst_mi.run.inputs import frame_digest, grid_digest
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Measurements of a frame: name and number, the sum and the largest value of its density, the SHA-256 of its
-    arrays, and whether it has a velocity."""
+    """Measurements of a frame before it is stylized.
+
+    Attributes:
+        name: of the frame.
+        number: of the frame.
+        mass: the sum of its density.
+        densest: the largest value of its density.
+        sha256: of its arrays, see `frame_digest`.
+        moves: whether it has a velocity.
+        movable: the names of all that can move with the smoke.
+        others: the SHA-256 of its other grids that do, by name.
+    """
 
     name: str
     number: int | float | None
@@ -33,10 +45,24 @@ class Measure:
     densest: float
     sha256: str
     moves: bool
+    movable: tuple[str, ...] = ()
+    others: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def identity(self) -> str:
+        """The SHA-256 of all that results are made of: the arrays, and the other grids that move with the smoke."""
+        if not self.others:
+            return self.sha256
+        parts = [self.sha256, *(f"{name!r} {digest}" for name, digest in self.others.items())]
+        return hashlib.sha256("\n".join(parts).encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
+def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure], ReferenceDensity]:
     """Read every frame once, so that bad ones are found before any work; also returns their reference density.
+
+    Args:
+        frames: the frames.
+        carry: which of their other grids are read too, see `run.carry.chosen`.
 
     Raises:
         InputError: a frame cannot be read or differs in shape, or its name is a duplicate or cannot name files.
@@ -45,7 +71,11 @@ def measured(frames: Iterable[Frame]) -> tuple[list[Measure], ReferenceDensity]:
     for frame in checked_shapes(frames):
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        measures.append(Measure(frame.name, frame.number, frame.mass, densest, frame_digest(frame), moves))
+        others = {name: grid_digest(values) for name, values in read_chosen(frame, carry)}
+        names = tuple(movable(frame))
+        measures.append(
+            Measure(frame.name, frame.number, frame.mass, densest, frame_digest(frame), moves, names, others)
+        )
     counts = Counter(measure.name for measure in measures)
     for name in counts:
         if not is_file_name(name):
@@ -127,8 +157,8 @@ def require_same_masks(targets: Sequence[dict[str, Any]] | None, run: dict[str, 
 
 
 def digests(measures: Sequence[Measure]) -> dict[str, str]:
-    """The SHA-256 of the frames by their names."""
-    return {measure.name: measure.sha256 for measure in measures}
+    """The SHA-256 of the frames, with the other grids that move with their smoke, by their names."""
+    return {measure.name: measure.identity for measure in measures}
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
-from tnst_mi.io.formats import FORMATS
+from tnst_mi.io.formats import FORMATS, held
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
@@ -32,6 +32,7 @@ from tnst_mi.regions.regions import regions_of, smoke_shares
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
 from tnst_mi.resources import expanded
+from tnst_mi.run.carry import chosen, require_there
 from tnst_mi.run.folder import resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
 from tnst_mi.run.measure import (
@@ -189,7 +190,9 @@ def prepare(
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
     readable = Readable(sequence, recipe.skip_bad)
-    measures, reference = measured(_watched(readable, "reading", progress))
+    measures, reference = measured(_watched(readable, "reading", progress), recipe.carry)
+    movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
+    require_there(recipe.carry, movable)
     sequence = readable.frames()
     if out is not None:
         require_names(out, [measure.name for measure in measures])
@@ -235,6 +238,13 @@ def prepare(
         "reference_density": reference.value,
         "density_scale": density_scale,
         # Frames of different γ have exposures of their own, which are with the frames.
+        "carried": list(
+            dict.fromkeys(
+                name
+                for measure in measures
+                for name in held(measure.name, suffix, chosen(recipe.carry, measure.movable))
+            )
+        ),
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }

@@ -2,7 +2,8 @@
 
 The density of a frame is in `NAME_0012.uni`, its velocity in `NAME_velocity_0012.uni` (or `NAME_vel_0012.uni`, …), its
 obstacle in `NAME_obstacle_0012.uni` (or `NAME_flags_0012.uni`, …). If the density's name contains the word `density`,
-as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`. For files of other
+as Blender's do, the other word replaces it: `density_0012.uni`, `vel_0012.uni`, `flags_0012.uni`, and so does the name
+of any other grid: `temperature_0012.uni`. For files of other
 programs, other words for density are replaced too (`smoke_0012.npz` beside `velocity_0012.npz`, as PhiFlow writes), and
 the word may be at the end (`NAME_0012_vel.npz`). Words may also be capitalised or in upper case, extensions in upper
 case. A velocity may be in three files, one for each component: `vel_x_0012.uni` and so on, or with `u`, `v`
@@ -11,6 +12,7 @@ and `w`. The noise of Blender's caches, `noise/fluid_noise_0012.vdb`, has its ve
 
 from __future__ import annotations
 
+import glob
 import itertools
 import re
 from collections.abc import Iterator, Sequence
@@ -32,7 +34,10 @@ _DENSITY = _words("density")
 _OTHER_DENSITY = _words(*(word for word in (*DENSITY, *SMOKE) if word != "density"))
 _COMPANION = _words(*VELOCITY, *OBSTACLE, "(?:velocity|vel|v)[xyz]", "[uw]")
 #: Grids of a simulation that neither are density nor belong to a frame.
-_OTHER_GRID = _words("temperature", "temp", "heat", "fuel", "flame", "react", "pressure", "shadow", "burn", "phi", "cd")
+_OTHER_WORDS = ("temperature", "temp", "heat", "fuel", "flame", "react", "pressure", "shadow", "burn", "phi", "cd")
+_OTHER_GRID = _words(*_OTHER_WORDS)
+#: What such a grid can be called in the name of a file.
+_NAME = "[A-Za-z]+(?:_[A-Za-z]+)*"
 
 
 def companion(file: Path, word: str) -> Path:
@@ -96,6 +101,8 @@ def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
             another grid.
     """
     beside = {path for file in files for path in _all_possible(file, VELOCITY + OBSTACLE)}
+    if one_grid_each:
+        beside |= {path for file in files for path in possible_companions(file, _OTHER_WORDS)}
     alone = [file for file in files if file not in beside]
     named = [file for file in alone if one_grid_each and _DENSITY.search(file.stem)]
     others = (_COMPANION,) if one_grid_each else (_COMPANION, _OTHER_GRID)
@@ -103,6 +110,25 @@ def densities(files: Sequence[Path], one_grid_each: bool) -> list[Path]:
         file for file in alone if _DENSITY.search(file.stem) or not any(other.search(file.stem) for other in others)
     ]
     return named or smoke or alone
+
+
+def names_a_file(density: str, grid: str) -> bool:
+    """Whether a grid beside a density, in a file of this name, is found again in one that its own name is a part of."""
+    if not re.fullmatch(_NAME, grid) or _COMPANION.search(grid) or _DENSITY.search(grid):
+        return False
+    return _DENSITY.search(density) is not None or _OTHER_GRID.fullmatch(grid) is not None
+
+
+def other_grids_of(file: Path) -> dict[str, Path]:
+    """The existing files beside that of a density with grids besides its velocity and its obstacle, by their names."""
+    before, after = _around_the_word(file.stem)
+    form = re.compile(rf"{re.escape(before)}({_NAME}){re.escape(after)}")
+    found = {}
+    for path in sorted(file.parent.glob(f"{glob.escape(before)}*{glob.escape(after + file.suffix)}")):
+        match = form.fullmatch(path.stem)
+        if match and path != file and path.is_file() and names_a_file(file.stem, match[1]):
+            found[match[1]] = path
+    return found
 
 
 def numberless(file: Path) -> str:

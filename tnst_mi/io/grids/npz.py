@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
@@ -41,11 +41,19 @@ def read_arrays(path: Path, keys: Sequence[str]) -> dict[str, np.ndarray]:
         return {key: _read_array(path, archive, key) for key in keys if key in _names(archive)}
 
 
-def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write a compressed npz file."""
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        # The type stub also matches the arrays against the flag allow_pickle.
-        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], others: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write a compressed npz file as numpy does, but one array after the other, each asked for when it is its turn.
+
+    Args:
+        path: the file.
+        arrays: by name.
+        others: more of them, of other names.
+    """
+    with written_whole(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        for source in (arrays, others or {}):
+            for name in source:
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asanyarray(source[name]), allow_pickle=False)
 
 
 @contextmanager

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Note, Placement
+from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.geometry.placement import FileSource, OwnVoxels
 from tnst_mi.io.interpretation.grid_names import listed
-from tnst_mi.io.interpretation.orientation import from_z_up, mirrored
 from tnst_mi.io.interpretation.roles import Wanted
 from tnst_mi.io.interpretation.staggered import centred_velocity, velocity_of_all_faces
+from tnst_mi.io.interpretation.stored_grids import Axes, StoredGrid
 
 #: Units of velocities in files: cells per frame; cells, or scene units of length, per unit of time.
 CELLS_PER_FRAME, CELLS_PER_TIME, LENGTH_PER_TIME = "cells-per-frame", "cells-per-time", "length-per-time"
@@ -78,13 +80,15 @@ class Taken:
         density: the name of the density's grid.
         velocity: that of the velocity's, or of its components.
         obstacle: that of the obstacle's.
-        left: the names of the other grids.
-        like_velocity: where there is no velocity, those that may be one by another name.
+        others: the names of the other grids, those that results can have again.
+        left: the names of what is left, which are not read.
+        like_velocity: where there is no velocity, those of both that may be one by another name.
     """
 
     density: str | None = None
     velocity: str | None = None
     obstacle: str | None = None
+    others: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
     like_velocity: tuple[str, ...] = ()
 
@@ -114,6 +118,7 @@ class StoredFrame:
         own: the voxels of the file, to which results return; None if it has none.
         source: what else results keep of the file, or None.
         scale: factor of the density, unless the user gives another.
+        grids: the other grids, by name.
         taken: names of the grids.
         layouts: in which other ways than the usual ones its arrays are stored, in words.
         notes: what else was assumed.
@@ -138,6 +143,7 @@ class StoredFrame:
     own: OwnVoxels | None = None
     source: FileSource | None = None
     scale: float = 1.0
+    grids: Mapping[str, StoredGrid] = field(default_factory=dict)
     taken: Taken = field(default_factory=Taken)
     layouts: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -156,7 +162,9 @@ class StoredFrame:
             notes = (*notes, Note(f"looks like a velocity, which --velocity NAME takes it for: {names}"))
         obstacle = None if self.obstacle is None else self._turned(self.obstacle, given)
         velocity, placement = self.centred_velocity(given), self._placement(given)
-        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes)
+        axes = Axes(given.up or self.up, given.flip)
+        grids = OtherGrids({key: grid.reader(axes) for key, grid in self.grids.items()}, density.shape, name)
+        return Frame(density, velocity, obstacle, name, number, placement, self.reading(given), notes, grids)
 
     def scaled_density(self, given: Conventions) -> np.ndarray:
         """The density (D, H, W) in our axes, times its factor; not checked.
@@ -192,6 +200,10 @@ class StoredFrame:
             centres = centres if factor == 1.0 else centres * np.float32(factor)
             return self._turned(centres if self.drift is None else self._relative(centres, self.drift), given)
 
+    def frame_duration(self, given: Conventions) -> float | None:
+        """The duration of a frame in the velocity's unit of time; None if this is not one of time."""
+        return None if self.velocity_units == CELLS_PER_FRAME else self._units(replace(given, velocity_units=None))[1]
+
     def reading(self, given: Conventions) -> str:
         """How the file is read, in words: axes and units, which grid is what, and what follows from the layout."""
         axes = f"{given.up or self.up} up"
@@ -220,8 +232,11 @@ class StoredFrame:
                 ("obstacle", self.taken.obstacle),
             )
         ]
-        left = [f"not read: {listed(list(self.taken.left), in_quotes=False)}"] if self.taken.left else []
-        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *left])
+        others, left = (
+            [f"{words}: {listed(list(names), in_quotes=False)}"] if names else []
+            for words, names in (("other grids", self.taken.others), ("not read", self.taken.left))
+        )
+        return "; ".join([", ".join(words), ", ".join(taken), *self.layouts, *others, *left])
 
     def _centres(self, velocity: np.ndarray) -> np.ndarray:
         if not self.staggered:
@@ -244,9 +259,7 @@ class StoredFrame:
     def _turned(self, array: np.ndarray, given: Conventions) -> np.ndarray:
         if array.ndim < 3:  # wrong shape: Frame reports it
             return array
-        if (given.up or self.up) == "z":
-            array = from_z_up(array)
-        return mirrored(array, given.flip) if given.flip else array
+        return Axes(given.up or self.up, given.flip).turned(array)
 
     def _units(self, given: Conventions) -> tuple[str, float | None]:
         """The unit of the velocity, and the duration of a frame in its unit of time if it has one, else None."""
@@ -284,7 +297,10 @@ class StoredFrame:
             x, y, z = self._turned(self.drift.reshape(1, 1, 1, 3), given).ravel().tolist()
             drift = x, y, z
         up = self.scene_up or given.up or self.up
-        placement = Placement(size, self.corner, up, self.own, self.source, drift)
+        # A velocity in the file's own values keeps the unit that it is read in.
+        units = given.velocity_units or self.velocity_units
+        source = None if self.source is None else replace(self.source, velocity_units=units)
+        placement = Placement(size, self.corner, up, self.own, source, drift)
         untrue = self.own is not None and self.own.placed is not None
         if given.flip or size != self.voxel_size or (untrue and given.voxel_size is not None):
             # Such a grid is another one than that of the file.

@@ -27,6 +27,9 @@ _ELSE = (
 # Words of what is made from or for a velocity.
 _ABOUT_MOVING = ("noise", "curl", "vorticity", "turbulence", "source", "target", "magnitude", "speed", "error")
 
+# Words for vectors whose three components are no directions in space.
+_COLOUR = ("cd", "color", "colour", "rgb", "albedo", "tint")
+
 # Names of the axis after or before that of the vector, such as vel.x, velocityX, vel[0] and x_velocity.
 _AXIS_LAST = re.compile(r"(.*?)[\s._:\-\[(]*([xyzuvw012])[\])]?$", re.DOTALL)
 _AXIS_FIRST = re.compile(r"([xyz])[\s._:\-]*(.*)$", re.DOTALL)
@@ -68,6 +71,17 @@ def is_partly_velocity(name: str) -> bool:
 def may_be_velocity(name: str) -> bool:
     """Whether no part of the name of vectors says that they are something else than velocities."""
     return not _says_else(name)
+
+
+def is_colour(name: str) -> bool:
+    """Whether the vectors of a grid are colours, which do not turn with the axes.
+
+    Example:
+        >>> from tnst_mi.io.interpretation.grid_names import is_colour
+        >>> is_colour("Cd"), is_colour("emission_color"), is_colour("force")
+        (True, True, False)
+    """
+    return bool(set(plain_name(name).split()) & {*_COLOUR})
 
 
 def component(name: str, vector: str | None = None) -> tuple[str, int] | None:

@@ -75,7 +75,7 @@ def velocity_grid(array: np.ndarray, cells: Shape) -> tuple[np.ndarray, str]:
     faces = tuple(extent + 1 for extent in cells)
     wanted = (3, 2) if cells[0] == 1 else (3,)
     for axis in _ends(array.shape):
-        rest = array.shape[:axis] + array.shape[axis + 1 :]
+        rest = _without(array.shape, axis)
         if array.shape[axis] not in wanted:
             continue
         for shape in (cells, faces, (1, *faces[1:])):
@@ -114,6 +114,25 @@ def velocity_of_components(arrays: Sequence[np.ndarray], names: Sequence[str], c
     return faces, "velocity in components, faces"
 
 
+def fits(shape: Shape, cells: Shape) -> bool:
+    """Whether an array of some shape holds a number, or a vector of three, for each cell of a density (D, H, W)."""
+    if _long(shape) == _long(cells):
+        return True
+    return any(shape[axis] == 3 and _long(_without(shape, axis)) == _long(cells) for axis in _ends(shape))
+
+
+def other_grid(array: np.ndarray, cells: Shape) -> np.ndarray:
+    """An array that `fits`, as (D, H, W), or (D, H, W, 3) with the components last."""
+    if _long(array.shape) == _long(cells):
+        return array.reshape(cells)
+    axis = next(
+        axis
+        for axis in _ends(array.shape)
+        if array.shape[axis] == 3 and _long(_without(array.shape, axis)) == _long(cells)
+    )
+    return np.ascontiguousarray(np.moveaxis(array, axis, -1).reshape(*cells, 3))
+
+
 def picture_scale(dtype: np.dtype) -> float | None:
     """The factor that takes the values of a type that pictures have to 0 to 1; None for other types."""
     largest = _PICTURE_TYPES.get(dtype.newbyteorder("=").name)
@@ -150,6 +169,10 @@ def solid_cells(values: np.ndarray, flags: bool = False) -> tuple[np.ndarray, st
 def _long(shape: Shape) -> Shape:
     """The extents of more than one entry."""
     return tuple(extent for extent in shape if extent != 1)
+
+
+def _without(shape: Shape, axis: int) -> Shape:
+    return shape[:axis] + shape[axis + 1 :]
 
 
 def _ends(shape: Shape) -> list[int]:

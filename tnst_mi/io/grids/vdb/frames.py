@@ -26,6 +26,7 @@ from tnst_mi.io.grids.vdb.component_files import read_parts
 from tnst_mi.io.grids.vdb.file_format.reader import Grid, VdbFile, read_vdb
 from tnst_mi.io.grids.vdb.limits import require_small
 from tnst_mi.io.grids.vdb.on_cells import density_on, is_as_stored, known_on, solid_on, stored_velocity, velocity_on
+from tnst_mi.io.grids.vdb.other_grids import other_grids
 from tnst_mi.io.grids.vdb.programs import BLENDER, program_of
 from tnst_mi.io.grids.vdb.quantities import Quantities, on_faces, quantities_of, type_in_words
 from tnst_mi.io.grids.vdb.results import HIGHEST, LOWEST, source_of
@@ -72,32 +73,34 @@ def read_vdb_frame(
         run = run_grid([span] if (span := _span_of(file, found)) else [])
     cells = run.box_of(name or path.stem)
     require_small(path, cells, found.components or 1)
-    if main is None:
+    # A frame without smoke may have other grids, which lie where they do.
+    grid = next((file.grids[index] for index in found.others), None) if main is None else main.main
+    if grid is None:
         return StoredFrame(
             density=_nothing(cells), up=run.up, up_because=run.up_because, taken=found.taken, notes=notes
         )
-    grid = main.main
     own = OwnVoxels(grid.stored_affine, _from(cells, between(run.cells, grid.affine)), grid.placed)
     values = None
     if density is not None:
         values, own = density_on(density, cells, run.cells, own)
     motion, known, staggered, drift = None, None, False, run.drift_of(name or path.stem)
     if velocity is not None:
-        staggered = is_as_stored(velocity, main.main, run.cells)
+        staggered = is_as_stored(velocity, grid, run.cells)
         if staggered:
-            motion, known = stored_velocity(velocity, main.main, cells, run.cells)
+            motion, known = stored_velocity(velocity, grid, cells, run.cells)
         else:
             motion = velocity_on(velocity, cells, run.cells)
             known = None if drift is None else known_on(velocity, cells, run.cells)
     solid, words = (None, "") if obstacle is None or density is None else solid_on(obstacle, cells, run.cells)
-    program = program_of(file, main.main)
+    program, source = program_of(file, grid), source_of(file, found, cells, run.cells)
+    beside = other_grids(file, source)
     x, y, z = run.cells(cells[0]).tolist()
     return StoredFrame(
         density=_nothing(cells) if notes else values,
         velocity=motion,
         obstacle=solid,
         staggered=staggered,
-        from_faces=velocity is not None and not staggered and on_faces(velocity, main.main),
+        from_faces=velocity is not None and not staggered and on_faces(velocity, grid),
         # Blender stores velocities only where there is smoke; the zeros elsewhere are not data.
         known=known,
         up=run.up,
@@ -108,8 +111,9 @@ def read_vdb_frame(
         voxel_size=run.cells.edge,
         corner=(x, y, z),
         own=own,
-        source=source_of(file, found),
-        taken=found.taken,
+        source=source,
+        grids=beside,
+        taken=replace(found.taken, others=tuple(map(quoted, beside)), left=found.unreadable),
         layouts=(words,) if words else (),
         notes=notes,
         lacking=found.lacking,

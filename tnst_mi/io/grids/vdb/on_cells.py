@@ -31,7 +31,7 @@ def density_on(density: Quantity, cells: Box, run: Affine, own: OwnVoxels) -> tu
         InputError: it takes too much memory, or its grids have different voxels.
     """
     voxels_of = between(run, density.main.affine)
-    box = _voxels_for(density, cells, voxels_of)
+    box = voxels_for(density, cells, voxels_of)
     values = density.values_in(box)
     own = replace(own, outside=float(density.main.tree.background))
     if not voxels_of.whole:
@@ -46,7 +46,7 @@ def solid_on(obstacle: Quantity, cells: Box, run: Affine) -> tuple[np.ndarray, s
         InputError: it takes too much memory, or its values do not say what is solid.
     """
     voxels_of = between(run, obstacle.main.affine)
-    box = _voxels_for(obstacle, cells, voxels_of)
+    box = voxels_for(obstacle, cells, voxels_of)
     solid, words = solid_voxels(obstacle, box)
     return resampled(solid, box, cells, voxels_of) >= SOLID, words
 
@@ -107,7 +107,7 @@ def known_on(velocity: Quantity, cells: Box, run: Affine) -> np.ndarray:
     known = []
     for part in parts:
         voxels_of = between(run, part.main.affine)
-        box = _voxels_for(part, cells, voxels_of)
+        box = voxels_for(part, cells, voxels_of)
         known.append(resampled(part.active_in(box), box, cells, voxels_of) > 0)
     return np.logical_and.reduce(known)
 
@@ -119,7 +119,7 @@ def _averaged(
 
     `centred` makes values at centres of those that are stored, and updates which are known.
     """
-    box = _voxels_for(quantity, cells, voxels_of)
+    box = voxels_for(quantity, cells, voxels_of)
     if quantity.staggered:
         box = box[0], box[1] + 1  # for the upper faces
     known = quantity.active_in(box)
@@ -138,7 +138,7 @@ def _spread_to_centres(known: np.ndarray) -> None:
         np.moveaxis(known, axis, 0)[:-1] |= np.moveaxis(lower, axis, 0)[1:]
 
 
-def _voxels_for(quantity: Quantity, cells: Box, voxels_of: Affine) -> Box:
+def voxels_for(quantity: Quantity, cells: Box, voxels_of: Affine) -> Box:
     """The voxels that decide the values at some cells, as far as there are active ones.
 
     Raises:

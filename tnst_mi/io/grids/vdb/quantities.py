@@ -34,7 +34,7 @@ class Quantity:
     Attributes:
         grids: in the order of the file, or of the components.
         components: of a value: 1 or 3.
-        role: what it is, "density", "velocity" or "obstacle".
+        role: what it is, "density", "velocity", "obstacle" or "other".
     """
 
     grids: tuple[Grid, ...]
@@ -144,6 +144,8 @@ class Quantities:
         density: the density.
         velocity: the velocity.
         obstacle: the obstacle.
+        others: the places in the file of the other grids.
+        unreadable: the names of those that cannot be read, with their types.
         taken: the names of the grids.
         lacking: why there is no density; empty if there is one.
     """
@@ -151,6 +153,8 @@ class Quantities:
     density: Quantity | None
     velocity: Quantity | None
     obstacle: Quantity | None
+    others: tuple[int, ...]
+    unreadable: tuple[str, ...]
     taken: Taken
     lacking: str
 
@@ -207,8 +211,10 @@ def quantities_of(file: VdbFile, wanted: Wanted, fog: bool = False) -> Quantitie
     names = [None if quantity is None else quantity.name for quantity in (density, velocity, obstacle)]
     left = tuple(_in_words(file.grids[index]) for index in roles.left)
     like_velocity = tuple(file.grids[index].name for index in roles.like_velocity)
-    taken = Taken(names[0], names[1], names[2], left, like_velocity)
-    return Quantities(density, velocity, obstacle, taken, roles.lacking)
+    taken = Taken(names[0], names[1], names[2], left=left, like_velocity=like_velocity)
+    others = tuple(index for index in roles.left if file.grids[index].readable)
+    unreadable = tuple(_in_words(file.grids[index]) for index in roles.left if index not in others)
+    return Quantities(density, velocity, obstacle, others, unreadable, taken, roles.lacking)
 
 
 def _with_told_names(file: VdbFile, wanted: Wanted) -> Wanted:

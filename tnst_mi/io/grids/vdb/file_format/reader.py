@@ -33,8 +33,8 @@ HALF = "_HalfFloat"
 #: Length of a file's UUID, which is stored as text.
 UUID_BYTES = 36
 
-# A number after this character makes equal grid names unique.
-_SEPARATOR = "\x1e"
+#: A number after this character makes equal grid names unique.
+SEPARATOR = "\x1e"
 
 _VERSION = struct.Struct("<3I?")
 _COUNT = struct.Struct("<i")
@@ -125,6 +125,11 @@ class Grid:
         return dataclasses.replace(known, half=self.half)
 
     @property
+    def readable(self) -> bool:
+        """Whether its values and its place are of kinds that can be read."""
+        return self.kind is not None and not isinstance(self.transform, str)
+
+    @property
     def staggered(self) -> bool:
         """Whether the components of its vectors lie on the faces of the cells."""
         return self.metadata.get("class") == "staggered"
@@ -208,7 +213,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
     for _ in range(count):
         grid, unique_name, parent = read(path, file, place)
         while unique_name in grids:  # though it should be unique
-            unique_name += _SEPARATOR
+            unique_name += SEPARATOR
         grids[unique_name] = grid
         if parent:
             parents[unique_name] = parent
@@ -267,7 +272,7 @@ def _described_grid(cursor: Cursor, unique_name: str, tree_type: str) -> Grid:
     (compression,) = cursor.unpack(_COMPRESSION)
     stored = read_metadata(cursor)
     transform = read_transform(cursor)
-    name = unique_name.split(_SEPARATOR)[0]
+    name = unique_name.split(SEPARATOR)[0]
     return Grid(cursor.path, name, tree_type, stored, transform, compression, (0, 0, 0))
 
 

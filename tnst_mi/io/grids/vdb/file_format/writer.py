@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 import struct
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.grids.vdb.file_format.metadata import written_metadata, written_string, written_transform
-from tnst_mi.io.grids.vdb.file_format.reader import HALF, MAGIC
+from tnst_mi.io.grids.vdb.file_format.reader import HALF, MAGIC, SEPARATOR, Grid
 from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, LEAF_VOXELS
 from tnst_mi.io.grids.vdb.file_format.values import ACTIVE_MASK, BLOSC, ZIP, written_run
 
@@ -40,6 +41,15 @@ _LOWER, _LOWER_EDGE = 16, 128
 # Every inactive value of a node is the background.
 _BACKGROUND = b"\0"
 
+# The names of types of values, by the type of a number and whether there are three of it.
+_TYPES = {
+    ("float32", 0): "float",
+    ("float64", 0): "double",
+    ("int32", 0): "int32",
+    ("float32", 1): "vec3s",
+    ("float64", 1): "vec3d",
+}
+
 # Largest value of half precision.
 _LARGEST_HALF = 65504.0
 
@@ -49,15 +59,16 @@ class DenseGrid:
     """A grid to write.
 
     Attributes:
-        name: name of the grid.
-        values: (Z, Y, X) or (Z, Y, X, 3), float32.
+        name: name of the grid; several may share one.
+        values: (Z, Y, X) or (Z, Y, X, 3) of float32 or float64, or (Z, Y, X) of int32.
         first: coordinates (X, Y, Z) of the first voxel.
         voxel_size: edge of a voxel, in units of the scene.
         translation: position of voxel (0, 0, 0) in the scene.
         transform: from voxels to the scene, in place of the two before.
         metadata: (type, value) by name, besides those that follow from the values.
         half: whether values are stored in half precision, where the largest fits it.
-        background: the value of all other voxels, and of each component.
+        background: the value of all other voxels: of each component, or (3,).
+        grid_class: its class; "" for that which follows from the values.
     """
 
     name: str
@@ -68,38 +79,70 @@ class DenseGrid:
     transform: Affine | None = None
     metadata: Mapping[str, tuple[str, Any]] = field(default_factory=dict)
     half: bool = False
-    background: float = 0.0
+    background: float | np.ndarray = 0.0
+    grid_class: str = ""
 
 
 def write_vdb(
-    path: Path, grids: Sequence[DenseGrid], metadata: Mapping[str, tuple[str, Any]], compression: str = "blosc"
+    path: Path,
+    grids: Iterable[DenseGrid | Grid],
+    metadata: Mapping[str, tuple[str, Any]],
+    compression: str = "blosc",
 ) -> None:
     """Write an OpenVDB file.
 
     Args:
         path: the file.
-        grids: its grids, with distinct names.
+        grids: its grids, each written before the next one is asked for; those of another file are copied as they are.
         metadata: (type, value) by name, such as {"creator": ("string", "tnst_mi")}.
         compression: one of COMPRESSIONS.
     """
     with written_whole(path) as temporary, temporary.open("wb") as file:
         file.write(MAGIC + _VERSION + str(uuid.uuid4()).encode("ascii"))
-        file.write(written_metadata(metadata) + _COUNT.pack(len(grids)))
+        file.write(written_metadata(metadata))
+        place, names = file.tell(), list[str]()
+        file.write(_COUNT.pack(0))
         for grid in grids:
-            tree = _TreeWriter(grid, COMPRESSIONS[compression])
-            description = _description(grid, tree, compression) + b"".join(tree.topology())
-            values = b"".join(tree.buffers())
-            file.write(written_string(grid.name) + written_string(tree.type) + written_string(""))
+            tree_type, description, values = _copied(grid) if isinstance(grid, Grid) else _encoded(grid, compression)
+            # Grids of one name are told apart by a number.
+            number = f"{SEPARATOR}{names.count(grid.name)}" if grid.name in names else ""
+            names.append(grid.name)
+            file.write(written_string(grid.name + number) + written_string(tree_type) + written_string(""))
             start = file.tell() + _OFFSETS.size
             file.write(_OFFSETS.pack(start, start + len(description), start + len(description) + len(values)))
             file.write(description)
             file.write(values)
+        file.seek(place)
+        file.write(_COUNT.pack(len(names)))
+
+
+def _encoded(grid: DenseGrid, compression: str) -> tuple[str, bytes, bytes]:
+    """The type of a grid's tree, its description with all of the tree but the values of its leaves, and these."""
+    tree = _TreeWriter(grid, COMPRESSIONS[compression])
+    return tree.type, _description(grid, tree, compression) + b"".join(tree.topology()), b"".join(tree.buffers())
+
+
+def _copied(grid: Grid) -> tuple[str, bytes, bytes]:
+    """The same of a grid of another file, as it is there.
+
+    Raises:
+        InputError: its transform is of an unsupported kind, or the file has become shorter.
+    """
+    start, leaves, end = grid.span
+    with grid.path.open("rb") as file:
+        file.seek(start)
+        data = file.read(end - start)
+    if len(data) != end - start:
+        raise InputError(f"{grid.path}: has changed since it was read; read the frames again")
+    described = _COMPRESSION.pack(grid.compression) + written_metadata(grid.stored)
+    described += written_transform(grid.stored_affine)
+    return grid.tree_type, described + data[: leaves - start], data[leaves - start :]
 
 
 def _description(grid: DenseGrid, tree: _TreeWriter, compression: str) -> bytes:
     metadata: dict[str, tuple[str, Any]] = {
         **grid.metadata,
-        "class": ("string", "unknown" if grid.values.ndim == 4 else "fog volume"),
+        "class": ("string", grid.grid_class or ("unknown" if grid.values.ndim == 4 else "fog volume")),
         "file_compression": ("string", f"{compression} + active values"),
         "file_voxel_count": ("int64", tree.active_voxels),
         "is_saved_as_half_float": ("bool", tree.half),
@@ -126,9 +169,11 @@ class _TreeWriter:
     def __init__(self, grid: DenseGrid, compression: int) -> None:
         self._compression, self._shape = compression, grid.values.shape[3:]
         # Values that half precision cannot hold are kept as they are.
-        self.half = grid.half and bool(np.abs(grid.values).max(initial=0) <= _LARGEST_HALF)
-        self.type = f"Tree_{'vec3s' if self._shape else 'float'}_5_4_3{HALF if self.half else ''}"
-        self._background = np.full(self._shape, grid.background, "<f4")
+        self._dtype = np.dtype(grid.values.dtype.newbyteorder("<"))
+        floats = self._dtype.kind == "f"
+        self.half = grid.half and floats and bool(np.abs(grid.values).max(initial=0) <= _LARGEST_HALF)
+        self.type = f"Tree_{_TYPES[self._dtype.name, len(self._shape)]}_5_4_3{HALF if self.half else ''}"
+        self._background = np.full(self._shape, grid.background, self._dtype)
         leaves, active = _leaves_of(grid, self._background)
         equal = leaves.values == leaves.values[:, :1]
         constant = active.all(axis=1) & (equal.all(axis=2) if self._shape else equal).all(axis=1)
@@ -173,7 +218,7 @@ class _TreeWriter:
     def _run(self, values: np.ndarray) -> bytes:
         if self.half and not len(values):  # OpenVDB leaves out the size of such a run, unlike at full precision
             return b""
-        data = values.astype("<f2" if self.half else "<f4")
+        data = values.astype("<f2" if self.half else self._dtype)
         return written_run(data.tobytes(), data.itemsize * math.prod(self._shape), self._compression)
 
 
@@ -185,7 +230,7 @@ def _leaves_of(grid: DenseGrid, background: np.ndarray) -> tuple[_Nodes, np.ndar
     shape = grid.values.shape[3:]
     occupied = _occupied(grid.values != background, before, counts)
     places = np.argwhere(occupied)
-    values = np.empty((len(places), *(LEAF_EDGE,) * 3, *shape), "<f4")
+    values = np.empty((len(places), *(LEAF_EDGE,) * 3, *shape), background.dtype)
     values[...] = background
     extents = np.array(grid.values.shape[2::-1])
     for leaf, place in zip(values, places, strict=True):
