@@ -151,8 +151,14 @@ def test_a_grid_of_the_input_is_a_mask(tmp_path: Path) -> None:
         InputError, match=r"mask: .*s_0010.npz: has no grid 'cold'; the others in it are 'density', 'heat', 'marks'"
     ):
         masks(smoke, "cold")
-    with pytest.raises(InputError, match="given as arrays"):
-        masks(frames(), "heat")
+
+
+def test_a_grid_of_a_frame_in_memory_is_a_mask() -> None:
+    heat = np.random.default_rng(0).random(SHAPE).astype(np.float32)
+    (mask,) = masks([Frame(np.ones(SHAPE, np.float32), name="f", grids={"heat": heat})], "heat")
+    np.testing.assert_array_equal(mask, heat)
+    with pytest.raises(InputError, match="mask: f: has no grid 'cold'; those beside its density are 'heat'"):
+        masks([Frame(np.ones(SHAPE, np.float32), name="f", grids={"heat": heat})], "cold")
 
 
 def test_files_of_masks_are_for_all_frames_or_for_each(tmp_path: Path) -> None:

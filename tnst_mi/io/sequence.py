@@ -36,6 +36,7 @@ from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Conventions, St
 from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.interpretation.roles import NONE, Wanted
 from tnst_mi.machine.gate import gate
+from tnst_mi.machine.terminal import displayable
 from tnst_mi.resources import expanded
 
 
@@ -173,7 +174,8 @@ class FrameFiles(Sequence[Frame]):
             raise InputError(str(error).replace(f"--density {name!r}", f"grid {name!r}")) from None
         if any(note.text == WITHOUT_SMOKE for note in stored.notes):
             what = "density" if name is None else f"grid {name!r}"
-            raise InputError(f"{file}: has no {what}; the others in it are {listed(sorted(stored.taken.left))}")
+            others = listed(sorted({*stored.taken.others, *stored.taken.left}))
+            raise InputError(f"{file}: has no {what}; the others in it are {others}")
         with naming(file):
             return stored.scaled_density(replace(self._given, scale=None))
 
@@ -224,11 +226,6 @@ def open_frames(
     path = Path(path)
     with gate(path, "the path of frames"):
         return FrameFiles(path, list_frames(path, numbers), given)
-
-
-def displayable(name: str) -> str:
-    """A file name with a replacement for each byte that is not UTF-8, so that results and records can have it."""
-    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def load_frames(path: str | Path) -> list[Frame]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 
@@ -61,6 +62,11 @@ def some_of(texts: Sequence[str], most: int = 3) -> str:
     """
     rest = len(texts) - most
     return ", ".join(texts[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def displayable(name: str) -> str:
+    """A file name with a replacement for each byte that is not UTF-8, so that results and records can have it."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def one_line(message: str) -> str:

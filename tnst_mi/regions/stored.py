@@ -11,6 +11,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io.files.listing import list_frames
+from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.sequence import FrameFiles, open_frames
 
 
@@ -18,11 +19,15 @@ def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
     """A grid of the input by its name, on the grid of the density.
 
     Raises:
-        InputError: the frame's file has no such grid, or the frames were given as arrays.
+        InputError: the frame has no such grid.
     """
-    if not isinstance(frames, FrameFiles):
-        raise InputError(f"grid {name!r}: names a grid of the input's files, but the frames were given as arrays")
-    return frames.grid_on_cells(index, name)
+    if isinstance(frames, FrameFiles):
+        return frames.grid_on_cells(index, name)
+    frame = frames[index]
+    if name not in frame.grids:
+        there = listed(sorted(frame.grids)) if frame.grids else "none"
+        raise InputError(f"{frame.name}: has no grid {name!r}; those beside its density are {there}")
+    return frame.grids[name]
 
 
 class MaskFiles:
