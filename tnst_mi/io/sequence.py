@@ -10,7 +10,6 @@ by 0.5. Which files are frames is decided by `tnst_mi.io.files.listing`.
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
