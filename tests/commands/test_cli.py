@@ -56,7 +56,8 @@ def test_help_says_how_to_write_keyframes_where_they_are_taken(run: Run) -> None
         return {text.split()[0][2:].replace("-", "_"): text for text in texts if text.startswith("--")}
 
     of_stylize = flags("stylize")
-    assert {key for key in KINDS if "Keyframes, in quotes: {49 = " in of_stylize[key]} == set(KEYABLE)
+    keyed = {key for key, text in of_stylize.items() if "Keyframes, in quotes: {49 = " in text}
+    assert keyed == set(KEYABLE) and set(of_stylize) >= set(KINDS) - {"target"}, "which is for recipe files alone"
     assert not any("Keyframes" in text for text in flags("render").values())
 
 
