@@ -149,6 +149,7 @@ def _run(arguments: list[str]) -> int:
         nearest = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {nearest[0]}?" if nearest else f"expected one of {', '.join(COMMANDS)}"
         raise InputError(f"no command {name!r}; {hint} (tnst-mi --help explains them)")
+    require_address_space(reading_only=True)
     parsed = _parsed(name, arguments[1:])
     require_address_space(name in _WITHOUT_TORCH)
     return importlib.import_module(f"tnst_mi.commands.{name}").run(parsed)

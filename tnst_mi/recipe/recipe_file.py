@@ -20,7 +20,7 @@ def read_recipe_file(path: Path) -> dict[str, Any]:
     """The keys and values of a recipe file, as TOML has them.
 
     Raises:
-        InputError: the file is too large, in another encoding, too deep, or not TOML; with the remedy where it is known.
+        InputError: the file is too large or deep, in another encoding, or not TOML; with the remedy where it is known.
         OSError: it cannot be read.
     """
     if path.stat().st_size > _LARGEST_FILE:
