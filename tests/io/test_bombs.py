@@ -126,7 +126,7 @@ def test_arrays_that_exceed_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert read_npy(tmp_path / "a.npy").shape == read_uni(tmp_path / "a.uni")[1].shape == (10, 10, 10)
     monkeypatch.setattr("tnst_mi.io.untrusted.free_memory", lambda: 11_999)
     for read in (read_npy, read_uni):
-        with pytest.raises(InputError, match=r"takes 0\.0 GB, and 0\.0 GB of memory are free"):
+        with pytest.raises(InputError, match=r"takes 0\.012 MB, and 0\.012 MB of memory are free"):
             read(tmp_path / ("a.npy" if read is read_npy else "a.uni"))
 
 
