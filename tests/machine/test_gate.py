@@ -24,7 +24,10 @@ from tnst_mi.machine.gate import decoding, gate, opening, silenced
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (lzma.LZMAError("Corrupt input data"), "a.npz: not an npz file, truncated, or damaged (Corrupt input data)"),
+        (
+            lzma.LZMAError("Corrupt input data"),
+            "a.npz: not an npz file, truncated, or damaged (Corrupt input data); save or copy it again",
+        ),
         (RecursionError(), "damaged (RecursionError)"),
         (struct.error("unpack requires\na buffer"), "damaged (unpack requires a buffer)"),
         (KeyError("x"), "damaged ('x')"),

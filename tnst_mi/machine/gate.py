@@ -72,7 +72,7 @@ def decoding(path: Path, kind: str) -> Iterator[None]:
             if isinstance(error, OSError) and error.errno is not None:
                 raise
             reason = str(error).strip() or type(error).__name__
-            raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason})") from error
+            raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason}); save or copy it again") from error
 
 
 @contextmanager
