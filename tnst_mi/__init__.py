@@ -14,7 +14,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError
-from tnst_mi.machine.llvm import choose_llvm
+from tnst_mi.machine.address_space import allows_reading, require_address_space
 from tnst_mi.resources import VERSION
 
 __version__ = VERSION
@@ -67,6 +67,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tnst_mi' has no attribute {name!r}")
+    require_address_space(reading_only=True)
     value = getattr(importlib.import_module(f"tnst_mi.{_PUBLIC[name]}"), name)
     globals()[name] = value
     return value
@@ -86,7 +87,7 @@ def _prepare() -> None:
     # alternation with them, and from other programs: on two shared cores the network took five times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Mitsuba imports Dr.Jit, which loads LLVM on import.
-    choose_llvm()
+    importlib.import_module("tnst_mi.machine.llvm").choose_llvm()
     if "drjit" in sys.modules:
         importlib.import_module("tnst_mi.machine.loaded_llvm").replace_unusable_llvm()
     mi = importlib.import_module("mitsuba")
@@ -96,4 +97,6 @@ def _prepare() -> None:
         _register_plugins(None, mi.variant())
 
 
-_prepare()
+# Without it nothing works, but the command and the public names can say why.
+if allows_reading():
+    _prepare()

@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return READER_LEFT
-        return code or _failed(arguments, f"the output cannot be written ({error.strerror})", 1)
+        return code or _failed(arguments, f"the output cannot be written ({error.strerror}){_remedy(error)}", 1)
     return code
 
 
@@ -108,16 +108,21 @@ def _code(arguments: list[str]) -> int:
         if any(isinstance(link, MemoryError) for link in _chain(error)):
             return _failed(arguments, "out of memory: take smaller frames, or free some memory or raise its limit", 2)
         if isinstance(error, OSError) and error.strerror and error.filename is not None:
-            return _failed(arguments, f"{error.filename}: {error.strerror}", 1)
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EBADF):
+            return _failed(arguments, f"{error.filename}: {error.strerror}{_remedy(error)}", 1)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EBADF):
             # Whatever is a file has its name in the error.
-            return _failed(arguments, f"the output cannot be written ({error.strerror})", 1)
+            return _failed(arguments, f"the output cannot be written ({error.strerror}){_remedy(error)}", 1)
         cause: BaseException = error
         while cause.__cause__ is not None:
             cause = cause.__cause__
         because = "" if cause is error else f", caused by {type(cause).__name__}: {cause}"
         hint = "" if "--debug" in arguments else " (--debug shows where)"
         return _failed(arguments, f"{type(error).__name__}: {error}{because}{hint}", 1)
+
+
+def _remedy(error: OSError) -> str:
+    """What the system's words do not tell of a file that cannot be written, as the end of a message."""
+    return "; raise the limit on file sizes (ulimit -f)" if error.errno == errno.EFBIG else ""
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
@@ -149,6 +154,7 @@ def _run(arguments: list[str]) -> int:
         nearest = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {nearest[0]}?" if nearest else f"expected one of {', '.join(COMMANDS)}"
         raise InputError(f"no command {name!r}; {hint} (tnst-mi --help explains them)")
+    require_address_space(reading_only=True)
     parsed = _parsed(name, arguments[1:])
     require_address_space(name in _WITHOUT_TORCH)
     return importlib.import_module(f"tnst_mi.commands.{name}").run(parsed)

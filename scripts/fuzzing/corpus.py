@@ -59,6 +59,7 @@ def npz_files(folder: Path) -> Iterator[bytes]:
     yield npz({"density": DENSITY[0], "vel": VELOCITY[0, ..., :2], "note": np.array("text"), "list": np.array([{}])})
     for method in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
         yield npz(frame, method)
+    yield npz({"density": np.zeros((200, 200, 200), np.float32)}, zipfile.ZIP_DEFLATED)
 
 
 def obstacle_files(folder: Path) -> Iterator[bytes]:
@@ -131,6 +132,7 @@ def recipe_files(folder: Path) -> Iterator[bytes]:
     yield b'semantic = ["inception_4b/output:3,5"]\nazimuth = [-10, 10]\nweights = "patterns"\nlight = "key"\n'
     yield b"\xef\xbb\xbfseed = 3\r\noctaves = 3\r\nstyle = ['C:\\smoke\\fire.png']\r\n"
     yield b'content = ["flames"]\ndensity_scale = "auto"\nup = "z"\nflip = "x"\nmatch = ["logits:map.npy"]\n'
+    yield b".".join([b"a"] * 20_000) + b" = 1\n"
 
 
 def picture_files(folder: Path) -> Iterator[bytes]:
@@ -172,6 +174,12 @@ def exr_files(folder: Path) -> Iterator[bytes]:
     for compression in (OpenEXR.NO_COMPRESSION, OpenEXR.RLE_COMPRESSION, OpenEXR.PIZ_COMPRESSION):
         header = {"compression": compression, "type": OpenEXR.scanlineimage}
         with OpenEXR.File(header, {"RGB": colours.astype(np.float16)}) as file:
+            yield _written(folder / "a.exr", lambda path, file=file: file.write(str(path)))
+    # Many layers, of which one is used: as many as are read, and more.
+    for layers, edge in ((20, 500), (40, 1000)):
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        empty = {f"layer{number}.Y": np.zeros((edge, edge), np.float16) for number in range(layers)}
+        with OpenEXR.File(header, empty) as file:
             yield _written(folder / "a.exr", lambda path, file=file: file.write(str(path)))
 
 

@@ -102,3 +102,4 @@ def flag_files(folder: Path) -> Iterator[bytes]:
     yield b"lam={49: 0.1, 72: 1.0}\neta={0 = 0.5, 30 = 1e-3}\nwindow=5"
     yield b"azimuth={1: [-10, 10], 9: [0, 5]}\nseed=3\nframes=1:20"
     yield b"density_scale=auto\ngamma={-5: 0.5, 7: 0.25}\nup=z\nlight=key"
+    yield b"gamma={" + b".".join([b"a"] * 20_000) + b" = 1}"

@@ -10,6 +10,7 @@ import time
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -62,6 +63,37 @@ def test_pictures_of_high_dynamic_range_that_unfold(tmp_path: Path) -> None:
         read_image(tmp_path / "bomb.exr")
 
 
+def test_pictures_of_many_layers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of which the library would read every one, though one is used."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    layers = {f"layer{number:02}.Y": np.full((30, 30), 0.5, np.float16) for number in range(40)}
+    with OpenEXR.File(header, layers) as file:
+        file.write(str(tmp_path / "layers.exr"))
+    parts = [OpenEXR.Part(header | {"name": f"part{number}"}, layers) for number in range(3)]
+    with OpenEXR.File(parts) as file:
+        file.write(str(tmp_path / "parts.exr"))
+    read = [read_image(tmp_path / name).grey for name in ("layers.exr", "parts.exr")]
+    np.testing.assert_array_equal(*read)
+    for bound, refused in ((9000, {}), (8999, {"layers": 36000}), (3000, {"layers": 36000, "parts": 108000})):
+        monkeypatch.setattr("tnst_mi.losses.pictures._LINEAR_PIXELS", (bound, 0))
+        for name, values in refused.items():
+            expected = f"its layers have {values} values, expected at most {4 * bound}; save it without layers"
+            with monkeypatch.context() as patch, pytest.raises(InputError, match=expected):
+                patch.setattr(OpenEXR, "File", _headers_only)
+                read_image(tmp_path / f"{name}.exr")
+        if not refused:
+            np.testing.assert_array_equal(read_image(tmp_path / "layers.exr").grey, read[0])
+
+
+def _headers_only(path: str, separate_channels: bool = False, header_only: bool = False) -> Any:
+    """OpenEXR's reader of a file, where its pixels must not be read."""
+    assert header_only
+    return _READ_EXR(path, header_only=True)
+
+
+_READ_EXR = OpenEXR.File
+
+
 def test_libraries_print_nothing_about_damaged_pictures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"RGB": np.random.default_rng(0).random((20, 20, 3)).astype(np.float32)}) as file:
@@ -94,7 +126,7 @@ def test_arrays_that_exceed_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert read_npy(tmp_path / "a.npy").shape == read_uni(tmp_path / "a.uni")[1].shape == (10, 10, 10)
     monkeypatch.setattr("tnst_mi.io.untrusted.free_memory", lambda: 11_999)
     for read in (read_npy, read_uni):
-        with pytest.raises(InputError, match=r"takes 0\.0 GB, and 0\.0 GB of memory are free"):
+        with pytest.raises(InputError, match=r"takes 0\.012 MB, and 0\.012 MB of memory are free"):
             read(tmp_path / ("a.npy" if read is read_npy else "a.uni"))
 
 

@@ -268,7 +268,7 @@ def test_grids_larger_than_the_memory(tmp_path: Path, monkeypatch: pytest.Monkey
         if fits:
             load_frames(path)
             continue
-        with pytest.raises(InputError, match=r"span 4 × 3 × 2 cells, which take .* GB are free; crop the grid"):
+        with pytest.raises(InputError, match=r"span 4 × 3 × 2 cells, which take .* MB are free; crop the grid"):
             load_frames(path)
 
 

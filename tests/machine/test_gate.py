@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
+import io
 import lzma
 import os
 import struct
@@ -12,15 +14,20 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from tnst_mi.errors import InputError, UnforeseenError
+from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine.gate import decoding, gate, opening, silenced
 
 
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (lzma.LZMAError("Corrupt input data"), "a.npz: not an npz file, truncated, or damaged (Corrupt input data)"),
+        (
+            lzma.LZMAError("Corrupt input data"),
+            "a.npz: not an npz file, truncated, or damaged (Corrupt input data); save or copy it again",
+        ),
         (RecursionError(), "damaged (RecursionError)"),
         (struct.error("unpack requires\na buffer"), "damaged (unpack requires a buffer)"),
         (KeyError("x"), "damaged ('x')"),
@@ -107,3 +114,56 @@ assert not os.path.exists("/proc/self/fd/2")
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+class WithoutFlush:
+    """What a host may put in the place of stdout."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+
+def test_a_stream_that_cannot_be_flushed_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is closed, has none of it, or lost its reader."""
+    Image.new("RGB", (4, 4), "red").save(tmp_path / "p.png")
+    closed = io.StringIO()
+    closed.close()
+    end, start = os.pipe()
+    os.close(end)
+    left = os.fdopen(start, "w")
+    left.write("ours")
+    for stream in (closed, WithoutFlush(), left, None):
+        monkeypatch.setattr("sys.stdout", stream)
+        assert read_image(tmp_path / "p.png").grey.shape == (4, 4)
+    # What it kept is still to be written, and that fails where it is.
+    with pytest.raises(BrokenPipeError):
+        left.flush()
+    with contextlib.suppress(BrokenPipeError):
+        left.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks on this system")
+def test_silence_within_silence_and_forks_within_it() -> None:
+    """In a process of its own, which a lock that knows no owner would hang."""
+    script = """
+import os
+from tnst_mi.machine.gate import silenced
+with silenced():
+    with silenced():
+        os.write(1, b"library")
+    os.write(1, b"library")
+    child = os.fork()
+    if child == 0:
+        os.write(1, b"library")
+if child == 0:
+    with silenced():
+        os.write(1, b"library")
+    os.write(1, b"child ")
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+with silenced():
+    pass
+os.write(1, b"parent")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "child parent", "")

@@ -8,6 +8,9 @@ import time
 import pytest
 
 from tnst_mi.machine.progress_bar import PlainProgress, SteadyProgress, progress_bar
+from tnst_mi.optimisation.result import Progress
+from tnst_mi.run.progress import ProgressBar
+from tnst_mi.run.time_left import OctaveSize
 
 
 class Terminal(io.StringIO):
@@ -70,3 +73,26 @@ def test_lines_of_logs_keep_the_format_of_the_bar() -> None:
     with PlainProgress(total=2, desc="frame", bar_format=layout, postfix="loss 3", file=log) as bar:
         bar.update(2)
     assert log.getvalue() == "frame: 100% 2/2 [1:02<3:04, loss 3]\n"
+
+
+@pytest.mark.parametrize("says", ["set_description", "set_description_str"])
+def test_lines_have_one_colon_and_none_without_a_description(says: str) -> None:
+    for words, begins in (("reading", "reading: 100% 2/2 ["), ("", "100% 2/2 [")):
+        log = io.StringIO()
+        with PlainProgress(total=2, file=log) as bar:
+            getattr(bar, says)(words, refresh=False)
+            bar.update(2)
+        assert log.getvalue().startswith(begins)
+
+
+def test_the_lines_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In logs and on terminals."""
+    monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
+    begins, ends = "frame_0005 octave 1/1: 100%", "1/1 [00:00<00:00, iteration 1/1, loss 0.5]"
+    for stream in (log := io.StringIO(), terminal := Terminal()):
+        monkeypatch.setattr("sys.stderr", stream)
+        bar = ProgressBar(True, [OctaveSize(8, 4)])
+        bar.advance(Progress("frame_0005", 0, 1, 0, 1, 0.5, {}, 1, 1))
+        bar.close()
+    assert log.getvalue() == f"{begins} {ends}\n"
+    assert f"\r{begins}|" in terminal.getvalue()

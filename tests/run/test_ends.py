@@ -246,6 +246,23 @@ def a_command(arguments: str) -> list[str]:
     return ["sh", "-c", f'exec "$0" -m tnst_mi {arguments}', sys.executable]
 
 
+@pytest.mark.skipif(os.name != "posix", reason="limits of other systems")
+def test_a_limit_on_file_sizes_is_named(tmp_path: Path) -> None:
+    """Of what is written as a file, and where the output is one."""
+    np.savez(tmp_path / "a.npz", density=np.random.default_rng(0).random((30, 30, 30)).astype(np.float32))
+    for command, said in (
+        ("convert a.npz out --format vol", "a.vol: File too large; raise the limit on file sizes (ulimit -f)\n"),
+        (
+            "stylize --help >help",
+            "the output cannot be written (File too large); raise the limit on file sizes (ulimit ",
+        ),
+    ):
+        shell = f"ulimit -f 4; {sys.executable} -m tnst_mi {command}"
+        done = subprocess.run(shell, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 1 and said in done.stderr.splitlines(keepends=True)[-1]
+    assert not list(tmp_path.rglob("*.vol"))
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize(
     ("redirection", "code", "told"),

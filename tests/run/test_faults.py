@@ -17,7 +17,7 @@ from faults import Undisturbed, Writes, begun, quick, results, undisturbed, unfi
 
 __all__ = ["begun", "quick", "run", "tiny_weights", "undisturbed"]
 
-ERRORS = [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES]
+ERRORS = [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EFBIG]
 
 #: Writes of the run below: 2 to begin, 13 for each octave, 10 for each frame, 4 to end.
 WRITES = 2 + 2 * 13 + 2 * 10 + 4
@@ -55,6 +55,7 @@ def test_a_write_that_fails_stops_the_run(
     told = [line for line in ran.errors if line.startswith("tnst-mi: ")]
     assert told == ran.errors[-1:] and "go on with --resume, nothing is lost" in told[0]
     reason = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the quota of its disk is used up"}
+    reason[errno.EFBIG] = "a file is larger than the limit on file sizes; raise it (ulimit -f) and go on"
     assert reason.get(error, os.strerror(error)) in told[0] and "Traceback" not in "".join(ran.errors)
     assert unfinished(out) == [] and not list(out.rglob(".*.[0-9]*.*"))
     assert run(*begun, out, "--resume").code == 0

@@ -433,7 +433,7 @@ def test_room_on_the_disk_is_checked_first(
     optimiser: FakeOptimiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=5000))
-    with pytest.raises(InputError, match=r"5e-06 GB are free on its disk and the run needs up to 7\.8e-06 GB"):
+    with pytest.raises(InputError, match=r"out: 0\.005 MB are free on its disk and the run needs up to 0\.0078 MB"):
         Run(prepare(frames(0.2, 0.3), RECIPE, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 

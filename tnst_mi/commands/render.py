@@ -96,7 +96,7 @@ def _write(
 ) -> None:
     """Render and write every picture, and add it to the video of a turntable."""
     out = arguments.out
-    with progress_bar(total=len(shots), unit="picture") as bar:
+    with progress_bar(total=len(shots), unit="picture", desc="rendering") as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
             image = painter.paint(frame.density, shot.view, number)
             picture = painter.shown(image)

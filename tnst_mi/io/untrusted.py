@@ -11,6 +11,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.environment import free_memory
+from tnst_mi.machine.terminal import amount
 
 #: Longest plausible edge of a grid, in cells.
 LARGEST_EXTENT = 1 << 14
@@ -43,7 +44,7 @@ def require_plausible(what: str, size: int, most: int) -> None:
     if size > most:
         raise InputError(f"{what} claims {size} bytes, more than it holds")
     if _COPIES * size > (free := free_memory()):
-        raise InputError(f"{what} takes {_COPIES * size / 1e9:.1f} GB, and {free / 1e9:.1f} GB of memory are free")
+        raise InputError(f"{what} takes {amount(_COPIES * size)}, and {amount(free)} of memory are free")
 
 
 def read_numbers(stream: BufferedIOBase, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:

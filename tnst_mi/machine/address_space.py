@@ -22,6 +22,11 @@ def limit() -> int | None:
     return None if most == resource.RLIM_INFINITY else most
 
 
+def allows_reading() -> bool:
+    """Whether Mitsuba and numpy fit into the address space; where they do not, importing them may end the process."""
+    return (most := limit()) is None or most >= _READING
+
+
 def require_address_space(reading_only: bool) -> None:
     """Check that the libraries of a command fit into the address space.
 

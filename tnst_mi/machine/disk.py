@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.terminal import amount
 
 #: What is put around the name of a frame in that of a file, at most: what it shows, the process and thread that write
 #: it, the extension.
@@ -94,7 +95,7 @@ def require_space(out: Path, needed: int) -> None:
     free = shutil.disk_usage(_existing(out)).free
     if needed > free:
         raise InputError(
-            f"{out}: {free / 1e9:.3g} GB are free on its disk and the run needs up to {needed / 1e9:.3g} GB, most of "
+            f"{out}: {amount(free)} are free on its disk and the run needs up to {amount(needed)}, most of "
             "them until it is done; free some space, give another folder, or stylize fewer --frames at a time"
         )
 

@@ -16,16 +16,17 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.machine.terminal import one_line
 
 _STANDARD_OUTPUT, _STANDARD_ERROR = 1, 2
 
-# Streams belong to the whole process.
-_streams = threading.Lock()
+# Streams belong to the whole process. Who has them may silence them once more, or fork.
+_streams = threading.RLock()
 if hasattr(os, "register_at_fork"):
-    # No child begins its life while it is taken by a thread that the child does not have.
+    # No child begins its life while they are taken by a thread that the child does not have.
     os.register_at_fork(before=_streams.acquire, after_in_parent=_streams.release, after_in_child=_streams.release)
 
 
@@ -71,7 +72,7 @@ def decoding(path: Path, kind: str) -> Iterator[None]:
             if isinstance(error, OSError) and error.errno is not None:
                 raise
             reason = str(error).strip() or type(error).__name__
-            raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason})") from error
+            raise InputError(f"{path}: not {kind}, truncated, or damaged ({reason}); save or copy it again") from error
 
 
 @contextmanager
@@ -96,7 +97,8 @@ def silenced() -> Iterator[None]:
     Other threads that enter wait; what they print elsewhere in the meantime is lost too.
     """
     with _streams, contextlib.ExitStack() as restoring:
-        _flush()
+        flushed = [stream for stream in (sys.stdout, sys.stderr) if _flushed(stream)]
+        _flush_c()
         nowhere = os.open(os.devnull, os.O_WRONLY)
         restoring.callback(os.close, nowhere)
         for stream in (_STANDARD_OUTPUT, _STANDARD_ERROR):
@@ -106,18 +108,30 @@ def silenced() -> Iterator[None]:
                 restoring.callback(os.close, kept)
                 restoring.callback(os.dup2, kept, stream)
                 os.dup2(nowhere, stream)
-        restoring.callback(_flush)
+        restoring.callback(_flush_c)
+        for stream in flushed:  # what is kept in the others was not printed here, and must not be lost
+            restoring.callback(_flushed, stream)
         restoring.enter_context(contextlib.redirect_stdout(io.StringIO()))
         restoring.enter_context(contextlib.redirect_stderr(io.StringIO()))
         yield
 
 
-def _flush() -> None:
-    """Write out what Python and C keep in buffers for the standard streams."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    with contextlib.suppress(OSError, AttributeError, TypeError):  # where C's library is not part of the program
+def _flushed(stream: TextIO | None) -> bool:
+    """Write out what Python keeps in the buffer of a stream, and return whether that could be done.
+
+    Where it cannot, since there is no stream, it is closed, its disk is full or its reader has left, no file that is
+    read is to blame: it fails again where something is written to it.
+    """
+    try:
+        stream.flush()  # pyright: ignore[reportOptionalMemberAccess]
+    except Exception:  # a host may have put anything in its place
+        return False
+    return True
+
+
+def _flush_c() -> None:
+    """The same for C's library, where it is part of the program."""
+    with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).fflush(None)
 
 

@@ -66,7 +66,11 @@ class PlainProgress(SteadyProgress):
         if self.total is None:
             return str(self).strip()
         line = (self.bar_format or _FORMAT).replace("|{bar}|", "")
-        return self.format_meter(**{**self.format_dict, "ncols": None, "bar_format": line}).strip()
+        # tqdm's set_description adds the colon that the format has.
+        prefix = self.desc.removesuffix(": ")
+        if not prefix:
+            line = line.replace("{desc}: ", "")
+        return self.format_meter(**{**self.format_dict, "prefix": prefix, "ncols": None, "bar_format": line}).strip()
 
     def clear(self, *_: Any, **__: Any) -> None:
         """Other lines need no room."""

@@ -69,6 +69,16 @@ def displayable(name: str) -> str:
     return os.fsencode(name).decode("utf-8", "replace")
 
 
+def amount(size: int) -> str:
+    """A number of bytes with three digits, in the unit that suits it.
+
+    Example:
+        >>> amount(1_234_567_890), amount(1_050_000), amount(0)
+        ('1.23 GB', '1.05 MB', '0 MB')
+    """
+    return f"{size / 1e9:.3g} GB" if size >= 1e9 else f"{size / 1e6:.3g} MB"
+
+
 def one_line(message: str) -> str:
     """A message in one line of at most `LONGEST` characters: paths lose their folders first, then the text its middle.
 

@@ -7,10 +7,10 @@ stands in it is TOML: numbers, "texts", [lists].
 from __future__ import annotations
 
 import re
-import tomllib
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.recipe.bounded_toml import toml_values
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.sections import KINDS
 
@@ -34,7 +34,7 @@ def value_of_flag(name: str, text: str | tuple[str, ...]) -> Any:
 
 def _table(flag: str, text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads("table = " + _KEY.sub(r"\1\2 =", text))["table"]
-    except (ValueError, RecursionError):
-        # TOML that is none, a number of more digits than Python reads, or tables without end.
+        return toml_values("table = " + _KEY.sub(r"\1\2 =", text))["table"]
+    except ValueError:
+        # TOML that is none, a number of more digits than Python reads, or tables that are too deep.
         raise InputError(f"{flag} {text}: expected a value for each frame, such as '{{49: 0.1, 72: 1.0}}'") from None

@@ -7,9 +7,10 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, naming
+from tnst_mi.recipe.bounded_toml import toml_values
 
-_LARGEST_FILE = 1 << 20
+_LARGEST_FILE = 1 << 19
 
 _TYPOGRAPHIC = "“”„‟‘’‚‛«»"
 _NO_TOML = {".yaml": "YAML", ".yml": "YAML", ".json": "JSON", ".ini": "INI", ".xml": "XML"}
@@ -19,14 +20,15 @@ def read_recipe_file(path: Path) -> dict[str, Any]:
     """The keys and values of a recipe file, as TOML has them.
 
     Raises:
-        InputError: the file is too large, in another encoding, or not TOML; with the remedy where it is known.
+        InputError: the file is too large or deep, in another encoding, or not TOML; with the remedy where it is known.
         OSError: it cannot be read.
     """
     if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 1 MiB")
+        raise InputError(f"{path}: {path.stat().st_size} bytes, expected a recipe of at most 512 KiB")
     text = _decoded(path, path.read_bytes())
     try:
-        return tomllib.loads(text)
+        with naming(path):
+            return toml_values(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML ({error}){_remedy(path, text, str(error))}") from None
 

@@ -38,6 +38,7 @@ from tnst_mi.run.time_left import octave_sizes
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space",
     getattr(errno, "EDQUOT", errno.ENOSPC): "the quota of its disk is used up; free some space",
+    errno.EFBIG: "a file is larger than the limit on file sizes; raise it (ulimit -f)",
 }
 
 

@@ -43,7 +43,9 @@ class ProgressBar:
         self._bar.bar_format = (
             f"{{desc}}: {{percentage:3.0f}}%|{{bar}}| {{n_fmt}}/{{total_fmt}} [{elapsed}<{left}{{postfix}}]"
         )
-        self._bar.set_description(f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False)
+        self._bar.set_description_str(
+            f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False
+        )
         self._bar.set_postfix_str(
             f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
             refresh=False,

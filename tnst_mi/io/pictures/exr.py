@@ -10,6 +10,9 @@ import OpenEXR
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import write_failure, written_whole
 
+#: Channels of a picture that is wholly used: red, green, blue and alpha.
+_COLOURS = 4
+
 
 def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
     """Write a picture losslessly.
@@ -39,13 +42,9 @@ def read_linear(path: Path, most: int) -> np.ndarray:
         InputError: it is damaged or too large, or has neither red, green and blue nor luminance.
     """
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            low, high = file.header()["dataWindow"]
-        columns, rows = (int(end) - int(start) + 1 for start, end in zip(low, high, strict=True))
-        if columns * rows > most:
-            raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
+        _require_bounded(path, most)
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
     except (InputError, MemoryError):
         raise
     except Exception as error:  # the library raises RuntimeError and others on damaged files
@@ -63,6 +62,23 @@ def read_linear(path: Path, most: int) -> np.ndarray:
         values = np.stack([np.asarray(colour, np.float32) for colour in found], axis=-1)
         return values if colours["A"] is None else _not_premultiplied(values, np.asarray(colours["A"], np.float32))
     raise InputError(f"{path}: has the channels {', '.join(channels)}, expected R, G and B, or Y")
+
+
+def _require_bounded(path: Path, most: int) -> None:
+    """Check by the headers how much there is to read: the library reads all channels of all parts, used or not."""
+    total = 0
+    with OpenEXR.File(str(path), header_only=True) as file:
+        for part in file.parts:
+            low, high = part.header["dataWindow"]
+            columns, rows = (int(end) - int(start) + 1 for start, end in zip(low, high, strict=True))
+            if columns * rows > most:
+                raise InputError(f"{path}: the picture has more than {most} pixels; make it smaller")
+            total += columns * rows * len(part.header["channels"])
+    if total > _COLOURS * most:
+        raise InputError(
+            f"{path}: its layers have {total} values, expected at most {_COLOURS * most}; save it without layers that "
+            "are not needed, or make it smaller"
+        )
 
 
 def _not_premultiplied(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:

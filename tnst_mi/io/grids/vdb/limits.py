@@ -12,6 +12,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.geometry.boxes import Box, size, words
 from tnst_mi.io.grids.vdb.file_format.tree import LEAF_EDGE, LEAF_VOXELS
 from tnst_mi.machine.environment import free_memory
+from tnst_mi.machine.terminal import amount
 
 #: Largest dense grid that is made from a tree, in cells.
 LARGEST_BOX = 1 << 28
@@ -44,7 +45,7 @@ def require_small(path: Path, box: Box, components: int = 1, remedy: str = "crop
         raise InputError(f"{spans}, expected at most {LARGEST_BOX} in all; {remedy}")
     need, free = _need(box, components), free_memory()
     if free is not None and need > free:
-        raise InputError(f"{spans}, which take {need / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; {remedy}")
+        raise InputError(f"{spans}, which take {amount(need)}, and {amount(free)} are free; {remedy}")
 
 
 def is_out_of_proportion(box: Box, components: int, stored: int) -> bool:

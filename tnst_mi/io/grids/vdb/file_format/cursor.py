@@ -30,7 +30,7 @@ class Cursor:
         """
         end = self._position + count
         if count < 0 or end > len(self._data):
-            raise InputError(f"{self.path}: truncated or damaged: its data end too early")
+            raise InputError(f"{self.path}: truncated or damaged: its data end too early; export it again")
         taken = self._data[self._position : end]
         self._position = end
         return taken
@@ -43,5 +43,5 @@ class Cursor:
         """The next string, stored as its length and its bytes."""
         (length,) = self.unpack(_LENGTH)
         if length > _LARGEST_STRING:
-            raise InputError(f"{self.path}: damaged: a name of {length} bytes")
+            raise InputError(f"{self.path}: damaged: a name of {length} bytes; export it again")
         return bytes(self.take(length)).decode("utf-8", "replace")

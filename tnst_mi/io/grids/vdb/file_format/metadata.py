@@ -52,7 +52,7 @@ def read_metadata(cursor: Cursor) -> Stored:
     """
     (count,) = cursor.unpack(_COUNT)
     if count > _LARGEST_COUNT:
-        raise InputError(f"{cursor.path}: damaged: {count} named values")
+        raise InputError(f"{cursor.path}: damaged: {count} named values; export it again")
     stored: Stored = {}
     for _ in range(count):
         name, kind = cursor.string(), cursor.string()

@@ -205,7 +205,7 @@ def _read(path: Path, file: BinaryIO) -> VdbFile:
     stored = read_metadata(cursor)
     (count,) = cursor.unpack(_COUNT)
     if not 0 <= count <= _LARGEST_COUNT:
-        raise InputError(f"{path}: damaged: {count} grids")
+        raise InputError(f"{path}: damaged: {count} grids; export it again")
     read = _read_grid if has_offsets else _read_following_grid
     grids: dict[str, Grid] = {}
     parents: dict[str, str] = {}
@@ -237,14 +237,18 @@ def _read_grid(path: Path, file: BinaryIO, place: int) -> tuple[Grid, str, str]:
     start, leaves, end = cursor.unpack(_OFFSETS)
     # A grid that shares the tree of another has no leaves of its own.
     if not 0 <= start <= (end if parent else leaves) <= end <= path.stat().st_size:
-        raise InputError(f"{path}: truncated or damaged: grid {quoted(unique_name)} lies outside of the file")
+        raise InputError(
+            f"{path}: truncated or damaged: grid {quoted(unique_name)} lies outside of the file; export it again"
+        )
     # Grids that overlap would hold more together than the file does.
     if start < place + cursor.position:
-        raise InputError(f"{path}: damaged: grid {quoted(unique_name)} begins before its description ends")
+        raise InputError(
+            f"{path}: damaged: grid {quoted(unique_name)} begins before its description ends; export it again"
+        )
     cursor = _cursor(path, file, start, min(end, start + _LARGEST_DESCRIPTION))
     grid = _described_grid(cursor, unique_name, tree_type)
     if not parent and start + cursor.position > leaves:
-        raise InputError(f"{path}: damaged: a grid's values start before its description ends")
+        raise InputError(f"{path}: damaged: a grid's values start before its description ends; export it again")
     return dataclasses.replace(grid, span=(start + cursor.position, leaves, end)), unique_name, parent
 
 

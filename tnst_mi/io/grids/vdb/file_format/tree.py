@@ -161,7 +161,7 @@ class TreeReader:
         cursor, kind = self._cursor, self._kind
         (buffers,) = cursor.unpack(_INTEGER)
         if buffers != 1:
-            raise InputError(f"{cursor.path}: damaged: a tree with {buffers} buffers, expected 1")
+            raise InputError(f"{cursor.path}: damaged: a tree with {buffers} buffers, expected 1; export it again")
         self._background = kind.one(cursor.take(kind.itemsize))
         tiles, children = cursor.unpack(_COUNTS)
         layout = np.dtype([("origin", "<i4", 3), ("value", kind.dtype, kind.shape), ("active", "u1")])
@@ -223,7 +223,7 @@ class TreeReader:
         """Read the values of a node of `size`: all of them, or the active ones and what the inactive ones equal."""
         (state,) = self._cursor.take(1)
         if state > _ALL:
-            raise InputError(f"{self._cursor.path}: damaged: a node of unknown kind {state}")
+            raise InputError(f"{self._cursor.path}: damaged: a node of unknown kind {state}; export it again")
         inactive = self._read_inactive(state, size)
         complete = state == _ALL or not self._compression & ACTIVE_MASK
         count = size if complete else active

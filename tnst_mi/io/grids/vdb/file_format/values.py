@@ -86,7 +86,7 @@ def read_run(cursor: Cursor, size: int, compression: int) -> bytes | memoryview:
     else:
         data = _decompressed_by_zlib(cursor, cursor.take(stored), size)
     if len(data) != size:
-        raise InputError(f"{cursor.path}: damaged: {len(data)} bytes of values where {size} belong")
+        raise InputError(f"{cursor.path}: damaged: {len(data)} bytes of values where {size} belong; export it again")
     return data
 
 
@@ -114,11 +114,13 @@ def _decompressed_by_blosc(cursor: Cursor, data: memoryview, size: int) -> bytes
                 return blosc.decompress(bytes(data))
             except BloscError:
                 pass
-    raise InputError(f"{cursor.path}: damaged: values that blosc cannot decompress")
+    raise InputError(f"{cursor.path}: damaged: values that blosc cannot decompress; export it again")
 
 
 def _decompressed_by_zlib(cursor: Cursor, data: memoryview, size: int) -> bytes:
     try:
         return zlib.decompressobj().decompress(data, size + 1)
     except zlib.error as error:
-        raise InputError(f"{cursor.path}: damaged: values that zlib cannot decompress ({error})") from None
+        raise InputError(
+            f"{cursor.path}: damaged: values that zlib cannot decompress ({error}); export it again"
+        ) from None
