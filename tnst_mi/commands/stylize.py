@@ -14,7 +14,7 @@ from tnst_mi.commands.base import given
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import holds_run, input_of_run
+from tnst_mi.run.folder import holds_run, input_of_run, recipe_of_run
 from tnst_mi.run.request import requested_frames
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
         raise InputError("stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern")
     if arguments.recipe is not None:
         return source, Recipe.from_toml(arguments.recipe)
-    return source, Recipe.from_toml(arguments.out / "recipe.toml") if resumed else Recipe()
+    return source, recipe_of_run(arguments.out) if resumed else Recipe()
 
 
 def reported(frames: job.Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:

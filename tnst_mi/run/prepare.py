@@ -31,7 +31,6 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.resources import expanded
-from tnst_mi.run.folder import resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
 from tnst_mi.run.measure import (
     Measure,
@@ -45,6 +44,8 @@ from tnst_mi.run.measure import (
 from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
 from tnst_mi.run.request import requested_frames
+from tnst_mi.run.resuming import resumable_run
+from tnst_mi.run.written import recipe_digest
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -56,7 +57,7 @@ _WORTH_TELLING = 50_000_000
 _DENSEST = 1e15
 
 #: Entries of its earlier record that a resumed run keeps.
-_KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
+_KEPT = ("started", "frames", "sequence", "results", "seconds", "peak_memory_bytes")
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,7 @@ def prepare(
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": environment.versions(),
         "device": environment.device(variant),
+        "recipe": recipe_digest(recipe),
         "seed": recipe.seed,
         "weights": {
             "file": str(network.model.source),
@@ -242,6 +244,8 @@ def prepare(
         density_scale,
     )
     step, said = frame_step([measure.number for measure in measures]), readable.lines()
+    if earlier is not None:
+        said += earlier["notes"]
     return Prepared(
         recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
     )
