@@ -297,7 +297,7 @@ def not_text(path: Path) -> None:
 def replaced(path: Path) -> None:
     """By a file that is whole, in the same format."""
     other = path.with_name(path.name.replace("f_07", "f_08"))
-    path.write_bytes(other.read_bytes().replace(b"-1.0", b"-7.0"))
+    path.write_bytes(other.read_bytes().replace(b'"loss": 0.0', b'"loss": 7.0'))
 
 
 @pytest.mark.parametrize("damage", [emptied, cut_short, not_text, replaced, Path.unlink])

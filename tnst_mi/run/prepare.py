@@ -17,6 +17,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
+from tnst_mi.io.files.frame_numbers import frame_step
 from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
@@ -36,7 +37,6 @@ from tnst_mi.run.measure import (
     Measure,
     digests,
     file_digests,
-    frame_step,
     measured,
     require_coherent,
     require_same_input,
@@ -183,7 +183,7 @@ def prepare(
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
-    readable = Readable(sequence, recipe.skip_bad)
+    readable = Readable(sequence, recipe.skip_bad, recipe.window)
     measures, reference = measured(_watched(readable, "reading", progress))
     sequence = readable.frames()
     if out is not None:

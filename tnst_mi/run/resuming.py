@@ -9,6 +9,7 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.formats import FORMATS
+from tnst_mi.machine.gate import gate
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.folder import (
@@ -28,6 +29,24 @@ from tnst_mi.run.written import Earlier, Written, recipe_digest
 _DECIDES_NOTHING = ("fps",)
 
 
+def require_begun(out: Path) -> bool:
+    """Check that a folder is that of a run; whether it has begun, which one that was killed at once has not.
+
+    Raises:
+        InputError: there is no such folder, or it holds something else.
+    """
+    if not out.is_dir():
+        raise InputError(one_line(f"{out}: no run to resume there; leave out --resume to begin one"))
+    with gate(out, "the folder of a run"):
+        if not occupied(out) or just_begun(out):
+            return False
+    if not holds_run(out):
+        raise InputError(
+            f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there); {ELSEWHERE}"
+        )
+    return True
+
+
 def resumable_run(
     out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
 ) -> dict[str, Any] | None:
@@ -43,10 +62,9 @@ def resumable_run(
         InputError: the folder holds something else, or a run with another recipe, other weights, or files of another
             format; or it had ended, and a file is not what it wrote.
     """
-    if not occupied(out) or just_begun(out):
+    # Callers from Python may begin a run as if it were to be resumed.
+    if not out.exists() or not require_begun(out):
         return None
-    if not holds_run(out):
-        raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
         frames = [frame for frame in run["frames"] if frame["complete"] and _lists_results(frame, suffix)]
