@@ -154,5 +154,5 @@ def test_frames_that_a_window_needs_are_not_left_out(skip_bad: bool, tmp_path: P
     if skip_bad:
         assert len(prepare(tmp_path / "smoke", recipe, tmp_path / "out").measures) == 4
     else:
-        with pytest.raises(InputError, match="; --skip-bad leaves it out$"):
+        with pytest.raises(InputError, match=r"; --skip-bad leaves it out$"):
             prepare(tmp_path / "smoke", recipe, tmp_path / "out")
