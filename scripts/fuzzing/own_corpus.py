@@ -67,8 +67,10 @@ def numbers_files(folder: Path) -> Iterator[bytes]:
 
 def log_files(folder: Path) -> Iterator[bytes]:
     """The log of a run's working state, a line for each iteration."""
-    entries = [{"frame": 0, "octave": 0, "iteration": n, "loss": 1.5 - n, "terms": [0.1, n]} for n in range(5)]
-    yield "".join("\n" + json.dumps(entry) for entry in entries).encode()
+    store = FolderStore(folder)
+    for n in range(5):
+        store.log({"frame": "0", "octave": 0, "iteration": n, "loss": 1.5 - n, "terms": [0.1, n]})
+    yield (folder / "metrics.jsonl").read_bytes()
 
 
 def atlas_files(folder: Path) -> Iterator[bytes]:

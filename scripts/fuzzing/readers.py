@@ -18,7 +18,8 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.optimisation.items.store import FolderStore
 from tnst_mi.recipe.keys import Texts
 from tnst_mi.recipe.sections import KINDS
-from tnst_mi.run.folder import frame_names, input_of_run, resumable_run
+from tnst_mi.run.folder import frame_names, input_of_run
+from tnst_mi.run.resuming import resumable_run
 
 
 @dataclass(frozen=True)

@@ -582,3 +582,21 @@ def test_messages_are_plain(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
     assert run("doctor").errors == ["tnst-mi: RuntimeError: red and loud in many lines (--debug shows where)"]
     ran = run("info", tmp_path / "a\x1b[31mb\udcff.vdb")
     assert ran.code == 2 and ran.errors[0].endswith("ab?.vdb: no such file or folder")
+
+
+def test_there_has_to_be_a_run_to_resume(run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    """A run that was killed before its first record leaves a folder, in which it begins."""
+    out, goal = tmp_path / "nothere", ["--tag", "volcano", "--iterations", "1"]
+    told = rf"^tnst-mi: {out}: no run to resume there; leave out --resume to begin one$"
+    for flags in ([], goal):
+        refused(run, tmp_path, ["stylize", smoke, "--out", out, "--resume", *flags], told)
+    out.mkdir()
+    (out / "notes.txt").touch()
+    for flags in ([], goal):
+        refused(
+            run, tmp_path, ["stylize", smoke, "--out", out, "--resume", *flags], "holds no run that could be resumed"
+        )
+    (out / "notes.txt").unlink()
+    (out / ".lock").touch()
+    ran = run("stylize", smoke, "--out", out, "--resume", *goal)
+    assert ran.code == 0 and ran.errors[0] == f"note: {out}: its run was ended before it began, so it begins now"

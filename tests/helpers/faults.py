@@ -24,7 +24,7 @@ from tnst_mi.cli import main
 from tnst_mi.io import atomic, save_frames
 
 #: What differs between two runs of the same bits: times, memory, and when and where they ran.
-_OF_THE_OCCASION = ("started", "seconds", "peak_memory_bytes", "timings", "input")
+_OF_THE_OCCASION = ("started", "seconds", "peak_memory_bytes", "timings", "input", "log")
 
 
 class Writes:

@@ -140,3 +140,22 @@ def test_a_disk_that_does_not_keep_what_is_written_ends_the_run(network: GoogLeN
         DamagedItemError, match=r"inputs\.0/000001\.000000\.safetensors: damaged .*; --resume makes anew"
     ):
         optimise(network, Forgetful(tmp_path), 3)
+
+
+@pytest.mark.parametrize("lost", ["all", "one line"])
+def test_a_damaged_log_changes_no_bits_and_is_told(
+    lost: str, network: GoogLeNet, expected: dict[int, dict[int, object]], tmp_path: Path
+) -> None:
+    stopped(network, tmp_path, 3, 11)
+    log, said = tmp_path / "metrics.jsonl", []
+    if lost == "all":
+        log.unlink()
+    else:
+        log.write_text(log.read_text().replace('"loss": ', '"loss": 9', 1))
+    results = optimise(network, FolderStore(tmp_path, say=said.append), 3)
+    for index, (density, velocity, losses) in results.items():
+        whole = expected[3][index]
+        assert (density, velocity) == whole[:2] and set(losses) <= set(whole[2])
+    told = f"note: {tmp_path}: metrics.jsonl was damaged; {{}} of 4 iterations of {{}} are left out of the losses"
+    missing = {"all": 4, "one line": 1}[lost]
+    assert said[0].startswith(told.format(missing, "s_005")) and len(said) == (3 if lost == "all" else 1)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -197,3 +199,64 @@ def test_damaged_lines_of_the_log_are_left_out(tmp_path: Path) -> None:
         file.write(b"\n\xff\xfe\n[1]\n3\n" + b"[" * 100_000)
     store.log({"frame": "c"})
     assert FolderStore(tmp_path).entries("a") == [{"frame": "a"}] and store.entries("c") == [{"frame": "c"}]
+
+
+def test_whatever_a_decoder_raises_means_damage(tmp_path: Path) -> None:
+    """Types that numpy does not have, and keys that cannot be sorted, raise neither ValueError nor OSError."""
+    store = FolderStore(tmp_path)
+    store.write("fields.0", 1, 4, arrays(3))
+    whole = an_item(tmp_path).read_bytes()
+    size = int.from_bytes(whole[:8], "little")
+    for kind, bits in (("BF16", 16), ("F8_E4M3", 8), ("F8_E5M2", 8)):
+        header = json.loads(whole[8 : 8 + size])
+        header["phi"] |= {"dtype": kind, "shape": [6 * 32 // bits]}
+        text = json.dumps(header).encode()
+        an_item(tmp_path).write_bytes(len(text).to_bytes(8, "little") + text + whole[8 + size :])
+        with pytest.raises(DamagedItemError):
+            store.read("fields.0", 1)
+    (tmp_path / "numbers.json").write_text('[["checksum", 1], [1, 2], ["a", 2]]')
+    with pytest.raises(DamagedItemError, match=r"numbers\.json: damaged"):
+        store.numbers("scales.0")
+
+
+def test_folders_in_the_place_of_files_are_removed_and_files_in_that_of_folders(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path)
+    store.write("fields.0", 1, 4, arrays(3))
+    an_item(tmp_path).unlink()
+    for path in (an_item(tmp_path), tmp_path / "numbers.json", tmp_path / "metrics.jsonl"):
+        (path / "deep").mkdir(parents=True)
+    (tmp_path / "step.0").touch()
+    with pytest.raises(DamagedItemError):
+        store.read("fields.0", 1)
+    with pytest.raises(DamagedItemError):
+        store.numbers("scales.0")
+    store.discard("fields.0", 1)
+    assert not an_item(tmp_path).exists()
+    an_item(tmp_path).mkdir()
+    again = FolderStore(tmp_path)
+    assert again.generation("fields.0", 1) == -1 and again.numbers("scales.0") is None and again.entries("a") == []
+    again.write("step.0", 1, 1, arrays(5))
+    again.log({"frame": "a"})
+    assert FolderStore(tmp_path).entries("a") == [{"frame": "a"}]
+
+
+def test_too_many_open_files_are_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = FolderStore(tmp_path)
+    store.write("fields.0", 1, 4, arrays(3))
+
+    def exhausted(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr("tnst_mi.optimisation.items.store.safe_open", exhausted)
+    with pytest.raises(OSError, match="Too many open files"):
+        store.read("fields.0", 1)
+
+
+def test_lines_of_the_log_that_were_changed_or_are_of_another_run_are_left_out(tmp_path: Path) -> None:
+    store = FolderStore(tmp_path, run="a")
+    for loss in (0.1, 0.2):
+        store.log({"frame": "a", "loss": loss})
+    path = tmp_path / "metrics.jsonl"
+    path.write_text(path.read_text().replace("0.1", "0.7"))
+    assert FolderStore(tmp_path, run="a").entries("a") == [{"frame": "a", "loss": 0.2}]
+    assert FolderStore(tmp_path, run="b").entries("a") == []

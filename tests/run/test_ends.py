@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import platform
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -288,3 +292,103 @@ def test_nowhere_to_keep_caches_and_temporary_files_is_no_failure(tmp_path: Path
     assert done.returncode == 0, done.stderr
     assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".exr", ".png"]
     assert "Traceback" not in done.stderr
+
+
+# --- Results that are damaged -----------------------------------------------------------------------------
+
+RESULTS = ("density/f_07.npz", "velocity/f_07.npz", "images/f_07_after.exr", "images/f_07_loss.png", "metrics.jsonl")
+
+
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def cut_short(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def not_text(path: Path) -> None:
+    path.write_bytes(b"\xff\x00\x80" + path.read_bytes())
+
+
+def replaced(path: Path) -> None:
+    """By a file that is whole, in the same format."""
+    other = path.with_name(path.name.replace("f_07", "f_08"))
+    path.write_bytes(other.read_bytes().replace(b'"loss": 0.0', b'"loss": 7.0'))
+
+
+@pytest.mark.parametrize("damage", [emptied, cut_short, not_text, replaced, Path.unlink])
+def test_results_that_are_damaged_are_made_again(
+    damage: Callable[[Path], object],
+    expected: dict[str, object],
+    tmp_path: Path,
+) -> None:
+    """Of a run that has not ended: of a frame that is done, every kind of file."""
+    out = tmp_path / "out"
+    job = Run(prepare(frames(0.2, 0.4), RECIPE, out), progress=False)
+    assert [next(job).record["name"], next(job).record["name"]] == ["f_07", "f_08"]
+    job.close()
+    # Frames of the stand-in have the same velocity and the same plot.
+    for name in ("density/f_07.npz", "images/f_07_after.exr", "metrics.jsonl") if damage is replaced else RESULTS:
+        damaged = tmp_path / name.replace("/", "_")
+        shutil.copytree(out, damaged)
+        damage(damaged / name)
+        job = Run(prepare(frames(0.2, 0.4), RECIPE, damaged, resume=True), progress=False)
+        (told,) = job.prepared.reading
+        assert told.startswith(f"note: {damaged}: made again, since files are damaged or lost: f_0")
+        assert f" ({name})" in told
+        list(job)
+        made = results(damaged)
+        made["metrics.jsonl"] = sorted(made["metrics.jsonl"], key=lambda line: line["frame"])
+        assert made == expected, name
+
+
+@pytest.mark.parametrize("name", [*RESULTS, "images/contact_sheet.png"])
+def test_results_of_a_run_that_has_ended_are_not_replaced(name: str, optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    """They may have been changed on purpose."""
+    resumed(tmp_path)
+    cut_short(tmp_path / name)
+    kept = (tmp_path / name).read_bytes()
+    told = rf"{name}: is not what the run wrote; restore it, or begin the run anew with --overwrite$"
+    with pytest.raises(InputError, match=told):
+        prepare(frames(0.2, 0.4), RECIPE, tmp_path, resume=True)
+    assert (tmp_path / name).read_bytes() == kept
+
+
+def test_pictures_of_all_frames_that_are_lost_are_made_again(
+    optimiser: FakeOptimiser, expected: dict[str, object], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    resumed(out)
+    (out / "images" / "contact_sheet.png").unlink()
+    calls = len(optimiser.names)
+    assert resumed(out) == expected and len(optimiser.names) == calls
+
+
+def test_a_record_names_no_files_elsewhere(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    """It is untrusted: a hash of a file elsewhere must not be taken."""
+    out = tmp_path / "out"
+    resumed(out)
+    run = json.loads((out / "run.json").read_text())
+    run["frames"][0]["results"]["../victim"] = {"bytes": 1, "sha256": ""}
+    (out / "run.json").write_text(json.dumps(run))
+    with pytest.raises(InputError, match=r"run\.json: damaged, so the run cannot be resumed"):
+        prepare(frames(0.2, 0.4), RECIPE, out, resume=True)
+
+
+@pytest.mark.parametrize("text", ["", "gamma = 0.4\n", "gamma = \n"])
+def test_a_damaged_recipe_is_told_as_what_it_is(
+    text: str, optimiser: FakeOptimiser, run: RunCommand, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    save_frames(tmp_path / "smoke", frames(0.2, 0.4))
+    one_frame_done(out).close()
+    before = results(out)
+    (out / "recipe.toml").write_text(text)
+    told = r"recipe\.toml: is not the recipe of the run there; restore it, or begin the run anew with --overwrite$"
+    refused(run, out, ["stylize", tmp_path / "smoke", "--out", out, "--resume"], told)
+    with pytest.raises(InputError, match=told):
+        prepare(frames(0.2, 0.4), replace(RECIPE, gamma=0.5), out, resume=True)
+    # With the recipe of the run, nothing is amiss.
+    assert prepare(frames(0.2, 0.4), RECIPE, out, resume=True).record["frames"]
+    assert results(out) == before | {"recipe.toml": text.encode()}

@@ -22,10 +22,11 @@ from tnst_mi.io import load_frames, save_frames
 from tnst_mi.io.grids.npz import read_headers
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import RunFolder, resumable_run
+from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.job import Run
 from tnst_mi.run.memory import working_bytes
 from tnst_mi.run.prepare import prepare
+from tnst_mi.run.resuming import resumable_run
 
 __all__ = ["optimiser"]
 

@@ -14,9 +14,9 @@ import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, save_frames
+from tnst_mi.io.files.frame_numbers import frame_step
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.measure import frame_step
 
 __all__ = ["optimiser", "run"]
 

@@ -132,3 +132,27 @@ def test_arrays_are_not_read_from_files(tmp_path: Path, optimiser: FakeOptimiser
     for key, value in (("up", "z"), ("velocity", "none"), ("skip_bad", True), ("origin", (0, 0, 1))):
         with pytest.raises(InputError, match=f"{key} = .*: says how files are read, but the frames were given as"):
             prepare(frames(0.2), Recipe(style=("spirals",), **{key: value}))
+
+
+@pytest.mark.parametrize("skip_bad", [False, True])
+def test_frames_that_a_window_needs_are_not_left_out(skip_bad: bool, tmp_path: Path, optimiser: FakeOptimiser) -> None:
+    """Whether asked for or not; a damaged frame at an end leaves no gap."""
+    still = [
+        Frame(frame.density, np.zeros((*SHAPE, 3)), None, frame.name, frame.number) for frame in frames(*[0.2] * 5)
+    ]
+    save_frames(tmp_path / "smoke", still)
+    recipe = Recipe(style=("spirals",), window=3, skip_bad=skip_bad)
+    (tmp_path / "smoke" / "f_09.npz").write_bytes(b"")
+    with pytest.raises(InputError) as error:
+        prepare(tmp_path / "smoke", recipe, tmp_path / "out")
+    message = str(error.value)
+    remedy = "; window = 3 needs the frames between 8 and 10: mend them, select with --frames, or add --window 1"
+    assert "f_09.npz: is empty" in message and message.endswith(remedy + ("" if skip_bad else " --skip-bad"))
+    assert message.startswith("left out: ") == skip_bad and len(message) <= 300
+    (tmp_path / "smoke" / "f_09.npz").write_bytes((tmp_path / "smoke" / "f_08.npz").read_bytes())
+    (tmp_path / "smoke" / "f_11.npz").write_bytes(b"")
+    if skip_bad:
+        assert len(prepare(tmp_path / "smoke", recipe, tmp_path / "out").measures) == 4
+    else:
+        with pytest.raises(InputError, match=r"; --skip-bad leaves it out$"):
+            prepare(tmp_path / "smoke", recipe, tmp_path / "out")

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from tnst_mi.commands.arguments import StylizeArguments
-from tnst_mi.commands.base import given
+from tnst_mi.commands.base import given, say
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import holds_run, input_of_run
+from tnst_mi.run.folder import input_of_run, recipe_of_run
 from tnst_mi.run.request import requested_frames
+from tnst_mi.run.resuming import require_begun
 
 if TYPE_CHECKING:
     from tnst_mi.run import job, prepare
@@ -57,17 +58,19 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
     Raises:
         InputError: the recipe cannot be used, or there is no INPUT.
     """
-    resumed = arguments.resume and holds_run(arguments.out)
+    resumed = arguments.resume and not arguments.overwrite and require_begun(arguments.out)
     source = arguments.input
     if source is None and resumed:
         source = input_of_run(arguments.out)
     if source is None and arguments.resume:
-        raise InputError(f"{arguments.out}: holds no run that could be resumed; give its INPUT too to begin it")
+        raise InputError(f"{arguments.out}: its run was ended before it began; give its INPUT too to begin it")
+    if arguments.resume and not resumed and not arguments.overwrite:
+        say([f"note: {arguments.out}: its run was ended before it began, so it begins now"])
     if source is None:
         raise InputError("stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern")
     if arguments.recipe is not None:
         return source, Recipe.from_toml(arguments.recipe)
-    return source, Recipe.from_toml(arguments.out / "recipe.toml") if resumed else Recipe()
+    return source, recipe_of_run(arguments.out) if resumed else Recipe()
 
 
 def reported(frames: job.Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:

@@ -75,6 +75,8 @@ def make_folder(folder: Path) -> None:
 def remove_folder(folder: Path) -> None:
     """Remove a folder with everything in it, if it is there, in one step: no killed process leaves a part of it.
 
+    A file or a link that has its name is removed too.
+
     Raises:
         OSError: it cannot be removed.
     """
@@ -85,7 +87,10 @@ def remove_folder(folder: Path) -> None:
     except FileNotFoundError:
         return
     sync(folder.parent)
-    shutil.rmtree(removed)
+    if removed.is_dir() and not removed.is_symlink():
+        shutil.rmtree(removed)
+    else:
+        removed.unlink()
 
 
 def remove_unfinished(folder: Path) -> None:

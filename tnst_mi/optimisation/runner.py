@@ -108,6 +108,7 @@ class SequenceOptimisation:
                     # The result may share memory with items that are being written.
                     store.finish()
                     result = self._result(frame, items, problem)
+                    self._note_what_is_missing(frame, result)
                     waiting.popleft()
                     self._finished |= {frame.index}
                     yield frame.index, result
@@ -188,7 +189,7 @@ class SequenceOptimisation:
             result.timings[name] = result.timings.get(name, 0.0) + entry["seconds"]
         if result.history:
             result.timings["total"] = sum(result.timings.values())
-        if problem is not None and result.history:
+        if problem is not None and items is not None and (items.level > 0 or items.iterations_done(frame) > 0):
             before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
             regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
             result.loss_before, result.terms_before = problem.judge(frame, before, regions)
@@ -204,11 +205,16 @@ class SequenceOptimisation:
         return self._result(frame, Items(plan, level, store), problem)
 
     def _history(self, name: str) -> list[dict]:
-        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once.
-
-        Damaged lines are left out.
-        """
-        mine = self._store.entries(name)
-        whole = [entry for entry in mine if all(isinstance(entry.get(at), int) for at in ("octave", "iteration"))]
-        entries = {(entry["octave"], entry["iteration"]): entry for entry in whole}
+        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
+        entries = {(entry["octave"], entry["iteration"]): entry for entry in self._store.entries(name)}
         return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]
+
+    def _note_what_is_missing(self, frame: FramePlan, result: Stylized) -> None:
+        """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
+        count = len(self._plan.octaves) * self._plan.recipe.iterations
+        missing = 0 if frame.still else count - len(result.history)
+        if missing:
+            self._store.note(
+                f"metrics.jsonl was damaged; {missing} of {count} iterations of {frame.name} are left out of the "
+                "losses and times of the run"
+            )

@@ -8,7 +8,8 @@
     metrics.jsonl        one line per iteration
 
 Every file is written atomically and durably, but for metrics.jsonl, which grows with each frame and is on the disk
-before run.json, which is written last, lists the frame as complete: then it counts as finished.
+before run.json, which is written last, lists the frame as complete: then it counts as finished, as long as its files
+have the sizes and hashes that are in run.json.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ from tnst_mi.io.pictures.video import can_encode
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.lock import LOCK
 from tnst_mi.machine.terminal import one_line
-from tnst_mi.recipe.recipe import KINDS, Recipe
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.before_after import side_by_side
+from tnst_mi.run.written import Written, lines_by_frame, lines_written, recipe_digest, written
 
 if TYPE_CHECKING:
     from tnst_mi.run import report
@@ -51,10 +53,8 @@ _FRAME_FILES = (
     "images/{}_comparison.png",
     "images/{}_loss.png",
 )
-_RUN_FILES = (
-    *(f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png")),
-    "metrics.jsonl",
-)
+PICTURES = tuple(f"images/{name}" for name in ("preview.mp4", "contact_sheet.png", "sequence.png"))
+_RUN_FILES = (*PICTURES, "metrics.jsonl")
 
 #: Files that mark a folder as that of a run: removed last, in this order, so that an interrupted removal can be redone.
 _MARKS = ("run.json", "recipe.toml")
@@ -64,11 +64,9 @@ _FOLDERS = ("density", "velocity", "images")
 #: Folder of the working state.
 _WORK = ".work"
 
-#: Keys that may differ when a run is resumed.
-_DECIDES_NOTHING = ("fps",)
-
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
-_ELSEWHERE = "give another folder"
+#: What a damaged run.json makes those raise who read it.
+DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+ELSEWHERE = "give another folder"
 
 
 def holds_run(out: Path) -> bool:
@@ -82,7 +80,7 @@ def frame_names(out: Path) -> list[str]:
     Raises:
         InputError: the folder holds something other than a run, or its run.json is damaged.
     """
-    if not _occupied(out) or _just_begun(out):
+    if not occupied(out) or just_begun(out):
         return []
     if not holds_run(out):
         raise InputError(f"{out}: is not empty and holds no run that could be overwritten; give another folder")
@@ -90,12 +88,12 @@ def frame_names(out: Path) -> list[str]:
         run = json.loads((out / "run.json").read_text("utf-8"))
         # A frame may have been written but not recorded yet.
         names = list(dict.fromkeys([*(frame["name"] for frame in run["frames"]), *run.get("inputs", ())]))
-    except _DAMAGE:
-        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {_ELSEWHERE}") from None
+    except DAMAGE:
+        raise InputError(f"{out / 'run.json'}: damaged, so it does not tell what to overwrite; {ELSEWHERE}") from None
     for name in names:
         # The file is untrusted: it must not make us remove anything outside the folder.
         if not isinstance(name, str) or not is_file_name(name):
-            named = f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {_ELSEWHERE}"
+            named = f"{out / 'run.json'}: names a frame {name!r}, expected a plain file name; {ELSEWHERE}"
             raise InputError(one_line(named))
     return names
 
@@ -108,62 +106,32 @@ def input_of_run(out: Path) -> Path:
     """
     try:
         source = json.loads((out / "run.json").read_text("utf-8")).get("input")
-    except _DAMAGE:
+    except DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so it does not tell the input of its run; give it") from None
     if not isinstance(source, str):
         raise InputError(f"{out / 'run.json'}: does not tell the input of its run; give it")
     return Path(source)
 
 
+def recipe_of_run(out: Path) -> Recipe:
+    """The recipe of the run in a folder.
+
+    Raises:
+        InputError: the file is not what the run wrote.
+    """
+    path = out / "recipe.toml"
+    try:
+        recipe, run = Recipe.from_toml(path), json.loads((out / "run.json").read_text("utf-8"))
+        if run.get("recipe", digest := recipe_digest(recipe)) == digest:
+            return recipe
+    except DAMAGE:
+        pass  # run.json, where it is damaged, is refused by itself
+    raise InputError(f"{path}: is not the recipe of the run there; restore it, or begin the run anew with --overwrite")
+
+
 def is_file_name(name: str) -> bool:
     """Whether a frame's name stays inside the folders of the results."""
     return bool(name) and not any(character in name for character in "/\\\0")
-
-
-def resumable_run(
-    out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
-) -> dict[str, Any] | None:
-    """The record of the run to be resumed, with its finished frames; None if it has not begun.
-
-    Args:
-        out: the folder of the run.
-        recipe: the recipe to resume it with.
-        weights: the weights to resume it with, as run.json records them.
-        suffix: file suffix of its results.
-
-    Raises:
-        InputError: the folder holds something else, or a run with another recipe, other weights, or files of another
-            format.
-    """
-    if not _occupied(out) or _just_begun(out):
-        return None
-    if not holds_run(out):
-        raise InputError(f"{out}: holds no run that could be resumed (run.json and recipe.toml are not both there)")
-    try:
-        run = json.loads((out / "run.json").read_text("utf-8"))
-        run["frames"] = [
-            frame for frame in run["frames"] if frame["complete"] and _results_of(out, frame["name"], suffix)
-        ]
-        run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
-        earlier_format = run.get("format", suffix[1:])
-        earlier_weights = run["weights"]["sha256"]
-    except _DAMAGE:
-        raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {_ELSEWHERE}") from None
-    earlier = Recipe.from_toml(out / "recipe.toml")
-    for key in (*KINDS, "keyframes"):
-        if key in _DECIDES_NOTHING:
-            continue
-        before, now = getattr(earlier, key), getattr(recipe, key)
-        if before != now:
-            had = f"{out}: its run had {key} = {before!r} and the recipe now has {now!r}"
-            raise InputError(one_line(f"{had}; resume with the same recipe, or use --overwrite"))
-    if earlier_weights != weights["sha256"]:
-        used = f"{out}: its run used other weights (sha256 {earlier_weights})"
-        raise InputError(one_line(f"{used}; resume with the same ones"))
-    if earlier_format != suffix[1:]:
-        wrote = f"{out}: its run wrote {earlier_format} files, in the format of its input, which now is {suffix[1:]}"
-        raise InputError(one_line(f"{wrote}; resume with the same input, or use --overwrite"))
-    return run
 
 
 class RunFolder:
@@ -210,6 +178,20 @@ class RunFolder:
             write_exr(images / f"{name}_{suffix}.exr", image, attributes)
         write_png(images / f"{name}_comparison.png", side_by_side(before, after))
 
+    def recorded(self, name: str, carried: Iterable[str], history: list[dict[str, Any]]) -> dict[str, Any]:
+        """What run.json holds of the files of a frame, with which some grids moved, and of its iterations.
+
+        All of them have been written.
+        """
+        return {
+            "results": written(self.out, frame_files(self.out, name, carried)),
+            "log": lines_written(_lines_of(name, history)),
+        }
+
+    def recorded_pictures(self) -> Written:
+        """What run.json holds of the pictures of all frames together."""
+        return written(self.out, (self.out / name for name in PICTURES))
+
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
         """Add a frame's iterations to metrics.jsonl, and plot its loss.
 
@@ -217,18 +199,15 @@ class RunFolder:
         them is removed when the run goes on, since run.json does not list their frame yet.
         """
         self._may_write()
-        append(self._metrics, "".join(json.dumps({"frame": name, **entry}) + "\n" for entry in history))
+        append(self._metrics, "".join(f"{line}\n" for line in _lines_of(name, history)))
         sync(self._metrics)
         if history:
             report.plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
 
     def _keep_metrics(self, finished: Collection[str]) -> None:
         """Remove the iterations of other frames from metrics.jsonl, and a last line that is incomplete."""
-        kept = []
-        for line in self._metrics.read_text("utf-8").splitlines():
-            with contextlib.suppress(*_DAMAGE):
-                if json.loads(line)["frame"] in finished:
-                    kept.append(line)
+        found = lines_by_frame(self._metrics)
+        kept = [line for name, lines in found.items() if name in finished for line in lines]
         with written_whole(self._metrics) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept), "utf-8")
 
@@ -264,11 +243,12 @@ class RunFolder:
             temporary.write_text(json.dumps(run, indent=1) + "\n", "utf-8")
 
 
-def _occupied(out: Path) -> bool:
+def occupied(out: Path) -> bool:
+    """Whether a folder is there and not empty."""
     return out.exists() and any(out.iterdir())
 
 
-def _just_begun(out: Path) -> bool:
+def just_begun(out: Path) -> bool:
     """Whether a run was killed here before it wrote its first run.json, or after it removed an earlier one."""
     return all(
         path.name in ("recipe.toml", LOCK)
@@ -278,11 +258,9 @@ def _just_begun(out: Path) -> bool:
     )
 
 
-def _results_of(out: Path, name: str, suffix: str) -> bool:
-    """Whether the arrays of a frame exist, and the pictures of which those of the whole run are made."""
-    files = [*(f"{kind}/{name}{suffix}" for kind in ("density", "velocity"))]
-    files += [f"images/{name}_{state}.exr" for state in ("before", "after")]
-    return is_file_name(name) and all((out / file).is_file() for file in files)
+def _lines_of(name: str, history: Iterable[dict[str, Any]]) -> list[str]:
+    """The lines of metrics.jsonl about a frame."""
+    return [json.dumps({"frame": name, **entry}) for entry in history]
 
 
 def _remove_results(out: Path, names: Iterable[str]) -> None:
@@ -302,19 +280,24 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
 
 
 def _carried_by_run(out: Path) -> list[str]:
-    """The names of the grids that the run in a folder carried, as far as they can be part of a file's name."""
+    """The names of the grids that the run in a folder carried."""
     try:
         run = json.loads((out / "run.json").read_text("utf-8"))
-        return [name for name in run.get("carried", ()) if isinstance(name, str) and is_file_name(name)]
-    except _DAMAGE:
+        return [name for name in run.get("carried", ()) if isinstance(name, str)]
+    except DAMAGE:
         return []
 
 
 def _result_files(out: Path, names: Iterable[str], carried: Iterable[str]) -> Iterator[Path]:
     for name in names:
-        yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
-        # For formats with one grid per file.
-        for suffix in GRID_FORMATS:
-            density = out / "density" / f"{name}{suffix}"
-            yield from (companion(density, grid) for grid in (VELOCITY[0], OBSTACLE[0], *carried))
+        yield from frame_files(out, name, carried)
     yield from (out / name for name in _RUN_FILES)
+
+
+def frame_files(out: Path, name: str, carried: Iterable[str]) -> Iterator[Path]:
+    """The files that a run may write for a frame, with which some grids move."""
+    yield from (out / pattern.format(name) for pattern in _FRAME_FILES)
+    # For formats with one grid per file.
+    grids = [grid for grid in (VELOCITY[0], OBSTACLE[0], *carried) if is_file_name(grid)]
+    for suffix in GRID_FORMATS:
+        yield from (companion(out / "density" / f"{name}{suffix}", grid) for grid in grids)

@@ -185,6 +185,7 @@ class Run(Iterator[StylizedFrame]):
         folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity, carry)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
+        frame.record.update(folder.recorded(source.name, carry.names, frame.stylized.history))
         # Callers may keep every frame of a run; its largest arrays are not part of the result.
         frame.stylized.potential = (None, None)
 
@@ -199,6 +200,7 @@ class Run(Iterator[StylizedFrame]):
             records = self.record["frames"]
             self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
+            self.record["results"] = folder.recorded_pictures()
         folder.write_run(self.record)
         folder.remove_work()
 

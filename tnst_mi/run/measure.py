@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +13,7 @@ from typing import Any
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
-from tnst_mi.io.files.frame_numbers import is_next, step_of
+from tnst_mi.io.files.frame_numbers import first_gap
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
@@ -99,21 +98,9 @@ def require_coherent(measures: Sequence[Measure], recipe: Recipe) -> None:
     for measure in measures[:-1]:
         if not measure.moves:
             raise InputError(f"{measure.name}: has no velocity, {needed}; add it to the frames, or set window to 1")
-    numbers = [measure.number for measure in measures]
-    step = frame_step(numbers)
-    for number, following in itertools.pairwise(numbers):
-        if number is not None and following is not None and not is_next(number, following, step):
-            raise InputError(f"frames: {following} comes after {number}, expected {number + step} there, {needed}")
-
-
-def frame_step(numbers: Sequence[int | float | None]) -> int | float:
-    """How far frames with these numbers are apart, such as 2 for every second one; 1 if they have none or no order.
-
-    Velocities in cells per frame lead from each to the next once they are multiplied by it.
-    """
-    counted = [number for number in numbers if number is not None]
-    ascending = all(before < after for before, after in itertools.pairwise(counted))
-    return step_of(counted) if ascending and len(counted) == len(numbers) else 1
+    if gap := first_gap([measure.number for measure in measures]):
+        number, following, expected = gap
+        raise InputError(f"frames: {following} comes after {number}, expected {expected} there, {needed}")
 
 
 def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[str, Any], out: Path) -> None:

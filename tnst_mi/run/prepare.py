@@ -16,6 +16,7 @@ from tqdm import tqdm
 from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
+from tnst_mi.io.files.frame_numbers import frame_step
 from tnst_mi.io.formats import FORMATS, held
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
@@ -33,13 +34,11 @@ from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import chosen, require_there
-from tnst_mi.run.folder import resumable_run
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
 from tnst_mi.run.measure import (
     Measure,
     digests,
     file_digests,
-    frame_step,
     measured,
     require_coherent,
     require_same_input,
@@ -49,6 +48,8 @@ from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, 
 from tnst_mi.run.readable import Readable
 from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
+from tnst_mi.run.resuming import resumable_run
+from tnst_mi.run.written import recipe_digest
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
 _TRIAL_ROWS = 64
@@ -60,7 +61,7 @@ _WORTH_TELLING = 50_000_000
 _DENSEST = 1e15
 
 #: Entries of its earlier record that a resumed run keeps.
-_KEPT = ("started", "frames", "sequence", "seconds", "peak_memory_bytes")
+_KEPT = ("started", "frames", "sequence", "results", "seconds", "peak_memory_bytes")
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ def prepare(
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
-    readable = Readable(sequence, recipe.skip_bad)
+    readable = Readable(sequence, recipe.skip_bad, recipe.window)
     measures, reference = measured(_watched(readable, "reading", progress), recipe.carry)
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     require_there(recipe.carry, movable)
@@ -224,6 +225,7 @@ def prepare(
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": environment.versions(),
         "device": environment.device(variant),
+        "recipe": recipe_digest(recipe),
         "seed": recipe.seed,
         "weights": {
             "file": str(network.model.source),
@@ -268,6 +270,8 @@ def prepare(
         regions=regions,
     )
     said = [*readable.lines(), *(f"note: {note}" for note in (regions.notes if regions is not None else ()))]
+    if earlier is not None:
+        said += earlier["notes"]
     return Prepared(
         recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
     )

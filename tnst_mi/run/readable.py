@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.frame import Frame
+from tnst_mi.io.files.frame_numbers import first_gap
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import LONGEST, some_of
 
@@ -20,14 +21,16 @@ class Readable(Iterable[Frame]):
     Args:
         frames: the sequence.
         skip_bad: whether to go on without frames that cannot be read.
+        window: the frames that a frame is averaged over; several have to be equally far apart.
 
     Attributes:
         kept: the places in the sequence of the frames that could be read.
     """
 
-    def __init__(self, frames: Sequence[Frame], skip_bad: bool = False) -> None:
-        self._frames, self._skip_bad = frames, skip_bad
+    def __init__(self, frames: Sequence[Frame], skip_bad: bool = False, window: int = 1) -> None:
+        self._frames, self._skip_bad, self._window = frames, skip_bad, window
         self.kept: list[int] = []
+        self._numbers: list[int | float | None] = []
         self._bad: list[str] = []
         self._readings: dict[str, list[str]] = {}
         self._notes: dict[str, list[str]] = {}
@@ -58,6 +61,7 @@ class Readable(Iterable[Frame]):
     def keep(self, index: int, frame: Frame) -> None:
         """Note what is to be said of a frame that has been read, from a place in the sequence."""
         self.kept.append(index)
+        self._numbers.append(frame.number)
         if frame.reading:
             self._readings.setdefault(frame.reading, []).append(frame.name)
         for note in frame.notes:
@@ -72,9 +76,18 @@ class Readable(Iterable[Frame]):
         """Check, once all frames have been tried, that they could be read, or may be left out.
 
         Raises:
-            InputError: they could not.
+            InputError: they could not; or the window needs those that are to be left out.
         """
-        require_readable(self._bad, len(self._frames), self._skip_bad)
+        gap = first_gap(self._numbers) if self._bad and self._window > 1 else None
+        if gap is None:
+            require_readable(self._bad, len(self._frames), self._skip_bad)
+            return
+        before, after, _ = gap
+        needs = f"window = {self._window} needs the frames between {before} and {after}"
+        remedy = f"; {needs}: mend them, select with --frames, or add --window 1"
+        if self._skip_bad:
+            raise InputError(_fitting(f"left out: {_shortened(self._bad)}", LONGEST - len(remedy)) + remedy)
+        require_readable(self._bad, len(self._frames), False, f"{remedy} --skip-bad")
 
     def frames(self) -> Sequence[Frame]:
         """The frames that could be read, once all have been tried; if these are all, the sequence itself."""
@@ -99,20 +112,22 @@ class Readable(Iterable[Frame]):
         return lines
 
 
-def require_readable(bad: Sequence[str], total: int, skip_bad: bool) -> None:
+def require_readable(bad: Sequence[str], total: int, skip_bad: bool, remedy: str | None = None) -> None:
     """Check that all frames could be read, or some if the others are to be left out.
 
     Args:
         bad: the messages of those that could not.
         total: number of all frames.
         skip_bad: whether to go on without them.
+        remedy: the end of the message; None for the flag that leaves them out, if others are left.
 
     Raises:
         InputError: it names them, and says each reason once.
     """
     if not bad or (skip_bad and len(bad) < total):
         return
-    remedy = "" if len(bad) == total else f"; --skip-bad leaves {'it' if len(bad) == 1 else 'them'} out"
+    if remedy is None:
+        remedy = "" if len(bad) == total else f"; --skip-bad leaves {'it' if len(bad) == 1 else 'them'} out"
     if len(bad) == 1:
         raise InputError(_fitting(bad[0], LONGEST - len(remedy)) + remedy)
     if len(set(bad)) == 1:  # of all frames together

@@ -142,4 +142,5 @@ def _losses_by_octave(history: list[dict[str, Any]]) -> list[list[float]]:
     octaves: dict[int, list[float]] = {}
     for entry in history:
         octaves.setdefault(entry["octave"], []).append(entry["loss"])
-    return [octaves[octave] for octave in sorted(octaves)]
+    # Of a damaged log, octaves may be missing.
+    return [octaves.get(octave, []) for octave in range(max(octaves, default=-1) + 1)]

@@ -244,3 +244,22 @@ def _with_signs_of_words(names: Sequence[NumberedName]) -> list[NumberedName]:
         else name
         for name in names
     ]
+
+
+def frame_step(numbers: Sequence[int | float | None]) -> int | float:
+    """How far frames with these numbers are apart, such as 2 for every second one; 1 if they have none or no order.
+
+    Velocities in cells per frame lead from each to the next once they are multiplied by it.
+    """
+    counted = [number for number in numbers if number is not None]
+    ascending = all(before < after for before, after in itertools.pairwise(counted))
+    return step_of(counted) if ascending and len(counted) == len(numbers) else 1
+
+
+def first_gap(numbers: Sequence[int | float | None]) -> tuple[int | float, int | float, int | float] | None:
+    """The first two numbers that follow each other and are not as far apart as others, and the one expected between."""
+    step = frame_step(numbers)
+    for number, following in itertools.pairwise(numbers):
+        if number is not None and following is not None and not is_next(number, following, step):
+            return number, following, number + step
+    return None

@@ -9,6 +9,7 @@ import OpenEXR
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import write_failure, written_whole
+from tnst_mi.machine.gate import opening
 
 #: Channels of a picture that is wholly used: red, green, blue and alpha.
 _COLOURS = 4
@@ -87,7 +88,11 @@ def _not_premultiplied(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """Read a picture that `write_exr` wrote: (H, W) or (H, W, 3) float32."""
-    with OpenEXR.File(str(path)) as file:
+    """Read a picture that `write_exr` wrote: (H, W) or (H, W, 3) float32.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    with opening(path, "an OpenEXR picture of a run"), OpenEXR.File(str(path)) as file:
         channels = file.channels()
         return np.array(channels["Y" if "Y" in channels else "RGB"].pixels)

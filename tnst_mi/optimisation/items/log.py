@@ -1,9 +1,9 @@
-"""The log of a run's iterations, one entry each, as lines of JSON."""
+"""The log of a run's iterations, one entry each, as lines of JSON that begin with their checksum."""
 
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,17 @@ class Log:
         self._of: dict[str, list[dict[str, Any]]] = {}
 
     @classmethod
-    def read(cls, path: Path) -> Log:
-        """The entries in a file, none if there is no file; lines that are damaged or incomplete are left out.
+    def read(cls, path: Path, run: str) -> Log:
+        """The entries of a run in a file, none if there is no file; lines that are not what was written are left out.
 
         The iteration of a line that a killed run has left incomplete is repeated by the run that goes on.
         """
         log = cls()
-        text = path.read_bytes().decode("utf-8", "replace") if path.exists() else ""
+        text = path.read_bytes().decode("utf-8", "replace") if path.is_file() else ""
         for line in text.splitlines():
-            with suppress(ValueError, TypeError, KeyError, RecursionError):
-                log.add(json.loads(line))
+            _, _, entry = line.partition(" ")
+            if line == log_line(entry, run):
+                log.add(json.loads(entry))
         return log
 
     def add(self, entry: dict[str, Any]) -> None:
@@ -34,3 +35,8 @@ class Log:
     def of(self, frame: str) -> list[dict[str, Any]]:
         """The entries of a frame, in their order."""
         return self._of.get(frame, [])
+
+
+def log_line(entry: str, run: str) -> str:
+    """A line of the file: the checksum (CRC-32) of an entry and the run that it belongs to, and the entry as JSON."""
+    return f"{zlib.crc32((run + entry).encode('utf-8')):08x} {entry}"

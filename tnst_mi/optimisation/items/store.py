@@ -7,7 +7,8 @@ computing what is missing. On disk an item is one safetensors file, read without
     GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl
 
 It holds a checksum of each array together with the item's name and the run that it belongs to. So an item that is
-truncated, that has lost its contents with the power, or that has another's name is found when it is read.
+truncated, that has lost its contents with the power, or that has another's name is found when it is read. Numbers, and
+each line of the log, have a checksum too.
 """
 
 from __future__ import annotations
@@ -21,30 +22,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save
 
-from tnst_mi.errors import StoppedError
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
-from tnst_mi.machine.terminal import one_line
-from tnst_mi.optimisation.items.log import Log
+from tnst_mi.optimisation.items.damage import DamagedItemError, reading, remove_misplaced
+from tnst_mi.optimisation.items.log import Log, log_line
 
 #: What one item holds, by name.
 Arrays = dict[str, np.ndarray]
 
 _ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
-
-
-class DamagedItemError(StoppedError):
-    """An item is not what was written; a run makes it anew when it finds it.
-
-    Attributes:
-        group, frame: of the item; the group is None if it is the numbers.
-    """
-
-    def __init__(self, item: object, reason: object, group: str | None = None, frame: int = 0) -> None:
-        super().__init__(one_line(f"{item}: damaged ({reason}); --resume makes anew what is lost"))
-        self.group, self.frame = group, frame
 
 
 class Store(ABC):
@@ -183,6 +171,7 @@ class FolderStore(Store):
         self._generations: dict[tuple[str, int], int] = {}
         self._entries: Log | None = None
         remove_unfinished(folder)
+        remove_misplaced(folder, (self._numbers, self._log))
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
@@ -198,12 +187,9 @@ class FolderStore(Store):
     def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
         """See `Store`."""
         path = self._path(group, frame, self.generation(group, frame))
-        try:
-            with safe_open(path, framework="numpy") as item:
-                written = item.metadata() or {}
-                found = {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
-        except (SafetensorError, OSError, ValueError) as error:
-            raise DamagedItemError(path, error, group, frame) from None
+        with reading(path, group, frame), safe_open(path, framework="numpy") as item:
+            written = item.metadata() or {}
+            found = {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
         if names is not None and set(names) - set(found):
             raise DamagedItemError(path, "arrays are missing", group, frame)
         for name, array in found.items():
@@ -229,7 +215,7 @@ class FolderStore(Store):
         self._may_write()
         generation = self._generations.pop((group, frame), None)
         if generation is not None:
-            self._path(group, frame, generation).unlink(missing_ok=True)
+            remove_folder(self._path(group, frame, generation))
 
     def remove(self, group: str) -> None:
         """See `Store`."""
@@ -241,7 +227,7 @@ class FolderStore(Store):
         """See `Store`."""
         for group in {group for group, _ in self._generations}:
             self.remove(group)
-        self._numbers.unlink(missing_ok=True)
+        remove_folder(self._numbers)
 
     def note(self, remark: str) -> None:
         """See `Store`."""
@@ -264,14 +250,14 @@ class FolderStore(Store):
         """See `Store`."""
         self._may_write()
         # The line break comes first, so that a line that a killed run left incomplete stays separate.
-        append(self._log, "\n" + json.dumps(entry))
+        append(self._log, "\n" + log_line(json.dumps(entry), self._run))
         if self._entries is not None:
             self._entries.add(entry)
 
     def entries(self, frame: str) -> list[dict[str, Any]]:
         """See `Store`; the file is read once, and what is logged from then on is kept."""
         if self._entries is None:
-            self._entries = Log.read(self._log)
+            self._entries = Log.read(self._log, self._run)
         return self._entries.of(frame)
 
     @property
@@ -283,15 +269,13 @@ class FolderStore(Store):
         return self.folder / "metrics.jsonl"
 
     def _all_numbers(self) -> dict[str, dict[str, float]]:
-        try:
-            everything = dict(json.loads(self._numbers.read_text("utf-8"))) if self._numbers.exists() else None
-        except (OSError, ValueError, TypeError, RecursionError) as error:
-            raise DamagedItemError(self._numbers, error) from None
-        if everything is None:
+        if not self._numbers.exists():
             return {}
-        if everything.pop("checksum", None) != self._checksum_of(everything):
-            raise DamagedItemError(self._numbers, "the checksum is another")
-        return everything
+        with reading(self._numbers):
+            everything = dict(json.loads(self._numbers.read_text("utf-8")))
+            if everything.pop("checksum", None) != self._checksum_of(everything):
+                raise DamagedItemError(self._numbers, "the checksum is another")
+            return everything
 
     def _checksum(self, path: Path, name: str, array: np.ndarray) -> str:
         """The checksum of an array (CRC-32), with what must not be another's: its run, its item, its name and form."""
