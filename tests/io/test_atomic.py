@@ -38,7 +38,7 @@ def test_contents_are_on_the_disk_before_their_name_and_folders_before_their_fil
 ) -> None:
     with written_whole(tmp_path / "a" / "b" / "c.txt") as temporary:
         temporary.write_text("whole")
-    hidden = f".c.{os.getpid()}.{threading.get_native_id()}.txt"
+    hidden = f".tnst_mi-c.{os.getpid()}.{threading.get_native_id()}.txt"
     assert steps == [f"sync {tmp_path.name}", "sync a", f"sync {hidden}", "rename to c.txt", "sync b"]
     steps.clear()
     with written_whole(tmp_path / "a" / "d.txt", durable=False) as temporary:
@@ -85,9 +85,22 @@ def test_folders_go_in_one_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         remove_folder(tmp_path / "a")
     assert not (tmp_path / "a").exists()
     (left,) = tmp_path.iterdir()
-    assert left.name.startswith(".a.")
+    assert left.name.startswith(".tnst_mi-a.")
     remove_unfinished(tmp_path)
     assert not any(tmp_path.iterdir())
+
+
+def test_links_and_files_of_others_are_left_alone(tmp_path: Path) -> None:
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    for path in (elsewhere / ".tnst_mi-a.1.npz", elsewhere / "kept" / "b", out / ".notes.2.txt"):
+        make_folder(path.parent)
+        path.touch()
+    (out / "images").symlink_to(elsewhere)
+    (out / ".tnst_mi-a.1.removed").symlink_to(elsewhere / "kept")
+    remove_unfinished(out)
+    remove_unfinished(out / "images")
+    assert sorted(path.name for path in out.iterdir()) == [".notes.2.txt", "images"]
+    assert (elsewhere / ".tnst_mi-a.1.npz").exists() and (elsewhere / "kept" / "b").exists()
 
 
 def test_a_folder_cannot_be_made_below_a_file(tmp_path: Path) -> None:

@@ -157,6 +157,8 @@ def test_a_second_run_into_a_folder_is_refused(
     with pytest.raises(InputError, match=told):
         next(late)
     list(job)
+    with pytest.raises(InputError, match="another run has written there since this one began"):
+        next(Run(late.prepared, progress=False))
     assert results(out) == expected
 
 

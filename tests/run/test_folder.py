@@ -314,7 +314,11 @@ def test_what_killed_runs_leave_is_cleaned_up(optimiser: FakeOptimiser, tmp_path
     out = tmp_path / "out"
     tnst_mi.stylize(frames(0.2, 0.4), RECIPE, out, progress=False)
     complete = files_of(out)
-    unfinished = [out / "density" / ".f_07.4242.npz", out / "images" / ".preview.4242.mp4", out / ".run.4242.json"]
+    unfinished = [
+        out / "density" / ".tnst_mi-f_07.4242.npz",
+        out / "images" / ".tnst_mi-preview.4242.mp4",
+        out / ".tnst_mi-run.4242.json",
+    ]
     for path in unfinished:
         path.write_bytes(b"PK")
     assert len(load_frames(out / "density")) == 2
@@ -396,7 +400,7 @@ def test_a_run_that_was_killed_at_once_is_resumed(optimiser: FakeOptimiser, tmp_
     """Between the first two files of the run."""
     out = tmp_path / "out"
     RunFolder(out, RECIPE)
-    (out / ".run.123.json").write_text('{"sta')
+    (out / ".tnst_mi-run.123.json").write_text('{"sta')
     for _ in Run(prepare(frames(0.2), RECIPE, out, resume=True), progress=False, optimiser=optimiser):
         pass
     assert optimiser.names == ["f_07"]

@@ -70,7 +70,7 @@ class LayerAtlas:
         else:
             with written_whole(described) as temporary:
                 temporary.write_text(json.dumps(self._key, indent=1) + "\n", "utf-8")
-        remove_unfinished(out)
+        remove_unfinished(out.resolve())
         remove_unfinished(out / "channels")
 
     @property

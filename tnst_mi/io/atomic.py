@@ -7,13 +7,16 @@ of hidden names, and a machine that loses its power has what was written before 
 from __future__ import annotations
 
 import errno
+import glob
 import os
-import re
 import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+#: How the names of what is unfinished begin, which nobody else's do.
+UNFINISHED = ".tnst_mi-"
 
 #: Bytes written to find out why a library could not write.
 _PROBE = 1 << 20
@@ -34,7 +37,7 @@ def written_whole(path: Path, durable: bool = True) -> Iterator[Path]:
         OSError: it cannot be written.
     """
     make_folder(path.parent)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.{threading.get_native_id()}{path.suffix}")
+    temporary = path.with_name(f"{UNFINISHED}{path.stem}.{os.getpid()}.{threading.get_native_id()}{path.suffix}")
     try:
         yield temporary
         _publish(temporary, path, durable)
@@ -80,8 +83,7 @@ def remove_folder(folder: Path) -> None:
     Raises:
         OSError: it cannot be removed.
     """
-    # Names that begin with a dot are those of what is unfinished.
-    removed = folder.with_name(f".{folder.name}.{os.getpid()}.removed")
+    removed = folder.with_name(f"{UNFINISHED}{folder.name}.{os.getpid()}.removed")
     try:
         os.replace(folder, removed)
     except FileNotFoundError:
@@ -94,14 +96,17 @@ def remove_folder(folder: Path) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the temporary files, and the folders being removed, that a killed process left in a folder."""
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if not re.fullmatch(r"\..+\.\d+\.\w+", path.name):
-            continue
-        if path.is_file():
-            path.unlink(missing_ok=True)
-        elif path.suffix == ".removed":
+    """Remove the temporary files, and the folders being removed, that a killed process left in a folder.
+
+    What is behind a link is not ours: it is left alone, whether the folder is a link or something in it.
+    """
+    if folder.is_symlink() or not folder.is_dir():
+        return
+    for path in folder.glob(f"{glob.escape(UNFINISHED)}*"):
+        if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def sync(path: Path) -> None:
@@ -129,7 +134,7 @@ def write_failure(path: Path, reason: str) -> OSError:
 
     That is a full disk, a quota that is used up, a folder that cannot be written to; or EIO if the try succeeds.
     """
-    probe = path.with_name(f".probe.{os.getpid()}.tmp")
+    probe = path.with_name(f"{UNFINISHED}probe.{os.getpid()}.tmp")
     try:
         with probe.open("wb") as file:
             file.write(bytes(_PROBE))

@@ -26,7 +26,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
-from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
+from tnst_mi.io.atomic import UNFINISHED, append, remove_folder, remove_unfinished, sync, written_whole
 from tnst_mi.io.files.companions import OBSTACLE, VELOCITY, companion
 from tnst_mi.io.formats import FORMATS, GRID_FORMATS, write_frame
 from tnst_mi.io.pictures.exr import read_exr, write_exr
@@ -154,7 +154,8 @@ class RunFolder:
         self._metrics = out / "metrics.jsonl"
         if overwrite:
             _remove_results(out, frame_names(out))
-        for folder in (out, *(out / name for name in _FOLDERS)):
+        # The folder itself may be a link that the user made; those in it are not followed.
+        for folder in (out.resolve(), *(out / name for name in _FOLDERS)):
             remove_unfinished(folder)
         with written_whole(out / "recipe.toml") as temporary:
             temporary.write_text(recipe.to_toml(), "utf-8")
@@ -252,7 +253,7 @@ def just_begun(out: Path) -> bool:
     """Whether a run was killed here before it wrote its first run.json, or after it removed an earlier one."""
     return all(
         path.name in ("recipe.toml", LOCK)
-        or path.name.startswith((".recipe.", ".run."))
+        or path.name.startswith((f"{UNFINISHED}recipe.", f"{UNFINISHED}run."))
         or (path.name in _FOLDERS and path.is_dir() and not any(path.iterdir()))
         for path in out.iterdir()
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
-from tnst_mi.errors import StoppedError
+from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import make_folder
@@ -31,6 +31,7 @@ from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, run_identity, sequence_record
+from tnst_mi.run.resuming import record_in
 from tnst_mi.run.stored_arrays import StoredArrays
 from tnst_mi.run.time_left import octave_sizes
 
@@ -109,6 +110,12 @@ class Run(Iterator[StylizedFrame]):
                 return
             make_folder(out)
             with locked(out) as lock:
+                # Two runs may have been prepared at once; the folder then is that of the first to write.
+                if not self.prepared.overwrite and record_in(out) != self.prepared.found:
+                    raise InputError(
+                        f"{out}: another run has written there since this one began; continue that with --resume, or "
+                        "give another folder"
+                    )
                 yield from self._stylized_into(lock)
         except BrokenPipeError:
             raise  # the reader of what is said has left

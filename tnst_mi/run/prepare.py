@@ -48,7 +48,7 @@ from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, 
 from tnst_mi.run.readable import Readable
 from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
-from tnst_mi.run.resuming import resumable_run
+from tnst_mi.run.resuming import record_in, resumable_run
 from tnst_mi.run.written import recipe_digest
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
@@ -91,6 +91,7 @@ class Prepared:
         suffix: file suffix of the results, of the recipe's format or else of the input's, if that can be written.
         overwrite: whether a run in `out` is replaced.
         record: the contents of run.json before the first frame is done, with those of an earlier run that is resumed.
+        found: the bytes of the run.json that was in `out` when the checks began, or None.
     """
 
     recipe: Recipe
@@ -107,6 +108,7 @@ class Prepared:
     suffix: str
     overwrite: bool
     record: Mapping[str, Any] = field(repr=False)
+    found: bytes | None = field(repr=False)
 
     @property
     def unchanged(self) -> Sequence[Frame]:
@@ -168,6 +170,7 @@ def prepare(
     targets = targets_of(recipe)
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
+    found = None if out is None else record_in(out)
     sequence = requested_frames(frames, recipe, out, resume=resume, overwrite=overwrite)
     # Reading the first frame finds most bad inputs before the network is loaded.
     first = next(iter(Readable(sequence, recipe.skip_bad)))
@@ -273,7 +276,21 @@ def prepare(
     if earlier is not None:
         said += earlier["notes"]
     return Prepared(
-        recipe, sequence, step, measures, bright, network, plan, said, memory, cache, out, suffix, overwrite, record
+        recipe,
+        sequence,
+        step,
+        measures,
+        bright,
+        network,
+        plan,
+        said,
+        memory,
+        cache,
+        out,
+        suffix,
+        overwrite,
+        record,
+        found,
     )
 
 

@@ -47,6 +47,14 @@ def require_begun(out: Path) -> bool:
     return True
 
 
+def record_in(out: Path) -> bytes | None:
+    """The bytes of the run.json in a folder, or None if there is none that can be read."""
+    try:
+        return (out / "run.json").read_bytes()
+    except OSError:
+        return None
+
+
 def resumable_run(
     out: Path, recipe: Recipe, weights: dict[str, Any], suffix: str = FORMATS[0]
 ) -> dict[str, Any] | None:

@@ -175,6 +175,8 @@ class FolderStore(Store):
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
+            if path.parent.is_symlink():
+                continue
             if match:
                 self._take(path.parent.name, int(match[1]), int(match[2]))
             else:
