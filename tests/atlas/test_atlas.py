@@ -140,7 +140,7 @@ def test_what_a_kill_leaves_behind_is_made_anew(network: GoogLeNet, tmp_path: Pa
     expected = files(tmp_path)
     file = tmp_path / "channels" / "001_picture.png"
     file.write_bytes(file.read_bytes()[:-40])
-    (tmp_path / "channels" / ".001_smoke.4711.png").write_bytes(b"half")
+    (tmp_path / "channels" / ".tnst_mi-001_smoke.4711.png").write_bytes(b"half")
     again = LayerAtlas(network, LAYER, tmp_path, QUICK)
     assert again.missing([0, 1]) == [1]
     again.make([0, 1])

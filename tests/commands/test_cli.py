@@ -153,7 +153,7 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("stylize a --out b --lamm=1", "unexpected '--lamm'; did you mean --lam?"),
         ("stylize a --out b c", "unexpected 'c'"),
         ("stylize --out b --tag x", "stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern"),
-        ("stylize --out b --resume", "b: holds no run that could be resumed; give its INPUT too to begin it"),
+        ("stylize --out b --resume", "b: no run to resume there; leave out --resume to begin one"),
         ("info", "expected one or more files"),
         ("render a --out b --views 1,2,3", "--views 1,2,3: expected AZIMUTH,ELEVATION"),
         ("render a --out b --views nan,0", "--views nan,0: expected"),

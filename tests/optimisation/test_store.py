@@ -87,7 +87,7 @@ def test_what_a_killed_run_leaves_does_no_harm(tmp_path: Path) -> None:
     earlier = (tmp_path / "fields.0" / "000001.000004.safetensors").read_bytes()
     store.write("fields.0", 1, 5, arrays(6))
     (tmp_path / "fields.0" / "000001.000004.safetensors").write_bytes(earlier)
-    unfinished = tmp_path / "fields.0" / ".000001.000006.99.safetensors"
+    unfinished = tmp_path / "fields.0" / ".tnst_mi-000001.000006.99.safetensors"
     unfinished.write_bytes(earlier[:20])
     store.log({"frame": "a"})
     with (tmp_path / "metrics.jsonl").open("a") as file:

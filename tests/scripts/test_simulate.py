@@ -164,7 +164,7 @@ def test_a_simulation_that_ended_early_is_gone_on_with(blender, tmp_path: Path, 
     assert kept == {f"{name}_0002.uni" for name in ("density", "vel", "phiObsIn")}, "what the next frame needs"
     assert run(blender(), out, "--resolution", "48") == 2, "another simulation"
     # What a killed run was writing.
-    (out / ".frame_0003.123.npz").touch()
+    (out / ".tnst_mi-frame_0003.123.npz").touch()
     assert run(blender(), out) == 0
     assert (tmp_path / "calls").read_text().split() == ["1", "1", "3"]
     assert {path.name: path.read_bytes() for path in out.iterdir()} == {
