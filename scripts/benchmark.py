@@ -55,12 +55,15 @@ from tnst_mi.optimisation.single_frame import optimise
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 VIEWS = 9
 
+#: Transport and images of the paper, of which plain torch has counterparts.
+ONE_STEP = {"lam": 1.0, "transport": "step", "motif_size": "cells"}
+
 #: A whole iteration: the style recipe of the paper's figures.
-STYLE = {"style": ["flames"], "octaves": 1, "views": VIEWS}
+STYLE = ONE_STEP | {"style": ["flames"], "octaves": 1, "views": VIEWS}
 
 #: A whole frame of the paper's size (Table 2: semantic transfer).
 PAPER_SHAPE = (200, 300, 200)
-PAPER = {"semantic": ["inception_4b/pool_proj:16"], "lam": 1.0, "octaves": 3, "iterations": 20, "views": VIEWS}
+PAPER = ONE_STEP | {"semantic": ["inception_4b/pool_proj:16"], "octaves": 3, "iterations": 20, "views": VIEWS}
 
 Task = Callable[[], object]
 

@@ -38,7 +38,8 @@ from tnst_mi.run.time_left import octave_sizes
 
 FRAME = Path(__file__).resolve().parents[1] / "scenes" / "suzanne" / "frame_0010.npz"
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]
-METHOD = {"octaves": 2, "iterations": 20, "views": len(VIEWS), "gamma": 0.3, "spp": 16}
+METHOD = {"lam": 1.0, "transport": "step", "motif_size": "cells", "octaves": 2, "iterations": 20, "views": len(VIEWS)}
+METHOD |= {"gamma": 0.3, "spp": 16}
 NAMES = {"emission_absorption": "emission–absorption", "prbvolpath": "prbvolpath"}
 
 #: Paths per pixel of the pictures that are judged: their noise must not count as style.

@@ -28,7 +28,7 @@ from tnst_mi.optimisation.single_frame import optimise
 
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]
 TAGS = "spiral,net,flower,fire,stripes,dots,stars,scales,rings,hearts"
-METHOD = {"octaves": 2, "iterations": 20, "views": 3}
+METHOD = {"lam": 1.0, "transport": "step", "motif_size": "cells", "octaves": 2, "iterations": 20, "views": 3}
 
 
 def pictures(density: np.ndarray, recipe: Recipe, exposure: float) -> Tensor:

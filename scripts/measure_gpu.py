@@ -395,7 +395,7 @@ def memory(options: argparse.Namespace) -> Result:
     from tnst_mi.optimisation.items.store import MemoryStore
     from tnst_mi.optimisation.plan import plan_of
     from tnst_mi.optimisation.runner import SequenceOptimisation
-    from tnst_mi.run.memory import needed
+    from tnst_mi.run.memory import Need
 
     kinds = {"scalar": {"lam": 1.0}, "vector": {"lam": 0.0}, "both": {"lam": 0.5}}
     kinds |= {"density": {"lam": 1.0, "parameterisation": "density"}, "window": {"lam": 1.0, "window": 3}}
@@ -411,7 +411,7 @@ def memory(options: argparse.Namespace) -> Result:
         plan = plan_of(recipe, names, numbers, [1.0] * len(frames), [GAMMA] * len(frames), shape)
         for _ in SequenceOptimisation(plan, frames, network, MemoryStore(), 0).run():
             pass
-        need = needed(shape, recipe, 1, saved, True)
+        need = Need(shape, recipe, 1, saved, on_disk=True)
         return {"shape": shape, "estimate": need.total, "saved_by_pixel": saved, **peak()}
     found: Result = {}
     command = [sys.executable, __file__, *sys.argv[1:], "--part", "memory"]

@@ -5,10 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 # Before any test module imports torch, whose idle threads would spin and take Dr.Jit's cores; see `tnst_mi.__init__`.
 import tnst_mi
+
+# Examples are the same in every run: a change fails the tests, or does not. `--hypothesis-profile=search` looks for new
+# ones.
+hypothesis.settings.register_profile("repeatable", derandomize=True)
+hypothesis.settings.register_profile("search")
+hypothesis.settings.load_profile("repeatable")
 
 ASSETS = Path(__file__).resolve().parents[2] / "shared"
 

@@ -34,9 +34,9 @@ _ALIKE, _DOUBLED = 0.6, (1.5, 2.5)
 def make(setting: Setting) -> Made:
     """Stylize one frame at several finenesses with and without a motif size, and a ball with motifs of three sizes."""
     frame = setting.smoke("smokejet", 61)[0]
-    found: dict[str, dict[int, tuple[np.ndarray, np.ndarray]]] = {"auto": {}, str(_SIZE): {}}
+    found: dict[str, dict[int, tuple[np.ndarray, np.ndarray]]] = {"cells": {}, str(_SIZE): {}}
     for size, rows in itertools.product(found, _ROWS[setting.size]):
-        keys = _KEYS[setting.size] | {"style": ["flames"], "motif_size": size if size == "auto" else float(size)}
+        keys = _KEYS[setting.size] | {"style": ["flames"], "motif_size": size if size == "cells" else float(size)}
         run = setting.stylized(f"motif-{size}-{rows}", _with_rows(frame, rows), **keys)
         found[size][rows] = _pictures(run)
     likeness = {
@@ -58,7 +58,7 @@ def make(setting: Setting) -> Made:
         [
             Claim(
                 f"With motif_size {_SIZE}, changes of grids of {names} rows correlate by {fixed:.2f} or more "
-                f"(pictures of {_COMPARED} rows), where those of auto correlate by {today:.2f}",
+                f"(pictures of {_COMPARED} rows), where those of cells correlate by {today:.2f}",
                 fixed >= _ALIKE and fixed > today,
             ),
             Claim(

@@ -27,6 +27,9 @@ _HERE = Path(__file__).resolve().parents[2]
 SCENES, ASSETS = _HERE / "scenes", _HERE.parent / "shared"
 
 
+#: What figures do as the paper does, unless they say otherwise.
+_AS_THE_PAPER = {"lam": 1.0, "transport": "step", "motif_size": "cells"}
+
 #: Cells left around the smoke of a close-up, which stylization may move out a little.
 _ROOM = 6
 
@@ -127,12 +130,13 @@ class Setting:
         Args:
             name: of its folder below `out/runs`.
             frames: one frame or a sequence.
-            recipe: the recipe; None for the defaults.
+            recipe: the recipe; None for the defaults, but with the paper's transport and images.
             keys: keys of the recipe that are replaced.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         here = Path.cwd()
-        recipe = (recipe or Recipe()).updated({"weights": self.weights, **keys}, f"{name}: ", here)
+        recipe = recipe or Recipe.from_dict(_AS_THE_PAPER)
+        recipe = recipe.updated({"weights": self.weights, **keys}, f"{name}: ", here)
         out = self.out / "runs" / name
         try:
             job = RunningJob(prepare(frames, recipe, out, resume=holds_run(out)))

@@ -14,9 +14,9 @@ from tnst_mi.run.record import sequence_record
 @pytest.mark.parametrize(
     ("keys", "after", "remedy"),
     [
-        ({}, 80.0, 'lost 20.0% of its smoke; transport = "flow" and lam = 0'),
+        ({"lam": 1.0}, 80.0, 'lost 20.0% of its smoke; transport = "flow" and lam = 0'),
         ({"lam": 0.0, "steps": "auto"}, 80.0, 'lost 20.0% of its smoke; transport = "flow" and steps = 1'),
-        ({"transport": "flow"}, 112.0, "gained 12.0% of its smoke; lam = 0"),
+        ({"transport": "flow", "lam": 0.5}, 112.0, "gained 12.0% of its smoke; lam = 0"),
         ({"transport": "flow", "lam": {1: 0.0, 9: 1.0}}, 105.3, "gained 5.3% of its smoke; lam = 0"),
         (
             {"transport": "flow", "lam": 0.0},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
@@ -60,7 +60,6 @@ def test_a_puff_of_any_size_is_told_from_the_haze_around_it(edge: int, haze: flo
 
 
 @given(st.integers(-100, 100), st.integers(0, 5))
-@settings(deadline=None)
 def test_a_power_of_two_gives_the_same_bits(exponent: int, seed: int) -> None:
     densities = [plume(seed), plume(seed + 1)]
     expected = [scaled(d, 1 / reference(*densities)) for d in densities]
@@ -73,7 +72,6 @@ def test_a_power_of_two_gives_the_same_bits(exponent: int, seed: int) -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.integers(0, 5))
-@settings(deadline=None)
 def test_another_factor_gives_nearly_the_same(factor: float, seed: int) -> None:
     densities = [plume(seed), plume(seed + 1)]
     other = reference(*(np.float32(factor) * density for density in densities))

@@ -20,7 +20,7 @@ ROTATIONS = [
 ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.sampled_from(ROTATIONS), st.tuples(*[st.integers(-9, 9)] * 3), st.tuples(*[st.integers(1, 5)] * 3))
 def test_permutations_are_exact(matrix: np.ndarray, offset: tuple[int, ...], shape: tuple[int, ...]) -> None:
     voxels_of = Affine(matrix, np.array(offset, float))

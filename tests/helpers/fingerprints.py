@@ -66,12 +66,14 @@ class Run:
 
 
 RUNS = {
-    "style": Run({"style": ["spirals"]}),
+    "style": Run({"style": ["spirals"], "lam": 1.0}),
     "style_window": Run(
         {"style": ["flames"], "lam": 0.5, "window": 3, "window_weights": "gaussian", "coherence": 1.0}, frames=4
     ),
     "semantic": Run({"semantic": ["inception_3b/output:5,9"], "lam": 0.0, "damping": 0.1, "steps": "auto"}, solid=True),
-    "semantic_window": Run({"semantic": ["inception_4b/pool_proj:16"], "lam": 0.0, "window": 3}, frames=4),
+    "semantic_window": Run(
+        {"semantic": ["inception_4b/pool_proj:16"], "lam": 0.0, "transport": "step", "window": 3}, frames=4
+    ),
     "tag": Run(
         {"tag": ["spiral"], "lam": {7: 0.0, 9: 1.0}, "gamma": {7: 0.1, 9: 0.4}, "quadrature": "exact"}, frames=3
     ),
@@ -80,7 +82,8 @@ RUNS = {
     # has no use for the gradient there, but an offset of the density has.
     "density": Run({"style": ["cells"], "parameterisation": "density", "window": 3, "eta": 0.01}, frames=4, haze=True),
     "path_traced": Run(
-        {"semantic": ["inception_3b/output:5"], "integrator": "prbvolpath", "spp": 8, "gamma": 0.5}, rounding=1e-5
+        {"semantic": ["inception_3b/output:5"], "lam": 1.0, "integrator": "prbvolpath", "spp": 8, "gamma": 0.5},
+        rounding=1e-5,
     ),
 }
 

@@ -15,7 +15,7 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
 
-GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 1, "iterations": 4, "views": 3}
+GOAL = {"semantic": ("inception_3a/3x3:2",), "lam": 1.0, "octaves": 1, "iterations": 4, "views": 3}
 
 
 def run(

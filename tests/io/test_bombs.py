@@ -236,7 +236,7 @@ def test_values_that_are_not_finite_have_no_mass() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_smoke_in_neighbouring_bins_is_of_one_clump(seed: int) -> None:
     """Tiles of both sizes at random, against all pairs of them."""
     rng = np.random.default_rng(seed)

@@ -114,7 +114,7 @@ def test_the_other_number_that_a_name_may_have(names: list[str], otherwise: tupl
     assert numbered(names)[0].otherwise == otherwise
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     first=st.integers(-9999, 9999),
     count=st.integers(2, 12),
@@ -130,7 +130,7 @@ def test_whatever_is_written_comes_back(first: int, count: int, step: int, width
     assert (step_of(written), missing(written)) == (step, [])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.text("ab01.-_v é", max_size=9), max_size=6))
 def test_any_names_are_taken_apart(names: list[str]) -> None:
     found = numbered(names)

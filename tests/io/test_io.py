@@ -192,7 +192,7 @@ def valid_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cut=st.floats(0.0, 1.0, exclude_max=True))
 def test_every_truncation_is_an_input_error(
     valid_bytes: bytes, tmp_path_factory: pytest.TempPathFactory, cut: float
@@ -203,7 +203,7 @@ def test_every_truncation_is_an_input_error(
         load_frames(path)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(position=st.floats(0.0, 1.0, exclude_max=True), value=st.integers(0, 255))
 def test_a_flipped_byte_is_harmless_or_an_input_error(
     valid_bytes: bytes, tmp_path_factory: pytest.TempPathFactory, position: float, value: int

@@ -71,7 +71,7 @@ def points_in(path: Path, count: int = 1000) -> np.ndarray:
     return voxels @ grid.affine.matrix.T + grid.affine.offset
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.sampled_from(TURNS))
 def test_turned_and_mirrored_cubes_are_permuted(tmp_path_factory: pytest.TempPathFactory, turn: np.ndarray) -> None:
     folder = tmp_path_factory.mktemp("turned")

@@ -108,7 +108,7 @@ def test_damaged_radiance_pictures(tmp_path: Path, data: bytes, message: str) ->
     assert "\n" not in str(error.value)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.binary(max_size=200), columns=st.integers(1, 20))
 def test_any_scanlines_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes, columns: int) -> None:
     path = tmp_path_factory.getbasetemp() / "any.hdr"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -43,7 +43,6 @@ def save(path: Path, tensors: networks.Tensors, **metadata: str) -> Path:
 # ---- writing and reading ---------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(
     arrays.arrays(
         np.float32,
@@ -200,7 +199,6 @@ def test_class_names_of_another_form(tmp_path: Path, tensors: networks.Tensors, 
     assert str(error.value).startswith(f"{path}: ") and str(error.value).isprintable()
 
 
-@settings(deadline=None)
 @given(st.text(max_size=60) | st.recursive(st.none() | st.text(), st.lists).map(json.dumps))
 def test_any_text_is_the_class_names_or_malformed(classes: str) -> None:
     tensors = {name: torch.from_numpy(values) for name, values in QUANTISED.items()}

@@ -26,7 +26,7 @@ from tnst_mi.optimisation.temporal.window import window_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.prepare import prepare
 
-GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 1, "iterations": 2, "views": 2}
+GOAL = {"semantic": ("inception_3a/3x3:2",), "lam": 1.0, "octaves": 1, "iterations": 2, "views": 2}
 ALGORITHM_1 = GOAL | {"window": 3, "window_average": "plain", "step_order": "align_first"}
 COUNT, EXPOSURE = 4, 0.2
 

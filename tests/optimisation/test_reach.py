@@ -62,7 +62,7 @@ def fastest(velocity: np.ndarray) -> float:
 @given(
     st.sampled_from([0.0, 0.3, 1.0]), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.sampled_from([1.0, 1.8]), st.data()
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_no_cell_is_faster_than_the_bound(lam: float, size: float, reach: float, h: float, data: st.DataObject) -> None:
     transport, rng = Transport(lam), np.random.default_rng(data.draw(st.integers(0, 99)))
     shape = data.draw(st.tuples(*[st.integers(1, 12)] * 3))

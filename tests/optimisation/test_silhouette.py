@@ -21,12 +21,20 @@ from tnst_mi.optimisation.silhouette import displacement_allowed, distance_insid
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
 
-GOAL = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 4, "views": 2, "eta": 0.1, "gamma": 1.0}
+GOAL = {
+    "semantic": ("inception_3a/3x3:2",),
+    "lam": 1.0,
+    "octaves": 2,
+    "iterations": 4,
+    "views": 2,
+    "eta": 0.1,
+    "gamma": 1.0,
+}
 RECIPE = Recipe(**GOAL)
 
 
 @given(st.tuples(st.integers(1, 9), st.integers(1, 9)), st.integers(0, 1000), st.floats(0.1, 0.95))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_distances_are_those_to_the_nearest_pixel_outside(shape: tuple[int, int], seed: int, share: float) -> None:
     mask = np.random.default_rng(seed).random(shape) < share
     padded = np.pad(mask, 1)
@@ -60,7 +68,7 @@ def test_a_cell_may_move_as_far_as_it_lies_inside_a_ball(view: tuple[float, floa
 
 
 @given(st.integers(0, 99), st.floats(0.1, 4.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_no_cell_is_faster_than_it_may_be(seed: int, size: float) -> None:
     rng, transport, shape = np.random.default_rng(seed), Transport(0.4), (9, 12, 10)
     fields = Fields(

@@ -55,7 +55,7 @@ def smoke() -> Frame:
 
 
 def recipe(**changes: object) -> Recipe:
-    values = {"semantic": ("inception_3a/3x3:2",), "octaves": 2, "iterations": 3, "views": 2} | changes
+    values = {"semantic": ("inception_3a/3x3:2",), "lam": 1.0, "octaves": 2, "iterations": 3, "views": 2} | changes
     return Recipe(**values)
 
 
@@ -416,7 +416,9 @@ def test_style_distance_falls(bvlc: GoogLeNet, asset, name: str, number: int, pi
 @pytest.fixture(scope="module")
 def flower(bvlc: GoogLeNet, asset) -> tuple[Frame, Stylized]:
     frame = real_frame(asset, "suzanne", 10)
-    return frame, optimise(frame, Recipe(semantic=("inception_4b/pool_proj:16",), lam=0.0, **SHORT), bvlc)
+    return frame, optimise(
+        frame, Recipe(semantic=("inception_4b/pool_proj:16",), lam=0.0, transport="step", **SHORT), bvlc
+    )
 
 
 def test_incompressible_semantic_transfer(bvlc: GoogLeNet, flower: tuple[Frame, Stylized]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -17,13 +20,34 @@ from tnst_mi.recipe.recipe import Recipe
     [
         ({"transport": "flow", "steps": 4}, "steps = 4 belongs to transport = 'step', and transport is 'flow'"),
         ({"transport": "flow", "steps": "auto"}, "steps = 'auto' belongs to transport = 'step'"),
-        ({"stages": 4}, "stages = 4 belongs to transport = 'flow', and transport is 'step'"),
+        ({"transport": "step", "stages": 4}, "stages = 4 belongs to transport = 'flow', and transport is 'step'"),
         ({"preset": "paper", "conservative": True}, "conservative = True belongs to transport = 'flow'"),
     ],
 )
 def test_keys_of_the_other_transport_are_refused_in_one_line(keys: dict, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}[^\n]*expected[^\n]*$"):
         tnst_mi.stylize(np.ones((8, 8, 8), np.float32), {"style": ["net"], "weights": "patterns"} | keys)
+
+
+@pytest.mark.parametrize(
+    ("keys", "transport"),
+    [
+        ({}, "flow"),
+        ({"lam": 0.0}, "flow"),
+        ({"lam": 0.01}, "step"),
+        ({"lam": {1: 0.0, 9: 0.5}}, "step"),
+        ({"steps": "auto"}, "step"),
+        ({"lam": 1.0, "stages": 8}, "flow"),
+        ({"lam": 1.0, "conservative": True}, "flow"),
+        ({"lam": 1.0, "transport": "flow"}, "flow"),
+        ({"transport": "step"}, "step"),
+        ({"preset": "paper", "lam": 0.0}, "step"),
+    ],
+)
+def test_the_transport_follows_from_what_is_given(keys: dict, transport: str) -> None:
+    recipe = Recipe.from_dict(keys)
+    assert recipe.transport == Recipe.from_dict(tomllib.loads(recipe.to_toml())).transport == transport
+    assert Recipe().updated(keys, "", Path()).transport == transport
 
 
 def test_flags_may_come_in_any_order() -> None:

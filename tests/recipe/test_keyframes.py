@@ -73,7 +73,7 @@ def test_the_camera_moves_along_its_path() -> None:
     assert recipe.at(15).azimuth == (10.0, 30.0)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.floats(-360, 360), min_size=4, max_size=4), st.integers(0, 1000), st.integers(1, 1000))
 def test_no_rounding_leaves_the_range(values: list[float], number: int, last: int) -> None:
     first, second = tuple(sorted(values[:2])), tuple(sorted(values[2:]))

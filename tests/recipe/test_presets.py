@@ -28,6 +28,7 @@ PAPER = {
     "density_scale": 1.0,
     "quadrature": "paper",
     "octaves": 3,
+    "motif_size": "cells",
     "scale_factor": 1.8,
     "iterations": 20,
     "views": 9,
@@ -52,7 +53,11 @@ PAPER = {
 }
 
 #: Keys in which it differs from our defaults.
-OTHERWISE = {"preset", "style_loss", "loss_scaling", "sigma", "window_average", "step_order", "density_scale"}
+OTHERWISE = {"preset", "style_loss", "loss_scaling", "sigma", "window_average", "step_order", "density_scale"} | {
+    "lam",
+    "transport",
+    "motif_size",
+}
 
 
 def values(recipe: Recipe) -> dict[str, Any]:

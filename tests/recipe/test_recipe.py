@@ -106,7 +106,7 @@ def write(folder: Path, text: str) -> Path:
 
 def test_the_defaults_are_the_published_ones() -> None:
     recipe = Recipe()
-    assert (recipe.lam, recipe.gamma, recipe.quadrature) == (1.0, 0.1, "paper")
+    assert (recipe.lam, recipe.transport, recipe.gamma, recipe.quadrature) == (0.0, "flow", 0.1, "paper")
     assert (recipe.octaves, recipe.scale_factor, recipe.iterations, recipe.views) == (3, 1.8, 20, 9)
     assert (recipe.azimuth, recipe.elevation, recipe.eta) == ((-10.0, 10.0), (-5.0, 5.0), 0.002)
     assert recipe.style_layers == {"conv2/3x3": 1, "inception_3b/output": 1, "inception_4b/output": 1}
@@ -143,7 +143,7 @@ def test_flags_say_what_toml_says() -> None:
     assert by_flags == Recipe().updated(expected, "", Path.cwd())
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(allow_nan=False, allow_infinity=False), st.floats(allow_nan=False, allow_infinity=False))
 def test_a_range_is_kept_or_refused(low: float, high: float) -> None:
     if -360 <= low <= high <= 360:

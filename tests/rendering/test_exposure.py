@@ -69,7 +69,7 @@ def test_images_of_sharp_edges_stay_within_one(gamma: float, quadrature: str) ->
     st.sampled_from([0.03, 0.3, 3.0]),
     st.sampled_from([(-10.0, 10.0), (30.0, 30.0), (-180.0, 180.0)]),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_images_of_noise_stay_within_one(
     shape: tuple[int, int, int], seed: int, gamma: float, azimuth: tuple[float, float]
 ) -> None:

@@ -39,7 +39,7 @@ def test_the_side_of_a_deep_grid_is_seen_whole() -> None:
 
 
 @given(SHAPES, VIEWS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_paper_s_frame_is_the_middle_of_a_larger_one(
     shape: tuple[int, int, int], view: tuple[float, float]
 ) -> None:
@@ -55,7 +55,7 @@ def test_the_paper_s_frame_is_the_middle_of_a_larger_one(
 
 
 @given(SHAPES, VIEWS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_nothing_is_outside(shape: tuple[int, int, int], view: tuple[float, float]) -> None:
     """By the corners of the grid; and a frame with two rows or columns less would cut them off."""
     rows, columns = common_size(shape, [view])
@@ -74,7 +74,7 @@ def test_ranges_have_the_largest_of_their_views() -> None:
 
 
 @given(SHAPES, VIEWS, st.integers(0, 100))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_what_is_cut_off_is_what_a_projection_says(
     shape: tuple[int, int, int], view: tuple[float, float], seed: int
 ) -> None:

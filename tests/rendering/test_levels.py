@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import ray_march
 from fields import blob, directional_error, smooth_noise
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tnst_mi.errors import InputError
@@ -36,23 +36,34 @@ def of_motifs(size: float | str, **keys: object) -> Recipe:
 # ---------------------------------------------------------------- the octaves
 
 
-@given(SHAPES, st.integers(1, 4))
-@settings(max_examples=50, deadline=None)
-def test_auto_makes_pixels_of_cells(shape: tuple[int, int, int], count: int) -> None:
-    recipe = dataclasses.replace(RECIPE, octaves=count)
-    expected = [Level(o.shape, o.cell_size, o.shape[1:], o.cell_size) for o in octaves(shape, count)]
+@given(SHAPES, st.integers(1, 4), st.floats(1.01, 3.0))
+@example((1, 1, 2), 2, 1.8)
+@example((4, 4, 9), 3, 1.1)
+@settings(max_examples=50)
+def test_pixels_are_cells_where_motifs_have_so_many(shape: tuple[int, int, int], count: int, factor: float) -> None:
+    recipe = of_motifs("cells", octaves=count, scale_factor=factor)
+    found = octaves(shape, count, factor)
+    expected = [Level(o.shape, o.cell_size, o.shape[1:], o.cell_size) for o in found]
     assert levels_of(recipe, shape) == levels_seen(recipe, shape) == expected
     assert by_cell(recipe, shape) is recipe
 
 
 @given(SHAPES)
-@settings(max_examples=50, deadline=None)
-def test_auto_is_a_motif_size_of_24_cells(shape: tuple[int, int, int]) -> None:
+@settings(max_examples=50)
+def test_cells_are_a_motif_size_of_24_of_them(shape: tuple[int, int, int]) -> None:
     depth, rows, columns = shape
     rows = max(rows, 12)
-    named = of_motifs(MOTIF_PIXELS / rows)
-    assert levels_of(named, (depth, rows, columns)) == levels_of(RECIPE, (depth, rows, columns))
+    named, cells = of_motifs(MOTIF_PIXELS / rows), of_motifs("cells")
+    assert levels_of(named, (depth, rows, columns)) == levels_of(cells, (depth, rows, columns))
     assert by_cell(named, (depth, rows, columns)).gamma == RECIPE.gamma
+
+
+@given(SHAPES)
+@settings(max_examples=50)
+def test_auto_is_cells_up_to_96_rows_and_a_quarter_of_the_height_beyond(shape: tuple[int, int, int]) -> None:
+    same = of_motifs("cells" if shape[1] <= 96 else 0.25)
+    assert levels_of(RECIPE, shape) == levels_of(same, shape)
+    assert by_cell(RECIPE, shape).gamma == by_cell(same, shape).gamma
 
 
 def test_images_have_the_same_rows_on_every_grid() -> None:
@@ -68,7 +79,7 @@ def test_images_have_the_same_rows_on_every_grid() -> None:
 
 
 @given(SHAPES, st.floats(0.02, 2.0), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_octaves_of_any_grid(shape: tuple[int, int, int], size: float, fit: bool) -> None:
     recipe = of_motifs(size, fit=fit)
     levels = levels_of(recipe, shape)
@@ -90,7 +101,7 @@ def test_half_the_motif_size_has_twice_the_rows() -> None:
 
 @pytest.mark.parametrize("size", [0.0, -0.25, 0.005, 3, "large", True, [0.25]])
 def test_other_sizes_are_refused_in_one_line(size: object) -> None:
-    with pytest.raises(InputError, match=r"^recipe: motif_size = [^\n]*a number from 0.01 to 2 or auto$"):
+    with pytest.raises(InputError, match=r"^recipe: motif_size = [^\n]*a number from 0.01 to 2 or auto or cells$"):
         Recipe(motif_size=size)
 
 

@@ -83,7 +83,7 @@ def test_a_range_without_extent_repeats_its_only_view() -> None:
     np.testing.assert_array_equal(sample_views(5, (7.0, 7.0), (1.0, 1.0)), np.tile([7.0, 1.0], (5, 1)))
 
 
-@settings(deadline=2000, max_examples=40)
+@settings(max_examples=40)
 @given(n=st.integers(1, 20), low=st.floats(-300, 300), extent=st.floats(0, 1e-10), seed=st.integers(0, 9))
 def test_ranges_with_hardly_any_floats_in_them_end(n: int, low: float, extent: float, seed: int) -> None:
     views = sample_views(n, (low, low + extent), (low, low), seed)

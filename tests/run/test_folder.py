@@ -439,7 +439,7 @@ def test_room_on_the_disk_is_checked_first(
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=5000))
     with pytest.raises(InputError, match=r"out: 0\.005 MB are free on its disk and the run needs up to 0\.0078 MB"):
-        Run(prepare(frames(0.2, 0.3), RECIPE, tmp_path / "out"))
+        Run(prepare(frames(0.2, 0.3), dataclasses.replace(RECIPE, lam=1.0), tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -467,7 +467,7 @@ def test_where_results_may_not_go(tmp_path: Path) -> None:
 
 def test_working_bytes_counts_what_a_cell_needs() -> None:
     cells = 10 * 20 * 30
-    scalar = working_bytes((10, 20, 30), 8, Recipe(style=("net",)))
+    scalar = working_bytes((10, 20, 30), 8, Recipe(style=("net",), lam=1.0))
     assert scalar == 1.25 * cells * 8 * (4 + 2 + 4 + 16)
     both = Recipe.from_dict({"style": ["net"], "lam": {"1": 0.0, "8": 1.0}, "window": 9})
     assert working_bytes((10, 20, 30), 8, both) == 1.25 * cells * 8 * (4 + 2 + 16 + 16 + 6 + 2 + 8 + 2)

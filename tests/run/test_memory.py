@@ -17,7 +17,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.losses import evaluation
 from tnst_mi.losses.terms import Semantic
 from tnst_mi.run import memory
-from tnst_mi.run.memory import Need, needed, require_memory
+from tnst_mi.run.memory import Need, require_memory
 
 RUN = """
 import json, sys
@@ -32,7 +32,7 @@ print(peak_memory())
 """
 
 
-@pytest.mark.parametrize("keys", [{}, {"transport": "flow"}, {"transport": "flow", "conservative": True}])
+@pytest.mark.parametrize("keys", [{"transport": "step"}, {}, {"conservative": True}])
 def test_a_run_takes_about_what_was_said(keys: dict) -> None:
     command = [sys.executable, "-c", RUN, json.dumps({"lam": 0.5} | keys)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -40,21 +40,34 @@ def test_a_run_takes_about_what_was_said(keys: dict) -> None:
     assert int(done.stdout) == pytest.approx(1e9 * said, rel=0.2)
 
 
-@pytest.mark.parametrize("views", [0, 9])
-def test_what_would_fit_does_and_no_more(views: int) -> None:
-    need = Need(
-        (100, 150, 120), memory.PROCESS, by_cell=100.0, by_pixel=2000.0, views=9, at_once=views, size=(160, 140)
+@pytest.mark.parametrize("rows", [150, 480])
+def test_that_holds_where_octaves_are_coarser_than_the_frames(rows: int) -> None:
+    """At two sizes, since what is taken per cell of a frame is another number than per cell of an octave."""
+    done = subprocess.run(
+        [sys.executable, "-c", RUN.replace("96, :144, :96", f"64, :{rows}, :64"), "{}"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    free = (memory.PROCESS + need.total) // 2
+    (said,) = [float(line.split()[2]) for line in done.stderr.splitlines() if line.startswith("memory: about")]
+    assert int(done.stdout) == pytest.approx(1e9 * said, rel=0.2)
+
+
+@pytest.mark.parametrize("motif_size", ["cells", "auto", 0.4])
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_what_would_fit_does_and_no_more(device: str, motif_size: str | float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "torch_device", lambda: torch.device(device))
+    need = Need((100, 150, 120), tnst_mi.Recipe(style=("net",), motif_size=motif_size), 1, 2000.0, on_disk=True)
+    process = memory.COSTS[device].process
+    free = (process + need.total) // 2
     shape = need.largest_that_fits(free)
 
     def total(rows: int) -> int:
-        shape = 100 * rows // 150, rows, 120 * rows // 150
-        return replace(need, shape=shape, size=(160 * rows // 150, 140 * rows // 150)).total
+        return replace(need, shape=(100 * rows // 150, rows, 120 * rows // 150)).total
 
     assert total(shape[1]) <= free < total(shape[1] + 1)
     assert [n / m for n, m in zip(shape, need.shape, strict=True)] == pytest.approx([shape[1] / 150] * 3, abs=0.01)
-    assert need.largest_that_fits(memory.PROCESS) is None
+    assert need.largest_that_fits(process) is None
 
 
 def test_too_little_memory_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,15 +76,15 @@ def test_too_little_memory_is_said_before_the_work(monkeypatch: pytest.MonkeyPat
     with pytest.raises(
         InputError, match=r"160×240×160 cells need about 1\.\d GB and 0\.6 GB are free; \d+×\d+×\d+ cells"
     ):
-        need = needed((160, 240, 160), tnst_mi.Recipe(style=("net",)), 1, 2000.0, on_disk=True)
+        need = Need((160, 240, 160), tnst_mi.Recipe(style=("net",)), 1, 2000.0, on_disk=True)
         require_memory(need, memory.free_bytes())
 
 
 def test_frames_that_are_kept_in_memory_count() -> None:
     recipe, shape = tnst_mi.Recipe(style=("net",), window=5), (64, 96, 64)
-    kept = [needed(shape, recipe, count, 2000.0, on_disk=False).total for count in (1, 11)]
+    kept = [Need(shape, recipe, count, 2000.0, on_disk=False).total for count in (1, 11)]
     assert kept[1] - kept[0] == pytest.approx(memory.working_bytes(shape, 10, recipe), rel=1e-6)
-    assert len({needed(shape, recipe, count, 2000.0, on_disk=True).total for count in (1, 11)}) == 1
+    assert len({Need(shape, recipe, count, 2000.0, on_disk=True).total for count in (1, 11)}) == 1
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
@@ -80,7 +93,7 @@ def test_items_are_kept_in_a_share_of_what_is_left_and_no_more_than_there_are(
 ) -> None:
     monkeypatch.setattr(memory, "torch_device", lambda: torch.device(device))
     recipe, shape = tnst_mi.Recipe(style=("net",), window=5), (64, 96, 64)
-    need = needed(shape, recipe, 11, 2000.0, on_disk=True)
+    need = Need(shape, recipe, 11, 2000.0, on_disk=True)
     share = {"cpu": 4, "cuda": 2}[device]
     assert memory.cache_bytes(need, need.total + 8_000_000, 11, recipe) == 8_000_000 // share
     assert memory.cache_bytes(need, need.total + 10**12, 11, recipe) == memory.working_bytes(shape, 11, recipe)

@@ -32,6 +32,7 @@ class PatchSettings:
     recipe: Mapping[str, Any] = field(
         default_factory=lambda: {
             "lam": 0.5,
+            "transport": "step",
             "gamma": 0.05,
             # The ball has units of its own.
             "density_scale": 1.0,

@@ -34,36 +34,36 @@ class Kind(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A finite float with bounds; `above` is an exclusive lower bound; `word` is also accepted if given."""
+    """A finite float with bounds; `above` is an exclusive lower bound; `words` are also accepted."""
 
     low: float | None = None
     high: float | None = None
     above: float | None = None
-    word: str | None = None
+    words: tuple[str, ...] = ()
 
     @property
     def expected(self) -> str:
         """The allowed values in words."""
         number = "a number" + _range_in_words(self.low, self.high, self.above)
-        return f"{number} or {self.word}" if self.word else number
+        return " or ".join((number, *self.words))
 
     @property
     def placeholder(self) -> str:
         """The placeholder for the value in --help."""
-        return f"NUMBER|{self.word}" if self.word else "NUMBER"
+        return "|".join(("NUMBER", *self.words))
 
     def check(self, value: Any) -> Any:
-        """Accept ints and floats inside the bounds, and the word."""
-        if self.word and value == self.word:
-            return self.word
+        """Accept ints and floats inside the bounds, and the words."""
+        if isinstance(value, str) and value in self.words:
+            return value
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise ValueError
         _require_inside(value, self.low, self.high, self.above)
         return float(value)
 
     def read(self, text: str) -> float | str:
-        """Read a decimal number or the word."""
-        return text if text == self.word else float(text)
+        """Read a decimal number or one of the words."""
+        return text if text in self.words else float(text)
 
     def show(self, value: float | str) -> str:
         """Write the shortest decimal form, or the word."""

@@ -1,12 +1,12 @@
-"""Presets: named sets of defaults. Keys that a recipe gives stay as it gives them."""
+"""Defaults that depend on what a recipe gives: presets, and what one key implies of another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-#: By name, the keys that a preset sets. Goals, and what the paper's own examples vary (λ, γ, η, octaves, window, range
-#: of the views), keep our defaults, which are those of the paper wherever it names one.
+#: By name, the keys that a preset sets. Goals, and what the paper's own examples vary (γ, η, octaves, window, range of
+#: the views), keep our defaults, which are those of the paper wherever it names one.
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # The formulas of the paper; docs/paper.md says what each of these keys decides, and why our default differs.
     "paper": {
@@ -15,7 +15,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "loss_scaling": "none",
         "sigma": "loss",
         "damping": 0.0,
-        # Eq. 3, 4 and 8: one step of transport.
+        # Eq. 3, 4 and 8: one step of transport, of a velocity that may converge.
+        "lam": 1.0,
         "parameterisation": "transport",
         "steps": 1,
         "transport": "step",
@@ -30,10 +31,32 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "integrator": "emission_absorption",
         "quadrature": "paper",
         "fit": False,
-        # Section 4: Laplacian pyramid, octaves, iterations, views.
+        # Section 4: Laplacian pyramid, octaves, images of the grid's fineness, iterations, views.
+        "motif_size": "cells",
         "pyramid_levels": 3,
         "scale_factor": 1.8,
         "iterations": 20,
         "views": 9,
     },
 }
+
+
+def implied(given: Collection[str], preset: str | None, lam: float, steps: int | str) -> dict[str, Any]:
+    """The defaults of the keys that are not given, where they differ from those of a recipe that gives nothing.
+
+    Where smoke may converge, one step comes nearer to a goal than the flow, which keeps the smoke otherwise
+    (docs/transport.md). Only a step has sub-steps, and only the flow stages and a conservative form.
+
+    Args:
+        given: the keys that the recipe gives.
+        preset: of the recipe.
+        lam: its λ, the largest of any frame.
+        steps: its sub-steps.
+
+    Example:
+        >>> implied({"lam"}, None, lam=0.5, steps=1)
+        {'transport': 'step'}
+    """
+    of_flow = "stages" in given or "conservative" in given
+    keys = {"transport": "step"} if steps != 1 or (lam > 0 and not of_flow) else {}
+    return {name: value for name, value in (keys | dict(PRESETS.get(preset or "", {}))).items() if name not in given}

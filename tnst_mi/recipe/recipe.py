@@ -35,7 +35,7 @@ from tnst_mi.recipe.keyframes import (
     with_keyframes,
 )
 from tnst_mi.recipe.paths import located, shipped_name
-from tnst_mi.recipe.presets import PRESETS
+from tnst_mi.recipe.presets import implied
 from tnst_mi.recipe.recipe_file import read_recipe_file
 from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, documentation
 from tnst_mi.recipe.synonyms import advice, meant
@@ -49,8 +49,8 @@ class Recipe(Reading, Resources, Method, Goals):
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their
     attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.
 
-    A `preset` sets the keys that are not given, now or by `updated`. `dataclasses.replace` passes every key, so that in
-    its result all of them are given.
+    A `preset` sets the keys that are not given, now or by `updated`; λ above 0 or sub-steps imply the transport
+    "step". `dataclasses.replace` passes every key, so that in its result all of them are given.
 
     Raises:
         InputError: a value has the wrong type or is out of range.
@@ -59,7 +59,7 @@ class Recipe(Reading, Resources, Method, Goals):
         >>> import tnst_mi
         >>> recipe = tnst_mi.Recipe(style=("spirals",), octaves=2, gamma={10: 0.1, 20: 1.0})
         >>> recipe.lam, recipe.gamma, recipe.at(15).gamma
-        (1.0, 0.1, 0.55)
+        (0.0, 0.1, 0.55)
         >>> recipe.style_layers
         {'conv2/3x3': 1.0, 'inception_3b/output': 1.0, 'inception_4b/output': 1.0}
         >>> "octaves = 2" in recipe.to_toml()
@@ -88,9 +88,11 @@ class Recipe(Reading, Resources, Method, Goals):
 
     def __post_init__(self) -> None:
         """Check every value and bring it into its normal form; those that are not given are the preset's."""
-        for name, value in PRESETS.get(_checked("preset", self.preset, "recipe: "), {}).items():
-            if name not in self.given:
-                object.__setattr__(self, name, value)
+        preset, steps = (_checked(name, getattr(self, name), "recipe: ") for name in ("preset", "steps"))
+        lam = converted("lam", self._value_or_table("lam"), "recipe: ", _checked)
+        largest = max(lam.values()) if is_keyframed("lam", lam) else lam
+        for name, value in implied(self.given, preset, largest, steps).items():
+            object.__setattr__(self, name, value)
         keyframes = {}
         for name in dict.fromkeys((*KINDS, *self.keyframes)):
             value = converted(name, self._value_or_table(name), "recipe: ", _checked)

@@ -87,12 +87,13 @@ class Method:
     preset: Annotated[str | None, Unset(Choice(("paper",)))] = None
     """Other defaults: paper takes the formulas of the paper where ours differ (docs/paper.md). Keys that are given, in
     the recipe or as flags, stay as they are given."""
-    lam: Annotated[float, Number(0.0, 1.0)] = 1.0
-    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 1 lets smoke expand and contract, 0 is divergence-free."""
+    lam: Annotated[float, Number(0.0, 1.0)] = 0.0
+    """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 0 is divergence-free, so that smoke is kept, 1 lets it expand and
+    contract."""
     gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
     """Extinction γ for density 1 (see density_scale), per full-resolution cell, above 0: the higher, the thicker the
     smoke looks."""
-    density_scale: Annotated[float | str, Number(above=0.0, word="auto")] = "auto"
+    density_scale: Annotated[float | str, Number(above=0.0, words=("auto",))] = "auto"
     """Factor by which all densities are multiplied before γ, mask and steps see them; results come back in the input's
     units. auto is 1 over the 99th percentile of the smoky cells of all frames; 1 takes the input as it is."""
     quadrature: Annotated[str, Choice(QUADRATURES)] = "paper"
@@ -100,10 +101,11 @@ class Method:
     integrated transmittance, where smoke is dark and empty space bright."""
     octaves: Annotated[int, Integer(1, 16)] = 3
     """Number of resolutions, coarse to fine, 1 or more."""
-    motif_size: Annotated[float | str, Number(0.01, 2.0, word="auto")] = "auto"
+    motif_size: Annotated[float | str, Number(0.01, 2.0, words=("auto", "cells"))] = "auto"
     """Size of motifs in parts of the grid's height, such as 0.25: the images that the network sees then have
-    24/motif_size rows, whatever the grid, and gamma is per pixel of them. auto, as in the paper, makes a pixel a cell,
-    so that motifs have 24 cells: a quarter of the height on 96 rows, half of that on 192."""
+    24/motif_size rows, whatever the grid, and gamma is per pixel of them. cells, as in the paper, makes a pixel a cell,
+    so that motifs have 24 cells: a quarter of the height on 96 rows, half of that on 192. auto is 0.25 on grids of
+    more than 96 rows, and cells on others, which have no detail for finer images."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
     """Ratio of the resolutions of neighbouring octaves, above 1."""
     iterations: Annotated[int, Integer(1, 100_000)] = 20
@@ -149,9 +151,10 @@ class Method:
     stylization's own step, 0 or more; 0, as in the paper, is none."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
     """With transport step, sub-steps of it: 1 is the paper's; auto takes one per cell of the longest displacement."""
-    transport: Annotated[str, Choice(TRACES)] = "step"
-    """How smoke follows the velocity: step, as in the paper, looks back along a straight line, which loses smoke where
-    the velocity turns; flow follows it for one frame, and a velocity without divergence (lam 0) keeps the mass."""
+    transport: Annotated[str, Choice(TRACES)] = "flow"
+    """How smoke follows the velocity: flow follows it for one frame, and a velocity without divergence (lam 0) keeps
+    the mass; step, as in the paper, looks back along a straight line, which loses smoke where the velocity turns. If
+    not given, flow; but step where lam is above 0, or where steps are given."""
     stages: Annotated[int | str, Integer(1, 64, word="auto")] = "auto"
     """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells per
     frame of the largest velocity that a path meets, up to 32."""

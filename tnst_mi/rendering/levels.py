@@ -1,6 +1,6 @@
 """The octaves of a recipe: the grids on which it is optimised, and the images in which the network sees them.
 
-A network draws motifs of so many pixels, whatever they show. With `motif_size = "auto"` a pixel is a cell, as in the
+A network draws motifs of so many pixels, whatever they show. With `motif_size = "cells"` a pixel is a cell, as in the
 paper, so that motifs shrink as a grid gets finer. A number fixes the rows of the images instead, and with them the size
 of motifs relative to the frame. The octaves are then those of a grid of so many rows: where the input's grid is finer,
 it is the smoke that is resampled, and where it is coarser, its cells stay and its images get finer than they are.
@@ -14,8 +14,11 @@ from tnst_mi.fields.grid import Octave, Shape, octaves
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 
-#: Size in pixels of what `motif_size` calls a motif: on 96 rows, "auto" is a motif size of a quarter.
+#: Size in pixels of what `motif_size` calls a motif: on 96 rows, "cells" is a motif size of a quarter.
 MOTIF_PIXELS = 24.0
+
+#: Rows from which on "auto" no longer makes a pixel of every cell.
+MOST_ROWS = 96
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,11 @@ class Level(Octave):
 
 def finest_rows(recipe: Recipe, shape: Shape) -> int:
     """Rows of the grid of square pixels that stands for the finest octave's images (without the room of `fit`)."""
-    rows = shape[1]
+    rows, size = shape[1], recipe.motif_size
     # On a single row nothing can be drawn, and it has no height to measure a motif by.
-    if rows == 1 or not isinstance(recipe.motif_size, float):
+    if rows == 1 or size == "cells":
         return rows
-    return max(1, round(MOTIF_PIXELS / recipe.motif_size))
+    return max(1, round(MOTIF_PIXELS / size)) if isinstance(size, float) else min(rows, MOST_ROWS)
 
 
 def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
@@ -47,7 +50,8 @@ def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
     levels = []
     for seen in octaves(finest, recipe.octaves, recipe.scale_factor):
         pixel, size = shape[1] / seen.shape[1], image_size(recipe, seen.shape)
-        finer = seen.shape[1] >= shape[1]
+        # Octaves of the input's own grid may have as many rows as it: one row stays one.
+        finer = seen.shape[1] >= shape[1] and rows > shape[1]
         levels.append(Level(shape, 1.0, size, pixel) if finer else Level(seen.shape, pixel, size, pixel))
     return levels
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
 from tnst_mi.losses.evaluation import views_at_once
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import torch_device
@@ -34,6 +35,7 @@ class Costs:
         density_cell: the same where density values are optimised.
         flow_cell, volume_cell: what transport along the flow adds: ends of paths, velocity, and sums of its derivative;
             and what its conservative form adds to that.
+        result_cell: per cell of the frames, the transport of the result, where octaves are coarser than they.
         region_cell: what each mask of a region adds: on the full grid, on the octave's, and in use.
         window_cell, window_component: what a window adds: velocity, gain, sums, and an item that is read ahead.
         network_factor, network_pixel: the network's evaluation takes more than what autograd saves: gradients and
@@ -46,6 +48,7 @@ class Costs:
     density_cell: int
     flow_cell: int
     volume_cell: int
+    result_cell: int
     region_cell: int
     window_cell: int
     window_component: int
@@ -57,97 +60,82 @@ class Costs:
 #: resident size, less what the network takes, is linear in the number of cells for each parameterisation. GPU: measured
 #: with scripts/measure_gpu.py on an H100 at three sizes (docs/gpu.md), of which the dearest counts: Dr.Jit rounds each
 #: array up to a power of two. What the flow takes on a GPU, where it is computed for all cells, is not measured: it is
-#: the sum of its arrays, a third of them empty. What regions take is the sum of their arrays too.
+#: the sum of its arrays, a third of them empty, and the transport of results likewise. What regions take is the sum of
+#: their arrays too.
 COSTS = {
-    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 16, 50, 16, 1.2, 1000),
-    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 16, 60, 24, 2.5, 0),
+    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 80, 16, 50, 16, 1.2, 1000),
+    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 180, 16, 60, 24, 2.5, 0),
 }
 
 
 @dataclass(frozen=True)
 class Need:
-    """The peak memory of a run, in bytes.
+    """The peak memory of a run on the device of the active variant.
 
     Attributes:
-        shape: (D, H, W) of the finest grid.
-        fixed: whatever the grid.
-        by_cell: of the grids, per cell; with the state of all frames, if that is not on disk.
-        by_pixel: of the network, per pixel of an image, for all views of a batch.
-        views: number of views.
-        at_once: number of views whose adjoint samples are stored at once, if they fit the renderer's limit.
-        size: rows and columns of an image of the finest octave.
-        fixed_size: whether images keep it whatever the grid.
-    """
-
-    shape: tuple[int, int, int]
-    fixed: int
-    by_cell: float
-    by_pixel: float
-    views: int
-    at_once: int
-    size: tuple[int, int]
-    fixed_size: bool = False
-
-    @property
-    def total(self) -> int:
-        """The sum."""
-        samples = view_samples(self.shape, self.size)
-        samples = min(self.at_once * samples, max(samples, LARGEST_SAMPLES))
-        by_pixel = self.by_pixel + _IMAGES * self.views
-        return self.fixed + samples + int(self.by_cell * math.prod(self.shape) + by_pixel * math.prod(self.size))
-
-    def largest_that_fits(self, free: int) -> tuple[int, int, int] | None:
-        """The largest grid (D, H, W) of these proportions that needs no more than `free` bytes; None if none does."""
-        depth, height, width = self.shape
-        for rows in range(height, 0, -1):
-            shape = (max(1, depth * rows // height), rows, max(1, width * rows // height))
-            smaller = (max(1, self.size[0] * rows // height), max(1, self.size[1] * rows // height))
-            size = self.size if self.fixed_size else smaller
-            if replace(self, shape=shape, size=size).total <= free:
-                return shape
-        return None
-
-
-def needed(shape: tuple[int, int, int], recipe: Recipe, count: int, saved: float, on_disk: bool) -> Need:
-    """The memory that a run needs on the device of the active variant.
-
-    Args:
         shape: (D, H, W) of the frames.
         recipe: of the run.
         count: number of frames.
         saved: bytes that autograd saves of the network's evaluation, per pixel of one view.
         on_disk: whether the state of the frames is on disk.
     """
-    costs, components, at_once = COSTS[torch_device().type], recipe.components, 0
-    size = levels_of(recipe, shape)[-1].size
-    by_cell: float = costs.transport_cell + costs.transport_component * components
-    if recipe.transport == "flow":
-        by_cell += costs.flow_cell + costs.volume_cell * recipe.conservative
-    if recipe.parameterisation == "density":
-        by_cell = costs.density_cell
-    if recipe.window > 1:
-        by_cell += costs.window_cell + costs.window_component * components
-    targets = targets_of(recipe)
-    by_cell += costs.region_cell * sum(bool(target.mask) for target in targets)
-    # Their gradients are kept until the step is made of all.
-    by_cell += 4 * components * (len(targets) - 1)
-    if torch_device().type != "cpu":
-        at_once = recipe.views
-        saved *= views_at_once(at_once, saved * math.prod(size))
-    elif not on_disk:
-        by_cell += working_bytes(shape, count, recipe) / math.prod(shape)
-    by_pixel = costs.network_factor * saved + costs.network_pixel
-    return Need(shape, costs.process, by_cell, by_pixel, recipe.views, at_once, size, recipe.motif_size != "auto")
+
+    shape: Shape
+    recipe: Recipe
+    count: int
+    saved: float
+    on_disk: bool
+
+    @property
+    def total(self) -> int:
+        """In bytes: of the process, the grids, the network, and the samples of views that are stored together."""
+        costs, recipe, finest = COSTS[torch_device().type], self.recipe, levels_of(self.recipe, self.shape)[-1]
+        of_grids = self._of_iterations(costs) * math.prod(finest.shape)
+        if finest.shape != self.shape:
+            of_grids += (costs.result_cell + costs.volume_cell * recipe.conservative) * math.prod(self.shape)
+        at_once, saved, pixels = 0, self.saved, math.prod(finest.size)
+        if torch_device().type != "cpu":
+            at_once = recipe.views
+            saved *= views_at_once(at_once, saved * pixels)
+        elif not self.on_disk:
+            of_grids += working_bytes(self.shape, self.count, recipe)
+        samples = view_samples(finest.shape, finest.size)
+        of_samples = min(at_once * samples, max(samples, LARGEST_SAMPLES))
+        by_pixel = costs.network_factor * saved + costs.network_pixel + _IMAGES * recipe.views
+        return costs.process + of_samples + int(of_grids + by_pixel * pixels)
+
+    def _of_iterations(self, costs: Costs) -> float:
+        """Bytes per cell of the finest octave."""
+        recipe, components = self.recipe, self.recipe.components
+        by_cell = costs.transport_cell + costs.transport_component * components
+        if recipe.transport == "flow":
+            by_cell += costs.flow_cell + costs.volume_cell * recipe.conservative
+        if recipe.parameterisation == "density":
+            by_cell = costs.density_cell
+        if recipe.window > 1:
+            by_cell += costs.window_cell + costs.window_component * components
+        targets = targets_of(recipe)
+        by_cell += costs.region_cell * sum(bool(target.mask) for target in targets)
+        # Their gradients are kept until the step is made of all.
+        return by_cell + 4 * components * (len(targets) - 1)
+
+    def largest_that_fits(self, free: int) -> Shape | None:
+        """The largest grid (D, H, W) of these proportions that needs no more than `free` bytes; None if none does."""
+        depth, height, width = self.shape
+        for rows in range(height, 0, -1):
+            shape = (max(1, depth * rows // height), rows, max(1, width * rows // height))
+            if replace(self, shape=shape).total <= free:
+                return shape
+        return None
 
 
 def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
     """Upper bound of the bytes that a run of `count` frames (D, H, W) keeps or writes, including results.
 
     Per cell: the density (4 bytes) and the mask (2) of a frame, the masks of its regions (2 each, and 2 for their
-    support), its fields (4 per component); with a window also the
-    velocity (6), the gain (2), the step (2 per component, 4 if it is a gradient) and the change (2); as results a
-    density (4) and a velocity (12), assuming no compression. Coarser octaves add less than a quarter, which leaves room
-    for an obstacle.
+    support), its fields (4 per component); with a window also the velocity (6), the gain (2), the step (2 per
+    component, 4 if it is a gradient) and the change (2); as results a density (4) and a velocity (12), assuming no
+    compression. Coarser octaves add less than a quarter, which leaves room for an obstacle.
     """
     components = recipe.components
     step = components * (4 if recipe.step_order == "align_first" else 2)

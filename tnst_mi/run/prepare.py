@@ -44,7 +44,7 @@ from tnst_mi.run.measure import (
     require_same_input,
     require_same_masks,
 )
-from tnst_mi.run.memory import cache_bytes, free_bytes, needed, require_memory, working_bytes
+from tnst_mi.run.memory import Need, cache_bytes, free_bytes, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
 from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
@@ -189,7 +189,7 @@ def prepare(
     trial_size = _TRIAL_ROWS, max(8, round(_TRIAL_ROWS * columns / rows))
     saved = max(objective.bind(network.model, *trial_size).saved_bytes for objective in objectives)
     saved /= math.prod(trial_size)
-    need, free = needed(shape, recipe, len(sequence), saved, out is not None), free_bytes()
+    need, free = Need(shape, recipe, len(sequence), saved, on_disk=out is not None), free_bytes()
     memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
