@@ -55,7 +55,7 @@ def random_shapes(count: int) -> list[tuple[int, int, int]]:
     return shapes
 
 
-@pytest.mark.parametrize(("shape", "window"), zip(random_shapes(20), [1, 3] * 10, strict=True), ids=str)
+@pytest.mark.parametrize(("shape", "window"), list(zip(random_shapes(20), [1, 3] * 10, strict=True)), ids=str)
 def test_random_proportions(shape: tuple[int, int, int], window: int, weights: Path, tmp_path: Path) -> None:
     """Whole runs end, say nothing untrue, and change smoke; whatever the octaves make of thin axes."""
     recipe = Recipe(

@@ -25,9 +25,9 @@ def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
         >>> unused_keys(Recipe(tag=("spiral",), style_weight=2.0), frames=1)
         {'style_weight': 'there is no style'}
     """
-    lam = dict(recipe.keyframes["lam"]) if "lam" in recipe.keyframes else recipe.lam
     changed = _changed(recipe, Recipe(preset=recipe.preset))
-    if recipe.transport == Recipe(preset=recipe.preset, lam=lam, steps=recipe.steps).transport:
+    lam = dict(recipe.keyframes.get("lam", ((0, recipe.lam),)))
+    if recipe.transport == Recipe.from_dict({"preset": recipe.preset, "lam": lam, "steps": recipe.steps}).transport:
         changed -= {"transport"}  # It follows from the others.
     return {key: reason for keys, reason in _without_effect(recipe, frames) for key in keys if key in changed}
 
