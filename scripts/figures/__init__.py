@@ -32,6 +32,7 @@ MODULES = {
     "table2": "table2",
     "preset": "paper_formulas",
     "motif": "motif_size",
+    "keys": "recipe_keys",
 }
 
 
