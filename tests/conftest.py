@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hypothesis
 import pytest
 
 # Before any test module imports torch, whose idle threads would spin and take Dr.Jit's cores; see `tnst_mi.__init__`.
 import tnst_mi
+
+if TYPE_CHECKING:
+    from tnst_mi.network.googlenet import GoogLeNet
 
 # Examples are the same in every run: a change fails the tests, or does not. `--hypothesis-profile=search` looks for new
 # ones.
@@ -24,6 +28,22 @@ ASSETS = Path(__file__).resolve().parents[2] / "shared"
 def variant() -> str:
     """Every test runs on llvm_ad_rgb unless TNST_MI_TEST_VARIANT names another variant."""
     return tnst_mi.activate(os.environ.get("TNST_MI_TEST_VARIANT", "llvm_ad_rgb"))
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a narrow GoogLeNet with random weights."""
+    from networks import random_googlenet
+
+    return random_googlenet(tmp_path_factory.mktemp("weights") / "random.safetensors", narrow=8)
+
+
+@pytest.fixture(scope="session")
+def network(weights: Path) -> GoogLeNet:
+    """That network."""
+    from tnst_mi.network.googlenet import GoogLeNet
+
+    return GoogLeNet.load(weights)
 
 
 def _asset(relative: str) -> Path:

@@ -14,7 +14,6 @@ import drjit as dr
 import numpy as np
 import pytest
 from moving_smoke import moving_smoke
-from networks import random_googlenet
 from sequences import GOAL, as_on_a_gpu, run
 from torch import nan
 
@@ -27,13 +26,6 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
-
-
-@pytest.fixture(scope="module")
-def network(tmp_path_factory: pytest.TempPathFactory) -> GoogLeNet:
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    random_googlenet(path, narrow=8)
-    return GoogLeNet.load(path)
 
 
 def test_an_iteration_reads_nothing_but_its_loss() -> None:

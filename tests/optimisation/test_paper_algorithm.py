@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from moving_smoke import SHAPE, moving_smoke
-from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.errors import InputError
@@ -29,17 +28,6 @@ from tnst_mi.run.prepare import prepare
 GOAL = {"semantic": ("inception_3a/3x3:2",), "lam": 1.0, "octaves": 1, "iterations": 2, "views": 2}
 ALGORITHM_1 = GOAL | {"window": 3, "window_average": "plain", "step_order": "align_first"}
 COUNT, EXPOSURE = 4, 0.2
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A narrow GoogLeNet with random weights."""
-    return random_googlenet(tmp_path_factory.mktemp("weights") / "random.safetensors", narrow=8)
-
-
-@pytest.fixture(scope="module")
-def network(weights: Path) -> GoogLeNet:
-    return GoogLeNet.load(weights)
 
 
 def plan(frames: list[Frame], recipe: Recipe, scales: list[float] | None = None) -> Plan:

@@ -10,7 +10,6 @@ import pytest
 from fields import blob, smooth_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.errors import InputError
@@ -24,19 +23,6 @@ from tnst_mi.recipe.recipe import Recipe
 
 SHAPE = (16, 24, 16)
 WAYS = [{}, {"trace": "flow"}, {"trace": "flow", "conservative": True}, {"substeps": 3}]
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    random_googlenet(path, narrow=8)
-    return path
-
-
-@pytest.fixture(scope="module")
-def network(weights: Path) -> GoogLeNet:
-    """A narrow GoogLeNet with random weights."""
-    return GoogLeNet.load(weights)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from moving_smoke import SHAPE, moving_smoke
-from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.errors import InputError
@@ -44,19 +43,6 @@ GOAL = {
     "density_scale": 1.0,
 }
 EXPOSURE = 0.2
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A narrow GoogLeNet with random weights."""
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    random_googlenet(path, narrow=8)
-    return path
-
-
-@pytest.fixture(scope="module")
-def network(weights: Path) -> GoogLeNet:
-    return GoogLeNet.load(weights)
 
 
 def optimisation(

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 from fields import blob, smooth_noise
-from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.fields.advection import revert_mask, step
@@ -36,14 +35,6 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 SHAPE = (16, 24, 16)
 VIEWS = [(-8.0, 0.0), (0.0, 0.0), (8.0, 0.0)]
 STYLE_LAYERS = ["conv2/3x3", "inception_3b/output", "inception_4b/output"]
-
-
-@pytest.fixture(scope="module")
-def network(tmp_path_factory: pytest.TempPathFactory) -> GoogLeNet:
-    """A narrow GoogLeNet with random weights."""
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    random_googlenet(path, narrow=8)
-    return GoogLeNet.load(path)
 
 
 @pytest.fixture(scope="module")

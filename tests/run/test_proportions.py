@@ -6,19 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.before_after import side_by_side
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    random_googlenet(path, narrow=8)
-    return path
 
 
 def puff(shape: tuple[int, int, int], number: int) -> Frame:

@@ -12,7 +12,6 @@ from tqdm import tqdm
 #: seconds between two, so that short work does not fill a log.
 _SHARE, _SECONDS, _LEAST = 0.1, 30.0, 1.0
 
-
 #: Without a format of its own, a line of work whose end is known; the bar is left out of lines.
 _FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
 

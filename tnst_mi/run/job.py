@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 from tnst_mi.errors import InputError, StoppedError
@@ -122,9 +123,10 @@ class Run(Iterator[StylizedFrame]):
         except OSError as error:
             if out is None or error.errno is None:
                 raise
-            reason = _REASONS.get(
-                error.errno, f"{error.filename or 'a file'} cannot be written ({error.strerror}); mend that"
-            )
+            file = error.filename or "a file"
+            ours = error.filename is None or Path(str(file)).absolute().is_relative_to(out.absolute())
+            reason = _REASONS.get(error.errno) if ours else None
+            reason = reason or f"{file} cannot be {'written' if ours else 'read'} ({error.strerror}); mend that"
             raise StoppedError(f"{out}: {reason} and go on with --resume, nothing is lost") from error
         finally:
             self._bar.close()
