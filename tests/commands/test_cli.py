@@ -319,7 +319,7 @@ def test_frames_that_render_black_are_warned_of(run: Run, tmp_path: Path, optimi
         assert ran.code == 0, ran.errors
         return [line for line in ran.errors if line.startswith("warning")]
 
-    black = "warning: f_07 renders black at gamma 0.5 in the main view"
+    black = "warning: f_07 renders black at this gamma in the main view"
     assert warnings("--density-scale", "1")[1:] == [black]
     faint = "warning: f_08: hardly changed, since in view is less than 0.1% of the smoke of another frame"
     assert warnings() == [faint]

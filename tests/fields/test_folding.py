@@ -1,4 +1,4 @@
-"""Where a straight step folds space: closed forms, and smoke that a step tears."""
+"""Where transport folds space: closed forms, and smoke that a step tears."""
 
 from __future__ import annotations
 
@@ -20,6 +20,21 @@ def test_a_wave_folds_where_it_is_steeper_than_space(axis: int, steepness: float
     # The wave runs along x, and then along the axis of its component of v.
     v = np.swapaxes(v, 2, 2 - axis)
     assert folded_share(np.ones(v.shape[:3], np.float32), v) == pytest.approx(expected, abs=0.03)
+    if steepness < 1e4:
+        # Paths do not cross, and here they do not come nearer to each other than cells can tell.
+        assert folded_share(np.ones(v.shape[:3], np.float32), v, "flow", 16) == 0
+
+
+def test_the_flow_folds_what_it_draws_out_more_finely_than_cells() -> None:
+    """An eddy that turns its middle a full turn more than its rim winds up smoke in layers thinner than a cell."""
+    y, x = np.mgrid[:40, :40] - 19.5
+    angle = np.exp(-(x**2 + y**2) / 32)
+    shares = []
+    for turns in (0.05, 0.25, 4.0):
+        v = np.zeros((1, 40, 40, 3), np.float32)
+        v[0, ..., 0], v[0, ..., 1] = -2 * np.pi * turns * angle * y, 2 * np.pi * turns * angle * x
+        shares.append(folded_share(np.ones((1, 40, 40), np.float32), v, "flow", 64))
+    assert shares[0] == 0 and shares[0] <= shares[1] < 0.05 < shares[2]
 
 
 def test_it_is_that_of_a_determinant_in_numpy() -> None:

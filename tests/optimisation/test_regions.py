@@ -107,7 +107,9 @@ def test_without_regions_a_blend_rounds_as_before(weights: str) -> None:
 # --- Several targets ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("keys", [{}, {"transport": "flow", "lam": 0.5}, {"parameterisation": "density"}], ids=str)
+@pytest.mark.parametrize(
+    "keys", [{}, {"lam": 1.0}, {"transport": "flow", "lam": 0.5}, {"parameterisation": "density"}], ids=str
+)
 def test_the_gradients_of_targets_are_those_of_each_alone(keys: dict[str, Any], weights: str) -> None:
     """To the bit: the images are rendered once, and their graph is differentiated once for each."""
     (frame,), network = moving_smoke(1, SHAPE), GoogLeNet.load(weights)

@@ -58,7 +58,7 @@ def burning(count: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize("format", ["npz", "vdb"])
-@pytest.mark.parametrize("transport", [{}, {"transport": "flow", "lam": 0.5}])
+@pytest.mark.parametrize("transport", [{}, {"lam": 1.0}, {"transport": "flow", "lam": 0.5}])
 @pytest.mark.parametrize("window", [1, 3])
 def test_a_copy_of_the_density_comes_back_as_the_result_bit_for_bit(
     window: int, transport: dict[str, object], format: str, weights: str, tmp_path: Path

@@ -105,5 +105,5 @@ def test_the_factor_is_said(weights: str, capsys: pytest.CaptureFixture[str], tm
     density = np.full((6, 8, 7), 0.05, np.float32)
     density[2, 3, 4] = 0.2
     tnst_mi.stylize(density, recipe)
-    told = "density: up to 0.2, taken times 20 (density_scale), so that gamma is per cell of density 0.05"
+    told = "density: up to 0.2, taken times 20 (density_scale), so that gamma is that of density 0.05"
     assert told in capsys.readouterr().err

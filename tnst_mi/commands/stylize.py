@@ -82,10 +82,11 @@ def reported(frames: job.Run, remedy: str = "--resume continues the run in {out}
             tqdm.write(summary(frame), file=sys.stdout)
     if record["frames"]:
         print(f"results   {out}")
+    keeping = "" if frames.prepared.recipe.transport == "flow" else 'transport = "flow" with lam = 0,'
     if (torn := max((of_frame.get("folded") or 0.0 for of_frame in record["frames"]), default=0.0)) > _FOLDED_REMARKED:
         print(
-            f"torn      {torn:.0%} of the smoke of a frame is where a straight step has folded space, with hard edges; "
-            'transport = "flow", a larger motif_size or a lower reach would keep it smoke (docs/motifs.md)'
+            f"torn      {torn:.0%} of the smoke of a frame is where it has been folded, with hard edges or finer than "
+            f"cells; {keeping} a larger motif_size or a reach would keep it smoke (docs/motifs.md)"
         )
     if "sequence" in record:
         print(sequence_summary(record["sequence"]))

@@ -53,7 +53,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     if not (np.isfinite(density).all() and np.isfinite(velocity).all()):
         raise InputError(
             f"{source.name}: the stylized density or velocity is not finite; try a smaller eta ({frame.recipe.eta:g}) "
-            f"or gamma ({frame.recipe.gamma:g})"
+            "or gamma"
         )
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
     result = Stylized(density, velocity, (phi, psi), movement=movement)
@@ -90,6 +90,6 @@ def _offset(
 def _unchanged(source: Frame, frame: FramePlan) -> Stylized:
     result = Stylized(source.density.copy(), np.zeros((*source.density.shape, 3), np.float32))
     if frame.still:
-        seen = f"renders black at gamma {frame.recipe.gamma:g}" if source.density.any() else "is empty"
+        seen = "renders black at this gamma" if source.density.any() else "is empty"
         result.note = f"{source.name} {seen}: nothing to stylize, left unchanged"
     return result

@@ -112,10 +112,10 @@ class Movement:
 
 def _typed(after: np.ndarray, before: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Values in the type of a grid's own, which stay where they have not changed in single precision."""
-    if own.dtype.kind == "f":
-        return after.astype(own.dtype)
     if own.dtype.kind == "b":
         return after > 0.5
+    if own.dtype.kind == "f":
+        return np.where(after == before, own, after.astype(own.dtype))
     most = np.iinfo(own.dtype)
     whole = np.clip(np.rint(after.astype(np.float64)), most.min, most.max)
     return np.where(after == before, own, whole.astype(own.dtype))

@@ -41,7 +41,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-def implied(given: Collection[str], preset: str | None, lam: float, steps: int | str) -> dict[str, Any]:
+def implied(given: Collection[str], preset: str | None, lam: float, steps: int | str, of_flow: bool) -> dict[str, Any]:
     """The defaults of the keys that are not given, where they differ from those of a recipe that gives nothing.
 
     Where smoke may converge, one step comes nearer to a goal than the flow, which keeps the smoke otherwise
@@ -52,11 +52,11 @@ def implied(given: Collection[str], preset: str | None, lam: float, steps: int |
         preset: of the recipe.
         lam: its λ, the largest of any frame.
         steps: its sub-steps.
+        of_flow: whether it has stages or a conservative form.
 
     Example:
-        >>> implied({"lam"}, None, lam=0.5, steps=1)
+        >>> implied({"lam"}, None, lam=0.5, steps=1, of_flow=False)
         {'transport': 'step'}
     """
-    of_flow = "stages" in given or "conservative" in given
     keys = {"transport": "step"} if steps != 1 or (lam > 0 and not of_flow) else {}
     return {name: value for name, value in (keys | dict(PRESETS.get(preset or "", {}))).items() if name not in given}

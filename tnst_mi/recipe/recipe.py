@@ -91,7 +91,8 @@ class Recipe(Reading, Resources, Method, Goals):
         preset, steps = (_checked(name, getattr(self, name), "recipe: ") for name in ("preset", "steps"))
         lam = converted("lam", self._value_or_table("lam"), "recipe: ", _checked)
         largest = max(lam.values()) if is_keyframed("lam", lam) else lam
-        for name, value in implied(self.given, preset, largest, steps).items():
+        of_flow = self.conservative is True or self.stages != "auto"
+        for name, value in implied(self.given, preset, largest, steps, of_flow).items():
             object.__setattr__(self, name, value)
         keyframes = {}
         for name in dict.fromkeys((*KINDS, *self.keyframes)):

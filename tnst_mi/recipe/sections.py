@@ -91,8 +91,8 @@ class Method:
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 0 is divergence-free, so that smoke is kept, 1 lets it expand and
     contract."""
     gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
-    """Extinction γ for density 1 (see density_scale), per full-resolution cell, above 0: the higher, the thicker the
-    smoke looks."""
+    """Extinction γ for density 1 (see density_scale), above 0: the higher, the thicker the smoke looks. Per pixel of
+    the images that the network sees, which is a full-resolution cell unless motif_size makes it another length."""
     density_scale: Annotated[float | str, Number(above=0.0, words=("auto",))] = "auto"
     """Factor by which all densities are multiplied before γ, mask and steps see them; results come back in the input's
     units. auto is 1 over the 99th percentile of the smoky cells of all frames; 1 takes the input as it is."""
@@ -154,7 +154,7 @@ class Method:
     transport: Annotated[str, Choice(TRACES)] = "flow"
     """How smoke follows the velocity: flow follows it for one frame, and a velocity without divergence (lam 0) keeps
     the mass; step, as in the paper, looks back along a straight line, which loses smoke where the velocity turns. If
-    not given, flow; but step where lam is above 0, or where steps are given."""
+    not given, flow; but step with lam above 0 or sub-steps, unless it is conservative or has a number of stages."""
     stages: Annotated[int | str, Integer(1, 64, word="auto")] = "auto"
     """With transport flow, stages in which each path is traced, from 1 to 64; auto takes one for every three cells per
     frame of the largest velocity that a path meets, up to 32."""

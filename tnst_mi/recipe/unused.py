@@ -27,7 +27,9 @@ def unused_keys(recipe: Recipe, frames: int) -> dict[str, str]:
     """
     changed = _changed(recipe, Recipe(preset=recipe.preset))
     lam = dict(recipe.keyframes.get("lam", ((0, recipe.lam),)))
-    if recipe.transport == Recipe.from_dict({"preset": recipe.preset, "lam": lam, "steps": recipe.steps}).transport:
+    others = {"preset": recipe.preset, "lam": lam}
+    others |= {key: getattr(recipe, key) for key in ("steps", "stages", "conservative")}
+    if recipe.transport == Recipe.from_dict(others).transport:
         changed -= {"transport"}  # It follows from the others.
     return {key: reason for keys, reason in _without_effect(recipe, frames) for key in keys if key in changed}
 

@@ -67,7 +67,7 @@ def _of_density(prepared: Prepared) -> Iterator[str]:
     """The range of the density, its factor, and whether the quadrature can cope with it."""
     recipe, scale = prepared.recipe, prepared.plan.density_scale
     densest, reference = max(measure.densest for measure in prepared.measures), prepared.record["reference_density"]
-    auto = f", so that gamma is per cell of density {reference:.4g}" if recipe.density_scale == "auto" else ""
+    auto = f", so that gamma is that of density {reference:.4g}" if recipe.density_scale == "auto" else ""
     if reference > 0:
         yield f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale){auto}"
     thick = reference * scale
@@ -91,7 +91,7 @@ def _of_images(prepared: Prepared) -> Iterator[str]:
     frames = prepared.plan.frames
     for measure, plan in zip(prepared.measures, frames, strict=True):
         if plan.still and measure.mass > 0.0:
-            yield f"warning: {measure.name} renders black at gamma {plan.recipe.gamma:g} in the main view"
+            yield f"warning: {measure.name} renders black at this gamma in the main view"
     cut_off = max(bright.cut_off for bright in prepared.brightness)
     if cut_off > _CUT_OFF:
         yield (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,12 +98,13 @@ def _stylized(frames: Frames, recipe: Recipe, out: str | Path | None, progress: 
     grids: Sequence[Mapping[str, np.ndarray]] = []
     history = []
     prepared, record = frames_done.prepared, frames_done.record
-    for frame in frames_done:
-        history.append(frame.stylized.history)
-        if prepared.out is None:
-            densities.append(frame.stylized.density)
-            velocities.append(frame.stylized.velocity)
-            grids.append(carried(frame.source, frame.stylized, prepared.recipe.carry).in_memory())
+    with closing(frames_done):
+        for frame in frames_done:
+            history.append(frame.stylized.history)
+            if prepared.out is None:
+                densities.append(frame.stylized.density)
+                velocities.append(frame.stylized.velocity)
+                grids.append(carried(frame.source, frame.stylized, prepared.recipe.carry).in_memory())
     names = [frame_record["name"] for frame_record in record["frames"]]
     if prepared.out is not None:
         densities = StoredArrays(prepared.out, "density", names, prepared.suffix, prepared.frames)

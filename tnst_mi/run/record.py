@@ -74,10 +74,11 @@ def target_record(target: Target, shares: Sequence[float]) -> dict[str, Any]:
 
 
 def _folded(recipe: Recipe, stylized: Stylized) -> float | None:
-    """`folded_share` of transport in straight steps, each a part of v*; None where smoke follows the flow."""
-    if recipe.parameterisation != "transport" or recipe.transport != "step" or not isinstance(recipe.steps, int):
+    """`folded_share` of the transport, or of each of its sub-steps; None where their number is not fixed."""
+    if recipe.parameterisation != "transport" or not isinstance(recipe.steps, int):
         return None
-    return folded_share(stylized.density, stylized.velocity / np.float32(recipe.steps))
+    stages = recipe.stages if isinstance(recipe.stages, int) else None
+    return folded_share(stylized.density, stylized.velocity / np.float32(recipe.steps), recipe.transport, stages)
 
 
 def sequence_record(

@@ -69,9 +69,12 @@ def octave_inputs(
     if (union := _union(masks)) is not None:
         arrays[INSIDE] = mi.TensorXf16(well_inside(union))
         mask = mi.TensorXf(mask.array * union.array, mask.shape)
-    arrays["mask"] = mi.TensorXf16(mask)
     if (allowed := plan.allowed(frame, source, octave)) is not None:
         arrays["allowed"] = allowed
+        # Steps are as small as the room that they have. With full steps at the rim, which may hardly move, the rim
+        # would decide by how much potentials are scaled as a whole.
+        mask = mi.TensorXf(mask.array * allowed.array / dr.max(allowed.array), mask.shape)
+    arrays["mask"] = mi.TensorXf16(mask)
     if plan.window > 1 and frame.index + 1 < len(plan.frames):
         if source.velocity is None:
             raise InputError(f"{frame.name}: has no velocity, which a window of {plan.window} frames needs")

@@ -99,7 +99,7 @@ class Launched:
         if not math.isfinite(loss):
             raise InputError(
                 f"{frame.name}, iteration {self.iteration + 1} of octave {octave + 1}: the loss is {loss}, expected a "
-                f"finite number; try a smaller eta ({frame.recipe.eta:g}) or gamma ({frame.recipe.gamma:g})"
+                f"finite number; try a smaller eta ({frame.recipe.eta:g}) or gamma"
             )
         if any(others[len(self._terms) :]):
             found = "a gradient is not finite, or changes" if self._raw else "steps or changes"
