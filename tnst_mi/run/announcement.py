@@ -11,7 +11,7 @@ from tnst_mi.machine import environment
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
-from tnst_mi.run.carry import chosen
+from tnst_mi.run.carry import VELOCITY, chosen
 from tnst_mi.run.prepare import Prepared
 
 #: Optical thickness of a cell from which on the inclusive sum shows less than 5% of what the cell emits.
@@ -59,6 +59,11 @@ def _of_other_grids(prepared: Prepared) -> Iterator[str]:
         yield f"note: densities change in place, so other grids come back as they are: {names}"
     elif carried:
         yield f"carried with the smoke: {names} (--carry all|NAMES|none)"
+    if carry == "all" and any(m.moves and VELOCITY not in m.movable for m in prepared.measures):
+        yield (
+            "note: velocities lie in other files than the densities, and stay there with the grids beside them: results "
+            "come back without (tnst-mi convert puts density and velocity into one file)"
+        )
     if lost := [name for name in chosen(carry, movable) if name not in carried]:
         yield f"note: {prepared.suffix} files do not hold other grids of such names: {listed(lost, in_quotes=False)}"
 
