@@ -61,8 +61,8 @@ def _of_other_grids(prepared: Prepared) -> Iterator[str]:
         yield f"carried with the smoke: {names} (--carry all|NAMES|none)"
     if carry == "all" and any(m.moves and VELOCITY not in m.movable for m in prepared.measures):
         yield (
-            "note: velocities lie in other files than the densities, and stay there with the grids beside them: results "
-            "come back without (tnst-mi convert puts density and velocity into one file)"
+            "note: velocities lie in other files than the densities, and stay there with the grids beside them: "
+            "results come back without (tnst-mi convert puts density and velocity into one file)"
         )
     if lost := [name for name in chosen(carry, movable) if name not in carried]:
         yield f"note: {prepared.suffix} files do not hold other grids of such names: {listed(lost, in_quotes=False)}"
