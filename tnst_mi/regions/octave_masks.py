@@ -21,8 +21,8 @@ import torch
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_potential, resample_region
 
-#: Cells of an octave within which changes fade to nothing at the border of the regions: as many as the differences span
-#: of which velocities are made, which would see a steeper border as no steeper, but a wider one as wider.
+#: Cells of an octave within which changes fade to nothing at the border of the regions, even of hard masks: the
+#: differences of which velocities are made span as many, and would not see a steeper border as wider.
 FADE_CELLS = 2.0
 
 
