@@ -75,6 +75,11 @@ def distance_from(centre: list[float]) -> np.ndarray:
         {"parameterisation": "density", "eta": 0.1},
         {"steps": "auto", "sigma": "loss"},
         {"motif_size": 1.4},
+        {"motif_size": 2.0, "transport": "step", "steps": "auto"},
+        {"motif_size": 1.4, "window": 3, "coherence": 1.0},
+        {"motif_size": 1.4, "window": 3, "window_average": "plain", "step_order": "align_first"},
+        {"motif_size": 1.4, "parameterisation": "density", "eta": 0.1},
+        {"motif_size": "cells"},
         {"motif_size": 0.6, "window": 3, "window_average": "plain"},
         {"reach": 1.0, "keep_silhouette": 0.5, "window": 3},
     ],
@@ -90,6 +95,61 @@ def test_two_cells_outside_a_mask_nothing_changes(keys: dict[str, Any], weights:
         assert (velocity[~inside] == 0).all()
         assert np.abs(density - frame.density)[inside].max() > 0.01
         assert frame.density[~inside].max() > 0.1, "there is smoke outside"
+
+
+@pytest.mark.parametrize("motif_size", [2.0, 1.4, "cells", 0.6])
+def test_with_conservative_transport_it_is_three_cells(motif_size: float | str, weights: str) -> None:
+    (frame,) = moving_smoke(1, SHAPE)
+    keys = {"conservative": True, "transport": "flow", "motif_size": motif_size, "blend": 0.7}
+    result = stylized(frame, weights, mask=SPHERE, octaves=3, **keys)
+    inside = grown(distance_from(SPHERE["centre"]) < SPHERE["radius"])
+    density, changed = result.densities[0], grown(inside)
+    assert density[~changed].tobytes() == frame.density[~changed].tobytes()
+    assert (result.velocities[0][~inside] == 0).all()
+    assert np.abs(density - frame.density)[inside].max() > 0.01
+
+
+def lumpy_column(rows: int) -> Frame:
+    """The same smoke on any grid, a quarter as wide as it is high."""
+    shape = (rows // 4, rows, rows // 4)
+    z, y, x = ((i - (n - 1) / 2) / rows for i, n in zip(np.indices(shape), shape, strict=True))
+    lumps = 1 + 0.5 * np.sin(61 * x + 1) * np.sin(53 * y) * np.sin(67 * z + 2) + 0.3 * np.sin(97 * y + 40 * x)
+    radius = np.sqrt(x**2 + (y / 3.2) ** 2 + z**2)
+    return Frame((0.8 * np.clip((0.115 - radius) / 0.03, 0, 1) * lumps).astype(np.float32))
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.02])
+def test_a_recipe_with_a_small_region_means_the_same_at_every_size(edge: float, weights: str) -> None:
+    """From the same 96 rows of images: as much of the smoke in it changes, and as far, and no faster at its border."""
+    shares, fastest = [], []
+    for rows in (96, 128, 200):
+        frame = lumpy_column(rows)
+        centre = [(n - 1) / 2 for n in reversed(frame.density.shape)]
+        mask = {"shape": "sphere", "centre": centre, "radius": 0.05 * rows, "edge": edge * rows}
+        result = stylized(frame, weights, mask=mask, eta=0.01)
+        z, y, x = np.indices(frame.density.shape)
+        distance = np.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2) / rows
+        speed = np.linalg.norm(result.velocities[0], axis=-1) / rows
+        change = np.abs(result.densities[0] - frame.density)
+        shares.append(change.sum() / frame.density[distance < 0.05].sum())
+        fastest.append(speed.max())
+        # The outer two cells of the octave, and what lies beyond.
+        assert speed[distance > 0.03].max() < 1.5 * speed[distance < 0.03].max()
+        assert change[distance > 0.05 + 2 / rows].max() == 0
+    assert min(shares) > 0.01
+    np.testing.assert_allclose(shares, shares[0], rtol=0.3)
+    np.testing.assert_allclose(fastest, fastest[0], rtol=0.4)
+
+
+@pytest.mark.parametrize("radius", [3, 7])
+def test_regions_of_a_few_cells_of_a_fine_grid_change(radius: int, weights: str) -> None:
+    """Hard spheres at 200 rows, of which an octave sees 96."""
+    frame = lumpy_column(200)
+    mask = {"shape": "sphere", "centre": [24.5, 99.5, 24.5], "radius": radius}
+    result = stylized(frame, weights, mask=mask, octaves=1, iterations=1)
+    change = np.abs(result.densities[0] - frame.density)
+    assert change.max() > 0.01 and (change > 0.001).sum() > 4 * radius**3 / 3
+    assert result.run["frames"][0]["note"] is None
 
 
 def test_without_regions_a_blend_rounds_as_before(weights: str) -> None:

@@ -19,6 +19,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
 from tnst_mi.regions.regions import Regions, regions_of, smoke_shares
 from tnst_mi.regions.shapes import shape_mask
+from tnst_mi.run.prepare import prepare
 
 SHAPE = (7, 9, 8)
 
@@ -209,6 +210,41 @@ def test_a_mask_that_follows_moves_with_a_uniform_wind_exactly() -> None:
         np.testing.assert_array_equal(mask, np.roll(start, i - 1, axis=2))
     still = masks(smoke, box)
     assert all((mask == start).all() for mask in still), "it stands in the scene unless it is bound to the smoke"
+
+
+@pytest.mark.parametrize("numbers", [(1, 2, 6, 7), (1, 2, 2.5, 3), (9, 7, 6, 2), (3, 1, 2, 8)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_mask_that_follows_moves_by_the_difference_of_numbers(
+    numbers: tuple[float, ...], first: int, weights: Path
+) -> None:
+    """Two cells per frame along x: across gaps, sub-frames and in descending order, forwards and back; in runs too."""
+    shape = (5, 7, 40)
+    wind = np.zeros((*shape, 3), np.float32)
+    wind[..., 0] = 2
+    smoke = [Frame(np.ones(shape), wind, name=f"f_{n}", number=n) for n in numbers]
+    box = {"shape": "box", "low": [18, 2, 1], "high": [23, 5, 3], "edge": 2}
+    follow: Any = True if first == 0 else numbers[first]
+    alone = regions_for(smoke, box | {"follow": follow})
+    recipe = {"mask": box | {"follow": follow}, "semantic": ["inception_3a/3x3:0"], "weights": str(weights)}
+    of_run = prepare(smoke, Recipe.from_dict(recipe), progress=False).plan.regions
+    assert of_run is not None
+    (start,) = masks(smoke[:1], box)
+    for i in (0, 3, 1, 2, 0):
+        expected = np.roll(start, round(2 * (numbers[i] - numbers[first])), axis=2)
+        for regions in (alone, of_run):
+            np.testing.assert_array_equal(regions.masks(i, smoke[i])[0], expected)
+
+
+def test_the_velocity_of_the_earlier_frame_leads_to_the_later_one() -> None:
+    """In descending order that is the one that comes after in the sequence; the earliest frame needs no other's."""
+    wind = np.zeros((*SHAPE, 3), np.float32)
+    wind[..., 0] = 1
+    pair = [Frame(np.ones(SHAPE), name="f_8", number=8), Frame(np.ones(SHAPE), wind, name="f_7", number=7)]
+    box = {"shape": "box", "low": [3, 2, 2], "high": [5, 5, 4], "follow": True}
+    start, moved = masks(pair, box)
+    np.testing.assert_array_equal(moved, np.roll(start, -1, axis=2))
+    with pytest.raises(InputError, match="mask: f_7: has no velocity"):
+        masks([pair[0], Frame(np.ones(SHAPE), name="f_7", number=7)], box)
 
 
 def test_a_mask_that_follows_turns_with_a_vortex() -> None:

@@ -1,51 +1,113 @@
-"""Masks on octaves keep fields inside the mask of the full grid; shares of images are sums along rays."""
+"""Masks on octaves are means, and fields end at the masks of the full grid; shares of images are sums along rays."""
 
 from __future__ import annotations
+
+import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
+import torch
 from fields import blob, smooth_noise
 
 import tnst_mi
 from tnst_mi.fields.grid import Octave, octaves
+from tnst_mi.fields.potentials import velocity
 from tnst_mi.fields.resampling import resample_potential
-from tnst_mi.regions.octave_masks import octave_mask, well_inside
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.regions.octave_masks import RegionBorder, border_of, distance_within, octave_mask
 from tnst_mi.regions.seen import seen_shares
+from tnst_mi.regions.shapes import shape_mask
+from tnst_mi.rendering.levels import levels_of
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 
+def sphere(rows: int, radius: float, edge: float) -> np.ndarray:
+    """In the middle of a grid (·, rows, ·); lengths in cells."""
+    shape = (rows // 3, rows, rows // 3)
+    centre = [(n - 1) / 2 for n in reversed(shape)]
+    return shape_mask("sphere", {"centre": centre, "radius": radius, "edge": edge}, shape, None)
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.02])
+def test_a_small_region_is_as_much_of_octaves_coarser_than_the_frame(edge: float) -> None:
+    """A sphere of a twentieth of the height: its share in the finest octave, of 96 rows each, is that of 96 rows."""
+    shares = []
+    for rows in (96, 128, 200):
+        radius, shape = 0.05 * rows, (rows // 3, rows, rows // 3)
+        mask, octave = sphere(rows, radius, edge * rows), levels_of(Recipe(), shape)[-1]
+        assert octave.shape[1] == 96
+        found = octave_mask(mask, border_of([mask], octave), octave).numpy()
+        shares.append(found.sum() * octave.cell_size**3 / mask.sum())
+        if edge:
+            assert shares[-1] == pytest.approx(1, abs=0.03)
+        else:
+            # It fades over two cells of the octave, which end where the centres of cells outside are: up to half
+            # a cell of the frame beyond the surface, which is up to 0.03 of this share.
+            r = (np.arange(1000) + 0.5) * radius / 1000
+            fade = np.minimum(1, (radius + 0.5 - r) / (2 * octave.cell_size))
+            assert shares[-1] == pytest.approx((fade * r**2).sum() / (r**2).sum(), abs=0.03)
+    assert min(shares) > 0.8 * max(shares)
+
+
+@pytest.mark.parametrize("radius", [1, 3, 5, 7])
+def test_no_region_is_too_small_for_the_finest_octave(radius: int) -> None:
+    """Of 200 rows, whose octaves have cells of two: even one of a few cells is there, and where it was."""
+    mask, octave = sphere(200, radius, 0), levels_of(Recipe(), (66, 200, 66))[-1]
+    found = octave_mask(mask, border_of([mask], octave), octave).numpy()
+    assert found.max() > 0.02
+    for axis, n in enumerate(found.shape):
+        others = tuple({0, 1, 2} - {axis})
+        assert (found.sum(others) * np.arange(n)).sum() / found.sum() == pytest.approx((n - 1) / 2, abs=0.3)
+
+
 @pytest.mark.parametrize("shape", [(20, 31, 26), (1, 40, 27), (33, 24, 50)])
-def test_fields_inside_an_octaves_mask_stay_inside_the_full_one(shape: tuple[int, int, int]) -> None:
+def test_fields_of_an_octave_end_where_the_masks_do(shape: tuple[int, int, int]) -> None:
     """Whatever the fields are, and however the grids of the octaves lie on each other."""
     rng = np.random.default_rng(0)
     mask = np.clip(blob(shape, tuple(n * 0.45 for n in shape[::-1]), 9.0) - 0.3, 0, None)
-    levels = octaves(shape, 3)
-    for octave in levels:
-        coarse = octave_mask(mask, octave)
-        assert coarse.shape == octave.shape and coarse.max() > 0
-        field = rng.standard_normal(octave.shape).astype(np.float32) * (coarse > 0)
-        fine = resample_potential(field, octave.cell_size, shape, 1.0)
+    for octave in [*octaves(shape, 3), levels_of(Recipe(motif_size=1.4), shape)[-1]]:
+        border = RegionBorder([np.zeros_like(mask), mask], octave)
+        field = rng.standard_normal(octave.shape).astype(np.float32) * border.fade().numpy()
+        fine = resample_potential(field, octave.cell_size, shape, 1.0) * border.restored().numpy()
         assert (fine[mask == 0] == 0).all() and (fine != 0).any()
-    assert octave_mask(mask, levels[-1]) is mask
+        assert (octave_mask(mask, border, octave).numpy() <= border.fade().numpy() + 1e-6).all()
+    full = RegionBorder([mask], octaves(shape, 1)[0])
+    np.testing.assert_array_equal(full.restored().numpy(), mask > 0)
 
 
-def test_a_coarse_cell_has_the_least_of_what_it_reaches() -> None:
-    """In a mask that rises along x by 0.01 a cell, that is two coarse cells further down."""
-    mask = np.broadcast_to(np.arange(40, dtype=np.float32) / 100, (4, 40, 40))
-    coarse = octave_mask(mask, Octave((2, 20, 20), 2.0))
-    place = (np.arange(20) - 9.5) * 2 + 19.5
-    lowest = np.ceil(np.maximum(place - 4 + 1e-6, 0))
-    # The first and the last cells are repeated beyond their centres.
-    np.testing.assert_allclose(coarse[0, 10, 2:-2], lowest[2:-2] / 100, atol=1e-6)
+@pytest.mark.parametrize("h", [1.0, 1.5, 2.0, 3.7])
+def test_no_velocity_at_a_hard_border_is_faster_than_that_of_a_ramp_of_two_cells(h: float) -> None:
+    """Of a potential that is 1 within an octave, faded, interpolated and ended at a plane: 1 / 2h, and 0 beyond it."""
+    shape, rows = (3, 80, 80), round(80 / h)
+    octave = Octave((3, rows, rows), 80 / rows)
+    mask = np.broadcast_to(np.arange(80, dtype=np.float32) >= 37, shape)
+    border = RegionBorder([mask], octave)
+    fine = resample_potential(border.fade().numpy(), octave.cell_size, shape, 1.0) * border.restored().numpy()
+    v = np.abs(velocity(fine, None, 1.0)[..., 0])
+    assert 0.9 * 0.5 / octave.cell_size < v.max() < 1.1 * 0.5 / octave.cell_size
+    assert (v[..., :36] == 0).all()
+    np.testing.assert_allclose(fine[..., 37 + math.ceil(4 * octave.cell_size) :], 1, atol=1e-3)
 
 
-def test_well_inside_is_soft_and_knows_no_border_of_the_grid() -> None:
-    mask = np.zeros((5, 9, 12), np.float32)
-    mask[:, :, 4:] = 0.01
-    soft = well_inside(mi.TensorXf(mask)).numpy()
-    expected = np.array([0, 0, 0, 0, 1 / 3, 2 / 3, 1, 1, 1, 1, 1, 1])
-    np.testing.assert_allclose(soft, np.broadcast_to(expected, soft.shape), atol=1e-6)
+def test_distances_are_those_to_the_nearest_cell_outside() -> None:
+    """Of all pairs of cells; the border of the grid is not outside, and an axis of one cell has no other."""
+    rng = np.random.default_rng(1)
+    for shape in ((5, 9, 8), (1, 12, 7)):
+        inside = rng.random(shape) < 0.97
+        cells = np.argwhere(np.ones(shape)).astype(np.float64)
+        apart = np.linalg.norm(cells[:, None] - np.argwhere(~inside)[None], axis=-1).min(axis=1).reshape(shape)
+        for most in (1.0, 2.4, 4.0):
+            found = distance_within(torch.as_tensor(inside), most).numpy()
+            np.testing.assert_allclose(found, np.minimum(apart, most), atol=1e-6)
+
+
+def test_there_is_no_border_where_a_target_is_everywhere() -> None:
+    """Its mask alone then is a mean, without a fade."""
+    mask, octave = sphere(40, 6, 0), Octave((7, 20, 7), 2.0)
+    assert border_of([], octave) is None and border_of([mask, None], octave) is None
+    assert octave_mask(np.ones_like(mask), None, octave).numpy() == pytest.approx(1)
+    assert octave_mask(mask, None, octave).numpy().max() == pytest.approx(1, abs=0.02)
 
 
 def smoke(shape: tuple[int, int, int]) -> np.ndarray:

@@ -8,6 +8,7 @@ numpy arrays or Dr.Jit tensors; the result is of the same kind.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -141,10 +142,27 @@ def resample_velocity(field: mi.TensorXf, h_from: float, shape: Shape, h_to: flo
     """
     if _unchanged(field, h_from, shape, h_to):
         return field
+    return _apply(field, _means(field.shape[:3], h_from, shape, h_to))
+
+
+@any_array_kind("field", differentiable=False)
+def resample_region(field: mi.TensorXf, h_from: float, shape: Shape, h_to: float) -> mi.TensorXf:
+    """Resample the mask (D, H, W) of a region to another octave: Gaussian prefilter, then linear interpolation.
+
+    A region does not end where the grid does: values outside repeat the border. Cell sizes are in full-resolution
+    cells.
+    """
+    if _unchanged(field, h_from, shape, h_to):
+        return field
+    return _apply(field, _means(field.shape, h_from, shape, h_to))
+
+
+def _means(shape_from: Sequence[int], h_from: float, shape: Shape, h_to: float) -> list[np.ndarray]:
+    """For each axis the means over the cells of an octave of what lies inside the grid, shape (n_to, n_from)."""
     matrices = []
-    for n, m in zip(field.shape[:3], shape, strict=True):
+    for n, m in zip(shape_from, shape, strict=True):
         # Cells of a coarse octave may lie outside the full grid: the octave has the cell size of the vertical axis.
         matrix = linear_matrix(n, h_from, m, h_to, repeat=True) @ prefilter_matrix(n, h_from, h_to)
         # Normalised to compensate for the zeros outside: near the border, an average over the cells inside.
         matrices.append(matrix / matrix.sum(axis=1, keepdims=True))
-    return _apply(field, matrices)
+    return matrices

@@ -13,9 +13,10 @@ from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.movement import Movement
-from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Transport
+from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Transport, times
 from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.optimisation.result import Stylized
+from tnst_mi.regions.octave_masks import border_of
 
 
 def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Stylized:
@@ -39,6 +40,7 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     # The input's own values are transported, in a unit that is a power of two from that of the fields.
     mantissa, exponent = math.frexp(items.plan.density_scale)
     fields = parameterisation.rescaled(parameterisation.carried(items.fields(frame), items.octave, full), 1 / mantissa)
+    fields = _within_regions(fields, items, frame, source)
     # Interpolation between the cells of an octave can exceed what they have.
     fields = frame.within_reach(fields, full.cell_size, items.plan.allowed(frame, source, full))
     if strength < 1.0:
@@ -61,6 +63,16 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
         result.note = f"{source.name}: left unchanged, since {_why_unchanged(items, frame, source)}"
     return result
+
+
+def _within_regions(fields: Fields, items: Items, frame: FramePlan, source: Frame) -> Fields:
+    """Fields of the full grid that end where the frame's regions do, though the cells of an octave reach beyond."""
+    regions = items.plan.regions
+    border = None if regions is None else border_of(regions.masks(frame.index, source), items.octave)
+    if border is None:
+        return fields
+    restored = border.restored()
+    return Fields({name: times(restored, field) for name, field in fields.items()})
 
 
 def _why_unchanged(items: Items, frame: FramePlan, source: Frame) -> str:

@@ -1,41 +1,91 @@
-"""Masks on the grids of octaves, such that nothing changes outside the mask of the full grid.
+"""Masks on the grids of octaves, and the border that keeps all changes within the masks of the full grid.
 
-Fields of a coarse octave are interpolated to finer grids, and what a coarse cell holds reaches beyond it. So a coarse
-cell has the least value that the mask has where it reaches; and where fields arrive from elsewhere, a coarser octave or
-a neighbouring frame, they are cut off softly at the support of the mask.
+On an octave a mask is what its cells hold of it, the mean over each, so that a small region is as much of a coarse grid
+as of a fine one. Such means reach beyond the mask, and fields that are interpolated to a finer grid reach further. So
+fields end at the border of the full grid's masks. They must not be cut off there: the velocity of a potential is its
+derivative, and a jump would be the fastest smoke of all. Within two cells of the octave they fade to 0 instead, be the
+mask itself soft or hard.
 """
 
 from __future__ import annotations
 
+import functools
+import math
+from collections.abc import Sequence
+
+import drjit as dr
 import mitsuba as mi
 import numpy as np
-from torch.nn import functional
+import torch
 
 from tnst_mi.fields.grid import Octave
-from tnst_mi.fields.resampling import cubic_matrix
+from tnst_mi.fields.resampling import resample_potential, resample_region
+
+#: Cells of an octave within which changes fade to nothing at the border of the regions, even of hard masks: the
+#: differences of which velocities are made span as many, and would not see a steeper border as wider.
+FADE_CELLS = 2.0
 
 
-def octave_mask(mask: np.ndarray, octave: Octave) -> np.ndarray:
-    """The mask (D, H, W) on the grid of an octave: in each cell, the least of the cells that its fields reach.
+class RegionBorder:
+    """The border of the regions of a frame, as an octave sees it.
 
     Args:
-        mask: (D, H, W) on the full grid.
+        masks: of the targets, each (D, H, W) on the full grid; their union has the border.
         octave: of the same run.
+
+    Attributes:
+        full: the fade (D, H, W) on the full grid: 0 outside all masks, 1 from two cells of the octave within.
     """
-    if octave.cell_size == 1.0 and octave.shape == mask.shape:
-        return mask
-    for axis, (n, size) in enumerate(zip(octave.shape, mask.shape, strict=True)):
-        reached = cubic_matrix(n, octave.cell_size, size, 1.0) != 0
-        values = np.moveaxis(mask, axis, 0)
-        least = [values[reached[:, cell]].min(axis=0, initial=1.0) for cell in range(n)]
-        mask = np.moveaxis(np.stack(least), 0, axis)
-    return np.ascontiguousarray(mask, np.float32)
+
+    def __init__(self, masks: Sequence[np.ndarray], octave: Octave) -> None:
+        self._octave = octave
+        union = functools.reduce(np.maximum, masks)
+        width = FADE_CELLS * octave.cell_size
+        self.full = mi.TensorXf(distance_within(mi.TensorXf(union).torch() > 0, width) / width)
+
+    def fade(self) -> mi.TensorXf:
+        """The fade on the grid of the octave, in [0, 1]: the share that is left of any change."""
+        return resample_region(self.full, 1.0, self._octave.shape, self._octave.cell_size)
+
+    def restored(self) -> mi.TensorXf:
+        """A factor (D, H, W) for fields of the octave that are interpolated to the full grid, in [0, 1].
+
+        It is 0 outside all masks. Within, it turns the fade as the octave has it, blurred, into that of the full grid
+        where this is less: fields then end where the masks do, no more steeply than the fade.
+        """
+        blurred = resample_potential(self.fade(), self._octave.cell_size, self.full.shape, 1.0).array
+        wanted = self.full.array
+        factor = dr.select(blurred > wanted, wanted / blurred, dr.select(wanted > 0, mi.Float(1), 0))
+        return mi.TensorXf(factor, tuple(self.full.shape))
 
 
-def well_inside(mask: mi.TensorXf) -> mi.TensorXf:
-    """A factor (D, H, W) that is 0 where the mask is 0, and 1 from the third cell inside its support on."""
-    inside = (mask.torch() > 0).to(mask.torch().dtype)[None, None]
-    # The border of the grid is no border of the mask: pooling leaves out what lies beyond it.
-    eroded = -functional.max_pool3d(-inside, 3, 1, 1)
-    soft = functional.avg_pool3d(eroded, 3, 1, 1, count_include_pad=False)
-    return mi.TensorXf(soft[0, 0].contiguous())
+def border_of(masks: Sequence[np.ndarray | None], octave: Octave) -> RegionBorder | None:
+    """The border of the regions of a frame; None if there are none, or one (None) is everywhere."""
+    present = [mask for mask in masks if mask is not None]
+    return RegionBorder(present, octave) if present and len(present) == len(masks) else None
+
+
+def octave_mask(mask: np.ndarray, border: RegionBorder | None, octave: Octave) -> mi.TensorXf:
+    """The mask (D, H, W) of a target on the grid of an octave: the mean over each cell, faded within the border."""
+    full = mi.TensorXf(mask)
+    if border is not None:
+        full = mi.TensorXf(dr.minimum(full.array, border.full.array), mask.shape)
+    return resample_region(full, 1.0, octave.shape, octave.cell_size)
+
+
+def distance_within(inside: torch.Tensor, most: float) -> torch.Tensor:
+    """The distance of each cell (D, H, W) to the nearest one outside, in cells, at most `most`; 0 outside.
+
+    The border of the grid is no border of the inside. Exact: the least of squared distances along one axis plus
+    squared offsets along the next.
+    """
+    square = torch.where(inside, most**2, 0.0)
+    for axis in range(3):
+        nearest = square.clone()
+        for offset in range(1, min(math.ceil(most), square.shape[axis])):
+            count = square.shape[axis] - offset
+            for here, there in ((0, offset), (offset, 0)):
+                target = nearest.narrow(axis, here, count)
+                torch.minimum(target, square.narrow(axis, there, count) + offset**2, out=target)
+        square = nearest
+    return square.sqrt()

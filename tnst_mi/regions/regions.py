@@ -25,7 +25,7 @@ class Regions:
 
     Args:
         targets: of the recipe.
-        frames: the frames, with velocities that lead from each to the next.
+        frames: the frames, with velocities in cells per frame.
         files: the same frames as they are stored, whose grids masks may name.
         numbers: of the frames.
     """
@@ -106,7 +106,7 @@ class Regions:
                 raise InputError(f"follow = {follow}: there is no such frame, expected one of the run")
             first = 0 if follow is True else self._numbers.index(follow)
             start = self._standing(part_at(table, self._numbers[first]), first, self._frames[first])
-            self._following[key] = FollowingMask(start, first, self._frames)
+            self._following[key] = FollowingMask(start, first, self._frames, self._numbers)
         return self._following[key].at(index)
 
     def _standing(self, part: Mapping[str, Any], index: int, frame: Frame) -> np.ndarray:
@@ -152,7 +152,7 @@ def regions_of(
 
     Args:
         recipe: with absolute paths.
-        frames: the frames, with velocities that lead from each to the next.
+        frames: the frames, with velocities in cells per frame.
         numbers: of the frames.
         files: the same frames as they are stored, whose grids masks may name; None if they are `frames`.
 

@@ -204,7 +204,7 @@ def prepare(
     numbers = [measure.number for measure in measures]
     step = frame_step(numbers)
     unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
-    regions = regions_of(recipe, _moving(unchanged, step), numbers, sequence)
+    regions = regions_of(recipe, unchanged, numbers, sequence)
     target_records = None
     if regions is not None:
         shares = smoke_shares(regions, targets, _watched(unchanged, "masking", progress))

@@ -16,7 +16,7 @@ from tnst_mi.fields.resampling import resample_density, resample_mask, resample_
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.regions.octave_masks import octave_mask, well_inside
+from tnst_mi.regions.octave_masks import border_of, octave_mask
 
 #: Name of the factor that keeps fields inside the regions.
 INSIDE = "inside"
@@ -64,10 +64,12 @@ def octave_inputs(
     mask = resample_mask(soft_mask(density, source.obstacle, plan.recipe.mask_strength), 1.0, shape, h)
     arrays: dict[str, mi.TensorXf | mi.TensorXf16] = {"density": resample_density(density, 1.0, shape, h)}
     regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
-    masks = [None if full is None else mi.TensorXf(octave_mask(full, octave)) for full in regions]
+    border = border_of(regions, octave)
+    masks = [None if full is None else octave_mask(full, border, octave) for full in regions]
     arrays |= {region_name(i): mi.TensorXf16(region) for i, region in enumerate(masks) if region is not None}
+    if border is not None:
+        arrays[INSIDE] = mi.TensorXf16(border.fade())
     if (union := _union(masks)) is not None:
-        arrays[INSIDE] = mi.TensorXf16(well_inside(union))
         mask = mi.TensorXf(mask.array * union.array, mask.shape)
     if (allowed := plan.allowed(frame, source, octave)) is not None:
         arrays["allowed"] = allowed

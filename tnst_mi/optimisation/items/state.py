@@ -119,7 +119,7 @@ class Items:
             self._store.write(group, frame.index, 0, octave_inputs(self.plan, self.octave, frame, source))
 
     def _inside(self, frame: FramePlan, fields: Fields) -> Fields:
-        """Fields that came from elsewhere, cut off where a frame has no region."""
+        """Fields that came from elsewhere, faded to 0 at the border of a frame's regions."""
         if self.plan.regions is None or not self.plan.regions.bounded:
             return fields
         inside = self._store.read(self._group("inputs"), frame.index, [INSIDE])[INSIDE]
