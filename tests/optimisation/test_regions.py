@@ -30,6 +30,7 @@ from tnst_mi.run.api import Result
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.progress import ProgressBar
+from tnst_mi.run.record import run_identity
 
 SHAPE = (16, 22, 18)
 SPHERE = {"shape": "sphere", "centre": [6.5, 10.5, 7.5], "radius": 6.0, "edge": 2.0}
@@ -100,7 +101,7 @@ def test_without_regions_a_blend_rounds_as_before(weights: str) -> None:
     everywhere = stylized(frame, weights, target=[GOAL])
     assert everywhere.densities[0].tobytes() == none.densities[0].tobytes()
     assert everywhere.run["targets"] == [
-        {"goals": GOAL, "mask": [], "weight": 1.0, "smoke_shares": [1.0]},
+        {"goals": GOAL, "mask": [], "weight": 1.0, "smoke_shares": [1.0], "mask_sha256": [None]},
     ]
 
 
@@ -302,6 +303,15 @@ def test_a_changed_mask_file_does_not_resume_a_run(weights: str, tmp_path: Path)
         prepare(frames, recipe, tmp_path / "out", resume=True)
 
 
+def stopped_run(frames: Any, recipe: Recipe, out: Path) -> dict[str, Any]:
+    """The record of a run that has ended, of which only the first frame is known to be complete."""
+    for _ in Run(prepare(frames, recipe, out), progress=False):
+        pass
+    record = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(record | {"frames": record["frames"][:1], "status": "interrupted"}))
+    return record
+
+
 def test_a_changed_grid_of_the_input_does_not_resume_a_run(weights: str, tmp_path: Path) -> None:
     """Even if it is not carried, for then it is no part of what a run knows of its frames."""
     (frame,), smoke = moving_smoke(1, SHAPE), tmp_path / "s_0001.npz"
@@ -312,8 +322,43 @@ def test_a_changed_grid_of_the_input_does_not_resume_a_run(weights: str, tmp_pat
         if strength == 0.5:
             for _ in Run(prepare(smoke, recipe, tmp_path / "out"), progress=False):
                 pass
-    with pytest.raises(InputError, match="its run had other masks, or other smoke in them"):
+    with pytest.raises(InputError, match=r"out: its run had another mask in s_0001 than there is now; resume with"):
         prepare(smoke, recipe, tmp_path / "out", resume=True)
+
+
+def test_a_mirrored_mask_in_a_folder_does_not_resume_a_run(weights: str, tmp_path: Path) -> None:
+    """It holds as much of a symmetric smoke as before, and only one frame has another one."""
+    y, x = np.indices(SHAPE)[1:]
+    smoke = np.exp(-((x - 8.5) ** 2 + (y - 10.5) ** 2) / 20).astype(np.float32)
+    frames, halves = [Frame(smoke, name=f"s_{n}", number=n) for n in (1, 2)], (x < 9).astype(np.float32)
+    folder, out = tmp_path / "masks", tmp_path / "out"
+    folder.mkdir()
+    for number in (1, 2):
+        np.savez(folder / f"m_{number}.npz", density=halves)
+    targets = [GOAL, {"tag": ["volcano"], "mask": str(folder)}]
+    few = {"octaves": 1, "iterations": 1, "views": 1, "weights": weights}
+    recipe = Recipe.from_dict({"target": targets} | few)
+    before = stopped_run(frames, recipe, out)
+    prepare(frames, recipe, out, resume=True)
+    np.savez(folder / "m_2.npz", density=halves[..., ::-1])
+    said = r"out: its run had another mask of target 2 in s_2 than there is now; resume with the same masks, or use --o"
+    with pytest.raises(InputError, match=said):
+        prepare(frames, recipe, out, resume=True)
+    now = prepare(frames, recipe).record
+    (first, then), (_, after) = (record["targets"][1]["mask_sha256"] for record in (before, now))
+    assert first == then != after
+    assert before["targets"][1]["smoke_shares"] == pytest.approx(now["targets"][1]["smoke_shares"], abs=1e-6)
+    assert run_identity(recipe, before) != run_identity(recipe, now), "what it had begun is not continued either"
+
+
+@pytest.mark.parametrize("damage", [None, [], [{}], [{"mask_sha256": ["", ""]}]], ids=str)
+def test_a_record_without_its_masks_does_not_resume_a_run(damage: Any, weights: str, tmp_path: Path) -> None:
+    frames = moving_smoke(1, SHAPE)
+    recipe = Recipe.from_dict(GOAL | {"mask": SPHERE, "octaves": 1, "iterations": 1, "views": 1, "weights": weights})
+    record = stopped_run(frames, recipe, tmp_path)
+    (tmp_path / "run.json").write_text(json.dumps(record | {"targets": damage}))
+    with pytest.raises(InputError, match=r"run\.json: does not say which masks its run had; give another folder"):
+        prepare(frames, recipe, tmp_path, resume=True)
 
 
 @pytest.mark.parametrize(

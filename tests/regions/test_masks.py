@@ -17,7 +17,8 @@ from tnst_mi.geometry.placement import Placement
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
-from tnst_mi.regions.regions import Regions, regions_of, smoke_shares
+from tnst_mi.regions.measured_masks import measured_masks
+from tnst_mi.regions.regions import Regions, regions_of
 from tnst_mi.regions.shapes import shape_mask
 
 SHAPE = (7, 9, 8)
@@ -246,7 +247,7 @@ def shares(smoke: list[Frame], recipe: dict[str, Any]) -> list[list[float]]:
     made = Recipe.from_dict(recipe)
     regions = regions_of(made, smoke, [frame.number for frame in smoke])
     assert regions is not None
-    return smoke_shares(regions, targets_of(made), smoke)
+    return [mask.smoke_shares for mask in measured_masks(regions, targets_of(made), smoke)]
 
 
 def test_the_smoke_in_each_mask_is_measured() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -163,33 +163,3 @@ def regions_of(
     if not any(target.mask or target.number for target in targets):
         return None
     return Regions(targets, frames, frames if files is None else files, numbers)
-
-
-def smoke_shares(regions: Regions, targets: Sequence[Target], frames: Iterable[Frame]) -> list[list[float]]:
-    """For each target, the share of the smoke of each frame that is in its mask, Σ m d / Σ d; 0 without smoke.
-
-    Args:
-        regions: the masks.
-        targets: whose they are.
-        frames: in their order; each is read once.
-
-    Raises:
-        InputError: a mask cannot be used, is 0 everywhere in all frames, or has no smoke in it in any.
-    """
-    shares: list[list[float]] = [[] for _ in targets]
-    empty = [True] * len(targets)
-    for index, frame in enumerate(frames):
-        mass = frame.mass
-        for number, mask in enumerate(regions.masks(index, frame)):
-            inside = mass if mask is None else float((mask * frame.density).sum(dtype=np.float64))
-            shares[number].append(inside / mass if mass > 0 else 0.0)
-            empty[number] &= mask is not None and not mask.any()
-    for target, none, of_target in zip(targets, empty, shares, strict=True):
-        if none:
-            raise InputError(
-                f"{target.name}: is 0 everywhere in all frames; check its strength, and its place "
-                "and size: lengths are those of the scene, or cells where the files have none"
-            )
-        if target.mask and not any(of_target):
-            raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change")
-    return shares
