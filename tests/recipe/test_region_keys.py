@@ -118,3 +118,33 @@ def test_weights_of_a_recipe_have_no_effect_on_targets() -> None:
     }
     layers = dataclasses.replace(recipe, style_weight=1.0, damping=0.0, style_layers={"conv2/3x3": 1.0})
     assert unused_keys(layers, 1) == {}, "layers of the recipe are those of targets without their own"
+
+
+@pytest.mark.parametrize("weight", [0, 3.0, {5: 0, 9: 2}], ids=str)
+@pytest.mark.parametrize("key", ["style_weight", "semantic_weight"])
+def test_weights_of_a_recipe_do_not_reach_its_targets(key: str, weight: Any) -> None:
+    """As the note on them says; they would switch targets off."""
+    recipe = Recipe.from_dict({"target": [{"style": "net"}, {"tag": "spiral"}], key: weight, "gamma": {5: 1, 9: 3}})
+    for target in targets_of(recipe):
+        assert (target.recipe.style_weight, target.recipe.semantic_weight) == (1.0, 1.0)
+        assert set(target.recipe.keyframes) == {"gamma"} and target.recipe.at(7).gamma == 2.0
+    assert unused_keys(recipe, 1) == {key: "each target has a weight of its own"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (
+            {"style": ["net", "spirals"]},
+            r"^recipe: style = net spirals stands beside .*; write it as a target",
+        ),
+        ({"style": {5: "net", 9: "spirals"}}, r"^recipe: style = net spirals stands beside"),
+        ({"tag": ["spiral"]}, r"^recipe: tag = spiral stands beside"),
+        ({"mask": SPHERE}, r"^recipe: mask stands beside \[\[target\]\]; give each target its own"),
+    ],
+    ids=str,
+)
+def test_goals_beside_targets_are_told_as_they_are_written(keys: dict[str, Any], said: str) -> None:
+    """A shipped picture by its name, not by where it is installed."""
+    with pytest.raises(InputError, match=said):
+        targets_of(Recipe.from_dict({"target": [{"style": "net"}], **keys}))
