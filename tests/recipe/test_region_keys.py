@@ -86,12 +86,24 @@ def test_masks_that_mean_nothing(mask: Any, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_pictures_are_no_grids(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "paint.png")
+    said = r"mask.* = '.*paint.png': is a picture, .* is \{ image = \".*paint.png\", view = \[0, 0\] \}, with azimuth"
+    for mask in (str(tmp_path / "paint.png"), {"file": str(tmp_path / "paint.png")}):
+        with pytest.raises(InputError, match=said):
+            Recipe.from_dict({"mask": mask})
+    with pytest.raises(InputError, match=r"mask = 'paint.png': no such file"):
+        Recipe.from_dict({"mask": "paint.png"}, folder=tmp_path / "elsewhere")
+
+
 @pytest.mark.parametrize(
     ("target", "said"),
     [
         ({}, "^recipe: target: number 1: has none, expected one of style"),
         ({"style": "net", "tag": "x"}, "has style and tag, expected one of"),
         ({"style": "net", "damping": 1}, "'damping' is no key of a target with style; they are style, mask, weight"),
+        ({"style": "net", "iterations": 3}, r"'iterations' is no key .*; keys of the recipe go above the first \[\["),
+        ({"style": "net", "strenght": 3}, "'strenght' is no key of a target with style; they are [^;]*$"),
         ({"style": "net", "weight": -1}, "weight = -1: expected a number of 0 or more"),
         ({"style": "net", "weight": {}}, "weight = {}: expected a number of 0 or more"),
         ({"style": "net", "mask": {"shape": "box"}}, 'mask: shape = "box" needs high and low'),

@@ -149,7 +149,7 @@ def test_a_grid_of_the_input_is_a_mask(tmp_path: Path) -> None:
     for mask in masks(smoke, "marks"):
         np.testing.assert_array_equal(mask, heat > 0.5)
     with pytest.raises(
-        InputError, match=r"mask: .*s_0010.npz: has no grid 'cold'; the others in it are 'density', 'heat', 'marks'"
+        InputError, match=r"mask: .*s_0010.npz: no array 'cold', those found are: density, heat, marks$"
     ):
         masks(smoke, "cold")
 
@@ -194,6 +194,39 @@ def test_grids_that_are_no_masks_are_refused(values: np.ndarray, said: str, tmp_
     np.savez(tmp_path / "m.npz", density=values)
     with pytest.raises(InputError, match=rf"^mask: .*m.npz: .*{said}"):
         masks(frames(), str(tmp_path / "m.npz"))
+
+
+VECTORS = "Cd':? holds vectors, expected one number for each cell"
+
+
+@pytest.mark.parametrize("format", ["npz", "vdb", "memory"])
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize(("name", "said"), [("haet", "no (array|grid) 'haet'"), ("Cd", VECTORS)])
+def test_names_of_grids_that_are_no_masks(format: str, single: bool, name: str, said: str, tmp_path: Path) -> None:
+    """Messages speak of the grid that was asked for, not of the density and its flag, in a file and in a folder."""
+    grids = {"heat": np.ones(SHAPE, np.float32), "Cd": np.ones((*SHAPE, 3), np.float32)}
+    smoke: Any = frames(1 if single else 2, grids=grids)
+    if format != "memory":
+        tnst_mi.save_frames(tmp_path / "in", smoke, format=format)
+        smoke = open_frames(tmp_path / "in" / f"f_0.{format}" if single else tmp_path / "in")
+    for mask in (name, {"grid": name}):
+        with pytest.raises(InputError, match=f"^mask: .*{said}") as caught:
+            masks(smoke, mask)
+        assert "--density" not in str(caught.value)
+
+
+def test_files_without_the_grid_of_a_mask(tmp_path: Path) -> None:
+    np.savez(tmp_path / "m.npz", a=np.ones(SHAPE), b=np.ones(SHAPE), Cd=np.ones((*SHAPE, 3)))
+    for mask, said in (
+        ({"grid": "nope"}, "m.npz: no array 'nope', those found are: a, b, Cd$"),
+        ({"grid": "Cd"}, f"m.npz: array '{VECTORS}$"),
+        ({}, r"m.npz: no array 'density' \(or 'x'\), the arrays found are: a, b, Cd; choose with grid = NAME$"),
+    ):
+        with pytest.raises(InputError, match=said):
+            masks(frames(), {"file": str(tmp_path / "m.npz")} | mask)
+    tnst_mi.save_frames(tmp_path / "vol", frames(), format="vol")
+    with pytest.raises(InputError, match=r"no grid 'heat', since a .vol file holds one, without a name; give the file"):
+        masks(open_frames(tmp_path / "vol"), "heat")
 
 
 # --- Following ---------------------------------------------------------------------------------------------

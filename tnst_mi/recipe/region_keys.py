@@ -167,8 +167,9 @@ class TargetsKind:
             raise InputError(f"{where}has {found}, expected one of {', '.join(GOALS)}; a target has one goal")
         known = (goals[0], "mask", "weight", *_OF_A_GOAL[goals[0]])
         if foreign := [key for key in table if key not in known]:
+            above = "; keys of the recipe go above the first [[target]]" if foreign[0] in self.kinds() else ""
             raise InputError(
-                f"{where}{foreign[0]!r} is no key of a target with {goals[0]}; they are {', '.join(known)}"
+                f"{where}{foreign[0]!r} is no key of a target with {goals[0]}; they are {', '.join(known)}{above}"
             )
         checked = {}
         for key, entry in table.items():

@@ -69,6 +69,8 @@ def checked_grid(values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
     Raises:
         InputError: it has another shape, negative values, or values that are not finite.
     """
+    if values.shape == (*shape, 3):
+        raise InputError(f"{name}: holds vectors, expected one number for each cell")
     if values.shape != tuple(shape):
         raise InputError(f"{name}: has shape {values.shape}, expected {tuple(shape)} like the density")
     if bad := int((~np.isfinite(values)).sum()):
