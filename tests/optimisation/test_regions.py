@@ -26,6 +26,7 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.regions import regions_of
+from tnst_mi.run.announcement import announcement
 from tnst_mi.run.api import Result
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
@@ -349,6 +350,22 @@ def test_a_mirrored_mask_in_a_folder_does_not_resume_a_run(weights: str, tmp_pat
     assert first == then != after
     assert before["targets"][1]["smoke_shares"] == pytest.approx(now["targets"][1]["smoke_shares"], abs=1e-6)
     assert run_identity(recipe, before) != run_identity(recipe, now), "what it had begun is not continued either"
+
+
+def test_a_run_says_how_much_of_the_smoke_its_masks_hold(weights: str) -> None:
+    """Of frames with smoke; one number where it is the same in all of them."""
+    smoke = np.ones(SHAPE, np.float32)
+    frames = [Frame(d, name=f"s_{n}", number=n) for n, d in enumerate((smoke, smoke, 0 * smoke))]
+    half, growing = {"height": [10.5, 10.6]}, {"height": [10.5, 10.6], "strength": {0: 0.004, 1: 0.5}}
+
+    def said(**keys: Any) -> list[str]:
+        lines = announcement(prepare(frames, Recipe.from_dict(keys | {"weights": weights, "octaves": 1})))
+        return [line for line in lines if line.endswith("of the smoke")]
+
+    targets = [GOAL | {"mask": half}, {"tag": ["volcano"]}, GOAL | {"mask": growing}]
+    assert said(target=targets) == ["target 1: 50% of the smoke", "target 3: 0.2% to 25% of the smoke"]
+    assert said(mask=half, **GOAL) == ["mask: 50% of the smoke"]
+    assert said(target=[GOAL]) == said(**GOAL) == []
 
 
 @pytest.mark.parametrize("damage", [None, [], [{}], [{"mask_sha256": ["", ""]}]], ids=str)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,44 @@ def test_a_painted_half_is_half_of_the_grid(tmp_path: Path) -> None:
     Image.fromarray(plain[:60]).save(tmp_path / "cut.png")
     with pytest.raises(InputError, match=r"mask: .*80×60 pixels, expected the proportions of the view, 8×9"):
         masks(frames(), {"image": str(tmp_path / "cut.png"), "view": [0, 0]})
+
+
+@pytest.mark.parametrize(
+    ("paint", "said"),
+    [
+        ("white over our picture", True),
+        ("opaque colour", True),
+        ("thin opaque colour", True),
+        ("a layer of its own", False),
+        ("black and white", False),
+        ("soft edges", False),
+    ],
+)
+def test_a_picture_that_counts_by_its_grey_is_told(paint: str, said: bool, tmp_path: Path) -> None:
+    """Where the smoke is white in our own picture, it counts as if it had been painted."""
+    smoke = np.zeros((20, 32, 32), np.float32)
+    smoke[8:12, 6:26, 6:26] = np.linspace(0.1, 1, 20)[:, None]
+    picture = np.round(255 * (image := tnst_mi.render(smoke)) / image.max()).astype(np.uint8)
+    stroke = np.zeros((32, 32), bool)
+    stroke[4:14, 8:20] = True
+    pixels = {
+        "white over our picture": np.where(stroke, 255, picture),
+        "opaque colour": np.where(stroke[..., None], (255, 0, 0), picture[..., None]),
+        "thin opaque colour": np.where(stroke[..., None] & (np.arange(32) == 10)[:, None], (255, 0, 0), 0),
+        "a layer of its own": np.where(stroke[..., None], (90, 10, 0, 255), 0),
+        "black and white": np.where(stroke, 255, 0),
+        "soft edges": np.where(stroke, 255, np.where(np.roll(stroke, 1, 0), 128, 0)),
+    }[paint].astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "paint.png")
+    frame = Frame(smoke, number=1)
+    regions = regions_for([frame], {"image": str(tmp_path / "paint.png"), "view": [0, 0]})
+    regions.masks(0, frame)
+    share = np.atleast_3d(pixels).mean() / 255
+    expected = (
+        f"mask: paint.png has no transparency, so that what is white counts, and .*: {share:.0%} of the picture; "
+    )
+    assert len(regions.notes) == said
+    assert all(re.match(expected, note) and "transparent layer of its own" in note for note in regions.notes)
 
 
 # --- Grids -------------------------------------------------------------------------------------------------

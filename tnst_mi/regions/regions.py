@@ -14,7 +14,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import form_of
 from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
 from tnst_mi.regions.following import FollowingMask
-from tnst_mi.regions.projection import painted, projected
+from tnst_mi.regions.projection import Painting, painted, projected
 from tnst_mi.regions.shapes import shape_mask
 from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid
 from tnst_mi.rendering.driving import image_size
@@ -38,7 +38,7 @@ class Regions:
         numbers: Sequence[int | float | None],
     ) -> None:
         self._targets, self._frames, self._files, self._numbers = targets, frames, files, numbers
-        self._pictures: dict[str, np.ndarray] = {}
+        self._pictures: dict[str, Painting] = {}
         self._mask_files: dict[tuple[str, str | None], MaskFiles] = {}
         #: By the name of a stored grid that exceeds 1, its largest value.
         self._largest: dict[str, float] = {}
@@ -53,10 +53,11 @@ class Regions:
     @property
     def notes(self) -> list[str]:
         """What is to be said of the masks that have been evaluated."""
-        return [
+        of_grids = [
             f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1"
             for name, largest in self._largest.items()
         ]
+        return of_grids + [f"mask: {painting.remark}" for painting in self._pictures.values() if painting.remark]
 
     @property
     def bounded(self) -> bool:
@@ -125,7 +126,7 @@ class Regions:
             size = image_size(self._targets[0].recipe, shape)
             if part["image"] not in self._pictures:
                 self._pictures[part["image"]] = painted(part["image"], size)
-            return projected(self._pictures[part["image"]], part["view"], shape, size)
+            return projected(self._pictures[part["image"]].values, part["view"], shape, size)
         return shape_mask(form, part, shape, frame.placement)
 
     def _checked(self, values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
