@@ -70,6 +70,8 @@ def test_flags_of_masks() -> None:
         (SPHERE | {"centre": [0, 1]}, "centre = .*: expected three numbers"),
         (SPHERE | {"follow": 1.5}, "follow = 1.5: expected true, or the number of the frame"),
         (SPHERE | {"size": 3}, "unknown key 'size'; the keys of a mask are"),
+        ({"grid": "heat", "range": [2, 2]}, "range = .*: expected two different numbers, such as"),
+        (SPHERE | {"range": [0, 2]}, 'range does not belong to shape = "sphere"'),
         ({"height": [2, 2]}, "height = .*: expected two different numbers"),
         ({"strength": 1.5}, "strength = 1.5: expected a number from 0 to 1"),
         ("no.vdb", r"mask = 'no.vdb': no such file"),

@@ -184,7 +184,11 @@ def test_a_grid_of_the_input_is_a_mask(tmp_path: Path) -> None:
     for index, frame in enumerate(smoke):
         np.testing.assert_array_equal(regions.masks(index, frame)[0], np.minimum(heat * (index + 1), 1))
     (note,) = regions.notes
-    assert "'heat' has values up to" in note and "count as 1" in note
+    least, largest = heat.min(), 2 * heat.max()
+    assert note == (
+        f"mask: grid 'heat' has values up to {largest:.4g}; above 1 they count as 1; range = [{least:.4g}, "
+        f"{largest:.4g}] maps what it has to 0 to 1"
+    )
     for mask in masks(smoke, "marks"):
         np.testing.assert_array_equal(mask, heat > 0.5)
     with pytest.raises(
@@ -219,6 +223,36 @@ def test_files_of_masks_are_for_all_frames_or_for_each(tmp_path: Path) -> None:
             np.testing.assert_array_equal(mask, values * factor / 2)
     with pytest.raises(InputError, match="has no mask for frame 12"):
         masks(frames(3), str(tmp_path / "each"))
+
+
+def test_a_range_of_values_becomes_0_to_1(tmp_path: Path) -> None:
+    """Linearly, clipped beyond; either end may be the larger one; with keyframes."""
+    heat = np.random.default_rng(2).uniform(-100, 1200, SHAPE).astype(np.float32)
+    smoke = stored(tmp_path / "in", heat=heat)
+    rising = np.clip((heat - 300) / 600, 0, 1)
+    for mask in masks(smoke, {"grid": "heat", "range": [300, 900]}):
+        np.testing.assert_allclose(mask, rising, atol=1e-6)
+    for mask in masks(smoke, {"grid": "heat", "range": [900, 300]}):
+        np.testing.assert_allclose(mask, 1 - rising, atol=1e-6)
+    file = {"file": str(tmp_path / "in/s_0010.npz"), "grid": "heat"}
+    found = masks(smoke, file | {"range": {10: [300, 900], 12: [100, 500]}, "invert": True})
+    np.testing.assert_allclose(found[0], 1 - rising, atol=1e-6)
+    np.testing.assert_allclose(found[1], 1 - np.clip((heat - 200) / 500, 0, 1), atol=1e-6)
+    regions = regions_for(smoke, {"grid": "heat", "range": [0, 2]})
+    assert regions.masks(0, smoke[0])[0].max() == 1 and regions.notes == []
+    with pytest.raises(InputError, match=r"negative values .*; range = \[-\S+, 1\d+\] maps what it has to 0 to 1"):
+        masks(smoke, "heat")
+    regions = regions_for(frames(grids={"five": np.full(SHAPE, 5.0)}), "five")
+    regions.masks(0, frames()[0])
+    assert regions.notes[0].endswith("; range = [0, 5] maps what it has to 0 to 1"), "the same everywhere"
+
+
+@pytest.mark.parametrize(("key", "others"), [("range", {"grid": "heat"}), ("height", {})])
+def test_a_ramp_that_turns_between_keyframes_has_a_frame_without_one(key: str, others: dict[str, Any]) -> None:
+    smoke = frames(3, grids={"heat": np.ones(SHAPE)})
+    turning = others | {key: {10: [0, 2], 12: [2, 0]}}
+    with pytest.raises(InputError, match=rf"^mask: {key}: is \[1, 1\] between its keyframes, expected two different"):
+        masks(smoke, turning)
 
 
 @pytest.mark.parametrize(

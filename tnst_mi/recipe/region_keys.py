@@ -54,6 +54,7 @@ _NUMBERS: dict[str, Any] = {
     "high": Point(expected="three numbers, such as [1.0, 2.0, 1.0]"),
     "edge": Number(low=0.0),
     "height": Pair("two different numbers, such as [0.5, 2.0]", ramp=True),
+    "range": Pair("two different numbers, such as [300, 900]", ramp=True),
     "view": Pair("azimuth and elevation in degrees, such as [0, 0]"),
     "strength": Number(0.0, 1.0),
 }
@@ -70,8 +71,8 @@ _OTHERS: dict[str, Any] = {
 _FORMS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "sphere": (frozenset({"shape", "centre", "radius"}), frozenset({"edge"})),
     "box": (frozenset({"shape", "low", "high"}), frozenset({"edge"})),
-    "file": (frozenset({"file"}), frozenset({"grid"})),
-    "grid": (frozenset({"grid"}), frozenset()),
+    "file": (frozenset({"file"}), frozenset({"grid", "range"})),
+    "grid": (frozenset({"grid"}), frozenset({"range"})),
     "height": (frozenset({"height"}), frozenset()),
     "image": (frozenset({"image", "view"}), frozenset()),
     "everywhere": (frozenset({"strength"}), frozenset()),

@@ -16,7 +16,7 @@ from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
 from tnst_mi.regions.following import FollowingMask
 from tnst_mi.regions.projection import Painting, painted, projected
 from tnst_mi.regions.shapes import shape_mask
-from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid
+from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid, suggested_range
 from tnst_mi.rendering.driving import image_size
 
 
@@ -40,8 +40,8 @@ class Regions:
         self._targets, self._frames, self._files, self._numbers = targets, frames, files, numbers
         self._pictures: dict[str, Painting] = {}
         self._mask_files: dict[tuple[str, str | None], MaskFiles] = {}
-        #: By the name of a stored grid that exceeds 1, its largest value.
-        self._largest: dict[str, float] = {}
+        #: By the name of a stored grid without a range, its least and its largest value.
+        self._spans: dict[str, tuple[float, float]] = {}
         #: By target and part.
         self._following: dict[tuple[int, int], FollowingMask] = {}
 
@@ -54,8 +54,9 @@ class Regions:
     def notes(self) -> list[str]:
         """What is to be said of the masks that have been evaluated."""
         of_grids = [
-            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1"
-            for name, largest in self._largest.items()
+            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1; {suggested_range(least, largest)}"
+            for name, (least, largest) in self._spans.items()
+            if largest > 1
         ]
         return of_grids + [f"mask: {painting.remark}" for painting in self._pictures.values() if painting.remark]
 
@@ -116,12 +117,12 @@ class Regions:
         if form == "everywhere":
             return np.ones(shape, np.float32)
         if form == "grid":
-            return self._checked(input_grid(self._files, index, part["grid"]), shape, f"grid {part['grid']!r}")
+            return self._checked(input_grid(self._files, index, part["grid"]), shape, part, f"grid {part['grid']!r}")
         if form == "file":
             key = part["file"], part.get("grid")
             if key not in self._mask_files:
                 self._mask_files[key] = MaskFiles(*key, self._files, self._numbers)
-            return self._checked(self._mask_files[key].at(index), shape, part["file"])
+            return self._checked(self._mask_files[key].at(index), shape, part, part["file"])
         if form == "image":
             size = image_size(self._targets[0].recipe, shape)
             if part["image"] not in self._pictures:
@@ -129,12 +130,14 @@ class Regions:
             return projected(self._pictures[part["image"]].values, part["view"], shape, size)
         return shape_mask(form, part, shape, frame.placement)
 
-    def _checked(self, values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
-        """A stored grid as a mask; how far it exceeds 1 is noted."""
-        mask = checked_grid(values, shape, name)
-        largest = float(values.max())
-        if largest > 1:
-            self._largest[name] = max(largest, self._largest.get(name, 0.0))
+    def _checked(self, values: np.ndarray, shape: Shape, part: Mapping[str, Any], name: str) -> np.ndarray:
+        """A stored grid as a mask; without a range, the values that it has are noted."""
+        bounds = part.get("range")
+        mask = checked_grid(values, shape, name, bounds)
+        if bounds is None:
+            least, largest = float(values.min()), float(values.max())
+            before = self._spans.get(name, (least, largest))
+            self._spans[name] = min(least, before[0]), max(largest, before[1])
         return mask
 
 

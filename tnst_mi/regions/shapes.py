@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.geometry.placement import Placement
 
@@ -36,12 +37,14 @@ def shape_mask(form: str, part: Mapping[str, Any], shape: Shape, placement: Plac
             whose two numbers the mask rises from 0 to 1.
         shape: (D, H, W).
         placement: of the grid.
+
+    Raises:
+        InputError: between keyframes, both ends of a ramp are the same.
     """
     positions = cell_positions(shape, placement)
     if form == "height":
-        first, last = part["height"]
         up = positions[2 if placement is not None and placement.up == "z" else 1]
-        return _filled(np.clip((up - first) / (last - first), 0, 1), shape)
+        return _filled(ramp("height", up, *part["height"]), shape)
     if form == "sphere":
         square = sum((position - centre) ** 2 for position, centre in zip(positions, part["centre"], strict=True))
         depth = part["radius"] - np.sqrt(square)
@@ -53,6 +56,23 @@ def shape_mask(form: str, part: Mapping[str, Any], shape: Shape, placement: Plac
         depth = np.minimum(np.minimum(sides[0], sides[1]), sides[2])
     edge = part.get("edge", 0.0)
     return _filled(np.clip(depth / edge, 0, 1) if edge > 0 else depth >= 0, shape)
+
+
+def ramp(key: str, values: np.ndarray, first: float, last: float) -> np.ndarray:
+    """Values mapped linearly, from 0 at `first` to 1 at `last`, which may be the smaller one, and clipped to [0, 1].
+
+    Args:
+        key: what the recipe calls the two numbers.
+        values: of any shape.
+        first: what becomes 0.
+        last: what becomes 1.
+
+    Raises:
+        InputError: both are the same, as they can be between keyframes.
+    """
+    if first == last:
+        raise InputError(f"{key}: is [{first:g}, {last:g}] between its keyframes, expected two different numbers")
+    return np.clip((values - first) / (last - first), 0, 1)
 
 
 def _filled(values: np.ndarray, shape: Shape) -> np.ndarray:
