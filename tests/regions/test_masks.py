@@ -369,3 +369,49 @@ def test_masks_that_change_nothing_are_refused() -> None:
     smoke[0, 0, 0] = 1
     with pytest.raises(InputError, match=r"^mask: has no smoke in it in any frame"):
         shares([Frame(smoke)], {"style": "net", "mask": {"height": [2, 4]}} | {"style": ["net"]})
+
+
+@pytest.mark.parametrize("up", [None, "y", "z"])
+def test_shapes_without_smoke_are_told_where_it_is(up: str | None) -> None:
+    """In the coordinates of the mask, over all frames: a sphere there has smoke in it."""
+    placement = None if up is None else Placement(0.5, (1.0, -2.0, 0.25), up)
+    smoke = np.zeros((2, *SHAPE), np.float32)
+    smoke[0, 1, 2, 3] = smoke[1, 4, 7, 5] = 1
+    moving = [Frame(density, name=f"f_{i}", number=i, placement=placement) for i, density in enumerate(smoke)]
+    cells = [np.array((3, 2, 1)), np.array((5, 7, 4))]
+    if up == "z":  # our z runs along −Y of a scene whose Z is up
+        cells = [np.array((3, SHAPE[0] - 1 - 4, 2)), np.array((5, SHAPE[0] - 1 - 1, 7))]
+    low, high = ((cell if placement is None else placement.corner + 0.5 * cell).tolist() for cell in cells)
+    where = f"the smoke is from [{', '.join(f'{c:g}' for c in low)}] to [{', '.join(f'{c:g}' for c in high)}] in the "
+    far, beside = {"shape": "sphere", "centre": [99, 0, 0], "radius": 2}, {"height": [high[1 if up != "z" else 2], 99]}
+    for mask, said in (
+        (far, "is 0 everywhere in all frames"),
+        (beside, "has no smoke in it in any frame"),
+    ):
+        with pytest.raises(InputError, match=f"^mask: {said}.*; {re.escape(where)}units of the mask; check its place"):
+            shares(moving, {"style": ["net"], "mask": mask})
+    assert any(shares(moving, {"style": ["net"], "mask": {"shape": "box", "low": low, "high": high}})[0])
+
+
+def test_other_masks_that_hold_nothing_are_told_why(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((9, 8), np.uint8)).save(tmp_path / "black.png")
+    Image.fromarray(np.zeros((9, 8, 4), np.uint8)).save(tmp_path / "clear.png")
+    without = [Frame(np.zeros(SHAPE), grids={"cold": np.zeros(SHAPE)})]
+    cold = frames(grids={"cold": np.zeros(SHAPE)})
+    for smoke, mask, said in (
+        (cold, {"image": str(tmp_path / "black.png"), "view": [0, 0]}, "nothing in black.png is white, which is what"),
+        (cold, {"image": str(tmp_path / "clear.png"), "view": [0, 0]}, "alpha is 0 in every pixel"),
+        (cold, "cold", "is 0 everywhere in all frames; check its values and its strength"),
+        (without, {"height": [0, 1]}, "has no smoke in it in any frame.*; the input has no smoke at all"),
+    ):
+        with pytest.raises(InputError, match=f"^mask: .*{said}"):
+            shares(smoke, {"style": ["net"], "mask": mask})
+
+
+def test_boxes_have_their_low_below_their_high() -> None:
+    """In every frame, keyframes included; one cell thick is allowed."""
+    box = {"shape": "box", "low": [1, 3, 1], "high": {10: [4, 3, 3], 12: [4, 1, 3]}}
+    said = r"^mask: low = \[1.0, 3.0, 1.0\] is above high = \[4.0, 2.0, 3.0\] along y, expected the lower first"
+    assert masks(frames(1), box)[0].any()
+    with pytest.raises(InputError, match=said):
+        masks(frames(2), box)

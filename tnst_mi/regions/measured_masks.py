@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.recipe.region_keys import form_of
 from tnst_mi.recipe.targets import Target
 from tnst_mi.regions.regions import Regions
+from tnst_mi.regions.shapes import smoke_extent
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,10 @@ def measured_masks(regions: Regions, targets: Sequence[Target], frames: Iterable
         InputError: a mask cannot be used, is 0 everywhere in all frames, or has no smoke in it in any.
     """
     measured = [MeasuredMask() for _ in targets]
-    empty = [True] * len(targets)
+    empty, extents = [True] * len(targets), []
     for index, frame in enumerate(frames):
         mass = frame.mass
+        extents.append(smoke_extent(frame.density, frame.placement))
         for number, mask in enumerate(regions.masks(index, frame)):
             inside = mass if mask is None else float((mask * frame.density).sum(dtype=np.float64))
             measured[number].smoke_shares.append(inside / mass if mass > 0 else 0.0)
@@ -49,13 +53,32 @@ def measured_masks(regions: Regions, targets: Sequence[Target], frames: Iterable
             empty[number] &= mask is not None and not mask.any()
     for target, none, of_target in zip(targets, empty, measured, strict=True):
         if none:
-            raise InputError(
-                f"{target.name}: is 0 everywhere in all frames; check its strength, and its place "
-                "and size: lengths are those of the scene, or cells where the files have none"
-            )
+            raise InputError(f"{target.name}: is 0 everywhere in all frames; {_why(target, regions, extents)}")
         if target.mask and not any(of_target.smoke_shares):
-            raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change")
+            why = _why(target, regions, extents)
+            raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change; {why}")
     return measured
+
+
+def _why(target: Target, regions: Regions, extents: Sequence[np.ndarray | None]) -> str:
+    """What tells why a mask holds nothing: the picture in it, or where the smoke is that its shapes miss."""
+    parts = [part for part in target.mask if isinstance(part, Mapping)]
+    black = [part["image"] for part in parts if form_of(part) == "image" and regions.is_black(part["image"])]
+    if black:
+        return f"nothing in {Path(black[0]).name} is white, which is what counts in a picture without transparency"
+    there = [extent for extent in extents if extent is not None]
+    if not there:
+        return "the input has no smoke at all"
+    if any(form_of(part) in ("sphere", "box", "height") for part in parts):
+        low, high = np.min([low for low, _ in there], axis=0), np.max([high for _, high in there], axis=0)
+        return (
+            f"the smoke is from {_point(low)} to {_point(high)} in the units of the mask; check its place and strength"
+        )
+    return "check its values and its strength"
+
+
+def _point(place: np.ndarray) -> str:
+    return f"[{', '.join(f'{value:.4g}' for value in place)}]"
 
 
 def _digest(mask: np.ndarray) -> str:

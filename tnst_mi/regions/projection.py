@@ -27,12 +27,10 @@ class Painting:
 
     Attributes:
         values: (rows, columns) float32 in [0, 1], row 0 at the top.
-        opaque: whether it has no transparency, so that it is its grey that counts.
         remark: what is to be said of it; may be empty.
     """
 
     values: np.ndarray
-    opaque: bool
     remark: str = ""
 
 
@@ -46,7 +44,7 @@ def painted(path: str | Path, size: tuple[int, int]) -> Painting:
         size: rows and columns of the view that it was painted over.
 
     Raises:
-        InputError: it cannot be read, or has other proportions than the view.
+        InputError: it cannot be read, is wholly transparent, or has other proportions than the view.
     """
     picture = read_image(path)
     rows, columns = picture.grey.shape
@@ -56,8 +54,8 @@ def painted(path: str | Path, size: tuple[int, int]) -> Painting:
             "over a picture that tnst-mi rendered, such as images/NAME_before.png, and keep all of its frame"
         )
     if picture.alpha is not None and float(picture.alpha.min()) < 1.0:
-        return Painting(picture.alpha, opaque=False)
-    return Painting(picture.grey, opaque=True, remark=_of_greys(picture))
+        return Painting(picture.alpha)
+    return Painting(picture.grey, _of_greys(picture))
 
 
 def _of_greys(picture: GreyImage) -> str:

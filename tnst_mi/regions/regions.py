@@ -65,6 +65,10 @@ class Regions:
         """Whether all targets have masks, so that there is smoke that none of them changes."""
         return all(self.present)
 
+    def is_black(self, picture: str) -> bool:
+        """Whether nothing counts in a painted picture, by its path, that has been evaluated."""
+        return not self._pictures[picture].values.any()
+
     def masks(self, index: int, frame: Frame) -> tuple[np.ndarray | None, ...]:
         """The mask of each target in a frame: (D, H, W) float32 in [0, 1], or None where it is 1 everywhere.
 
