@@ -56,6 +56,10 @@ def test_flags_of_masks() -> None:
     by_flag = Recipe().updated_by_flags({"mask": "{shape = 'sphere', centre = [0, 1, 0], radius = {5: 1, 9: 2}}"})
     assert by_flag.mask == {"shape": "sphere", "centre": (0.0, 1.0, 0.0), "radius": {5: 1.0, 9: 2.0}}
     assert Recipe().updated_by_flags({"mask": "heat"}).mask == "heat"
+    with pytest.raises(
+        InputError, match=r"^--mask \{strength: 1\}: expected a table as in a recipe file, such as '\{hei"
+    ):
+        Recipe().updated_by_flags({"mask": "{strength: 1}"})
 
 
 @pytest.mark.parametrize(

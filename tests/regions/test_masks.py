@@ -205,6 +205,21 @@ def test_a_grid_of_a_frame_in_memory_is_a_mask() -> None:
         masks([Frame(np.ones(SHAPE, np.float32), name="f", grids={"heat": heat})], "cold")
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.dtype(">u2"), bool, np.float64], ids=str)
+def test_types_of_numbers_count_in_memory_as_in_files(kind: Any, tmp_path: Path) -> None:
+    """Unsigned integers of 8 and 16 bits as 0 to 1, as pictures have them, before any range; others as they are."""
+    largest = {1: 255, 2: 65535}[np.dtype(kind).itemsize] if np.dtype(kind).kind == "u" else 1
+    marks = np.random.default_rng(3).uniform(0, largest, SHAPE).round(0 if largest > 1 else 2).astype(kind)
+    in_files = stored(tmp_path / "in", marks=marks)
+    in_memory = [Frame(np.ones(SHAPE), name=f"f_{n}", number=n, grids={"marks": marks}) for n in (10, 11)]
+    for smoke in (in_files, in_memory, list(in_files)):
+        for mask, expected in (
+            ("marks", marks.astype(np.float64) / largest),
+            ({"grid": "marks", "range": [0.5, 1]}, np.clip(2 * marks.astype(np.float64) / largest - 1, 0, 1)),
+        ):
+            np.testing.assert_allclose(masks(smoke, mask)[0], expected, atol=1e-6)
+
+
 def test_files_of_masks_are_for_all_frames_or_for_each(tmp_path: Path) -> None:
     values = np.random.default_rng(1).random(SHAPE).astype(np.float32)
     np.savez(tmp_path / "one.npz", density=values, region=1 - values)

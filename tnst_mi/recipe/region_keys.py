@@ -91,7 +91,7 @@ def form_of(part: Mapping[str, Any]) -> str:
 class MaskKind:
     """A mask: text, a table, or a list of these; None for "not set"."""
 
-    placeholder: str = "NAME|FILE"
+    placeholder: str = "NAME|FILE|TABLE"
     expected: str = (
         'the name of a grid or a file, a table such as {shape = "sphere", centre = [0, 1, 0], radius = 0.5}, '
         "or a list of these"

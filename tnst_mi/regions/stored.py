@@ -12,12 +12,13 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io.files.listing import list_frames
 from tnst_mi.io.interpretation.grid_names import listed
+from tnst_mi.io.interpretation.layouts import picture_scale
 from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.regions.shapes import ramp
 
 
 def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
-    """A grid of the input by its name, on the grid of the density.
+    """A grid of the input by its name, on the grid of the density; integers of 8 and 16 bits as 0 to 1, as in files.
 
     Raises:
         InputError: the frame has no such grid.
@@ -28,7 +29,9 @@ def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
     if name not in frame.grids:
         there = listed(sorted(frame.grids)) if frame.grids else "none"
         raise InputError(f"{frame.name}: has no grid {name!r}; those beside its density are {there}")
-    return frame.grids[name]
+    values = frame.grids[name]
+    scale = picture_scale(values.dtype)
+    return values if scale is None else values.astype(np.float32) * np.float32(scale)
 
 
 class MaskFiles:
