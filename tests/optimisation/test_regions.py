@@ -26,10 +26,12 @@ from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.regions import regions_of
+from tnst_mi.run.announcement import announcement
 from tnst_mi.run.api import Result
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.progress import ProgressBar
+from tnst_mi.run.record import run_identity
 
 SHAPE = (16, 22, 18)
 SPHERE = {"shape": "sphere", "centre": [6.5, 10.5, 7.5], "radius": 6.0, "edge": 2.0}
@@ -160,7 +162,7 @@ def test_without_regions_a_blend_rounds_as_before(weights: str) -> None:
     everywhere = stylized(frame, weights, target=[GOAL])
     assert everywhere.densities[0].tobytes() == none.densities[0].tobytes()
     assert everywhere.run["targets"] == [
-        {"goals": GOAL, "mask": [], "weight": 1.0, "smoke_shares": [1.0]},
+        {"goals": GOAL, "mask": [], "weight": 1.0, "smoke_shares": [1.0], "mask_sha256": [None]},
     ]
 
 
@@ -364,6 +366,15 @@ def test_a_changed_mask_file_does_not_resume_a_run(weights: str, tmp_path: Path)
         prepare(frames, recipe, tmp_path / "out", resume=True)
 
 
+def stopped_run(frames: Any, recipe: Recipe, out: Path) -> dict[str, Any]:
+    """The record of a run that has ended, of which only the first frame is known to be complete."""
+    for _ in Run(prepare(frames, recipe, out), progress=False):
+        pass
+    record = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(record | {"frames": record["frames"][:1], "status": "interrupted"}))
+    return record
+
+
 def test_a_changed_grid_of_the_input_does_not_resume_a_run(weights: str, tmp_path: Path) -> None:
     """Even if it is not carried, for then it is no part of what a run knows of its frames."""
     (frame,), smoke = moving_smoke(1, SHAPE), tmp_path / "s_0001.npz"
@@ -374,15 +385,66 @@ def test_a_changed_grid_of_the_input_does_not_resume_a_run(weights: str, tmp_pat
         if strength == 0.5:
             for _ in Run(prepare(smoke, recipe, tmp_path / "out"), progress=False):
                 pass
-    with pytest.raises(InputError, match="its run had other masks, or other smoke in them"):
+    with pytest.raises(InputError, match=r"out: its run had another mask in s_0001 than there is now; resume with"):
         prepare(smoke, recipe, tmp_path / "out", resume=True)
+
+
+def test_a_mirrored_mask_in_a_folder_does_not_resume_a_run(weights: str, tmp_path: Path) -> None:
+    """It holds as much of a symmetric smoke as before, and only one frame has another one."""
+    y, x = np.indices(SHAPE)[1:]
+    smoke = np.exp(-((x - 8.5) ** 2 + (y - 10.5) ** 2) / 20).astype(np.float32)
+    frames, halves = [Frame(smoke, name=f"s_{n}", number=n) for n in (1, 2)], (x < 9).astype(np.float32)
+    folder, out = tmp_path / "masks", tmp_path / "out"
+    folder.mkdir()
+    for number in (1, 2):
+        np.savez(folder / f"m_{number}.npz", density=halves)
+    targets = [GOAL, {"tag": ["volcano"], "mask": str(folder)}]
+    few = {"octaves": 1, "iterations": 1, "views": 1, "weights": weights}
+    recipe = Recipe.from_dict({"target": targets} | few)
+    before = stopped_run(frames, recipe, out)
+    prepare(frames, recipe, out, resume=True)
+    np.savez(folder / "m_2.npz", density=halves[..., ::-1])
+    said = r"out: its run had another mask of target 2 in s_2 than there is now; resume with the same masks, or use --o"
+    with pytest.raises(InputError, match=said):
+        prepare(frames, recipe, out, resume=True)
+    now = prepare(frames, recipe).record
+    (first, then), (_, after) = (record["targets"][1]["mask_sha256"] for record in (before, now))
+    assert first == then != after
+    assert before["targets"][1]["smoke_shares"] == pytest.approx(now["targets"][1]["smoke_shares"], abs=1e-6)
+    assert run_identity(recipe, before) != run_identity(recipe, now), "what it had begun is not continued either"
+
+
+def test_a_run_says_how_much_of_the_smoke_its_masks_hold(weights: str) -> None:
+    """Of frames with smoke; one number where it is the same in all of them."""
+    smoke = np.ones(SHAPE, np.float32)
+    frames = [Frame(d, name=f"s_{n}", number=n) for n, d in enumerate((smoke, smoke, 0 * smoke))]
+    half, growing = {"height": [10.5, 10.6]}, {"height": [10.5, 10.6], "strength": {0: 0.004, 1: 0.5}}
+
+    def said(**keys: Any) -> list[str]:
+        lines = announcement(prepare(frames, Recipe.from_dict(keys | {"weights": weights, "octaves": 1})))
+        return [line for line in lines if line.endswith("of the smoke")]
+
+    targets = [GOAL | {"mask": half}, {"tag": ["volcano"]}, GOAL | {"mask": growing}]
+    assert said(target=targets) == ["target 1: 50% of the smoke", "target 3: 0.2% to 25% of the smoke"]
+    assert said(mask=half, **GOAL) == ["mask: 50% of the smoke"]
+    assert said(target=[GOAL]) == said(**GOAL) == []
+
+
+@pytest.mark.parametrize("damage", [None, [], [{}], [{"mask_sha256": ["", ""]}]], ids=str)
+def test_a_record_without_its_masks_does_not_resume_a_run(damage: Any, weights: str, tmp_path: Path) -> None:
+    frames = moving_smoke(1, SHAPE)
+    recipe = Recipe.from_dict(GOAL | {"mask": SPHERE, "octaves": 1, "iterations": 1, "views": 1, "weights": weights})
+    record = stopped_run(frames, recipe, tmp_path)
+    (tmp_path / "run.json").write_text(json.dumps(record | {"targets": damage}))
+    with pytest.raises(InputError, match=r"run\.json: does not say which masks its run had; give another folder"):
+        prepare(frames, recipe, tmp_path, resume=True)
 
 
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
         ({"target": [GOAL], "style": ["net"]}, r"style = .* stands beside \[\[target\]\]"),
-        ({"target": [GOAL], "mask": SPHERE}, r"mask = .* stands beside \[\[target\]\]"),
+        ({"target": [GOAL], "mask": SPHERE}, r"mask stands beside \[\[target\]\]"),
         ({"mask": SPHERE | {"radius": 0.1}, **GOAL}, "mask: is 0 everywhere in all frames"),
         ({"mask": {"height": [21.5, 22.5]}, **GOAL}, "mask: (is 0 everywhere|has no smoke)"),
         ({"mask": "heat", **GOAL}, "mask: s_005: has no grid 'heat'; those beside its density are none"),

@@ -56,6 +56,10 @@ def test_flags_of_masks() -> None:
     by_flag = Recipe().updated_by_flags({"mask": "{shape = 'sphere', centre = [0, 1, 0], radius = {5: 1, 9: 2}}"})
     assert by_flag.mask == {"shape": "sphere", "centre": (0.0, 1.0, 0.0), "radius": {5: 1.0, 9: 2.0}}
     assert Recipe().updated_by_flags({"mask": "heat"}).mask == "heat"
+    with pytest.raises(
+        InputError, match=r"^--mask \{strength: 1\}: expected a table as in a recipe file, such as '\{hei"
+    ):
+        Recipe().updated_by_flags({"mask": "{strength: 1}"})
 
 
 @pytest.mark.parametrize(
@@ -70,6 +74,8 @@ def test_flags_of_masks() -> None:
         (SPHERE | {"centre": [0, 1]}, "centre = .*: expected three numbers"),
         (SPHERE | {"follow": 1.5}, "follow = 1.5: expected true, or the number of the frame"),
         (SPHERE | {"size": 3}, "unknown key 'size'; the keys of a mask are"),
+        ({"grid": "heat", "range": [2, 2]}, "range = .*: expected two different numbers, such as"),
+        (SPHERE | {"range": [0, 2]}, 'range does not belong to shape = "sphere"'),
         ({"height": [2, 2]}, "height = .*: expected two different numbers"),
         ({"strength": 1.5}, "strength = 1.5: expected a number from 0 to 1"),
         ("no.vdb", r"mask = 'no.vdb': no such file"),
@@ -86,12 +92,24 @@ def test_masks_that_mean_nothing(mask: Any, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_pictures_are_no_grids(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "paint.png")
+    said = r"mask.* = '.*paint.png': is a picture, .* is \{ image = \".*paint.png\", view = \[0, 0\] \}, with azimuth"
+    for mask in (str(tmp_path / "paint.png"), {"file": str(tmp_path / "paint.png")}):
+        with pytest.raises(InputError, match=said):
+            Recipe.from_dict({"mask": mask})
+    with pytest.raises(InputError, match=r"mask = 'paint.png': no such file"):
+        Recipe.from_dict({"mask": "paint.png"}, folder=tmp_path / "elsewhere")
+
+
 @pytest.mark.parametrize(
     ("target", "said"),
     [
         ({}, "^recipe: target: number 1: has none, expected one of style"),
         ({"style": "net", "tag": "x"}, "has style and tag, expected one of"),
         ({"style": "net", "damping": 1}, "'damping' is no key of a target with style; they are style, mask, weight"),
+        ({"style": "net", "iterations": 3}, r"'iterations' is no key .*; keys of the recipe go above the first \[\["),
+        ({"style": "net", "strenght": 3}, "'strenght' is no key of a target with style; they are [^;]*$"),
         ({"style": "net", "weight": -1}, "weight = -1: expected a number of 0 or more"),
         ({"style": "net", "weight": {}}, "weight = {}: expected a number of 0 or more"),
         ({"style": "net", "mask": {"shape": "box"}}, 'mask: shape = "box" needs high and low'),
@@ -118,3 +136,33 @@ def test_weights_of_a_recipe_have_no_effect_on_targets() -> None:
     }
     layers = dataclasses.replace(recipe, style_weight=1.0, damping=0.0, style_layers={"conv2/3x3": 1.0})
     assert unused_keys(layers, 1) == {}, "layers of the recipe are those of targets without their own"
+
+
+@pytest.mark.parametrize("weight", [0, 3.0, {5: 0, 9: 2}], ids=str)
+@pytest.mark.parametrize("key", ["style_weight", "semantic_weight"])
+def test_weights_of_a_recipe_do_not_reach_its_targets(key: str, weight: Any) -> None:
+    """As the note on them says; they would switch targets off."""
+    recipe = Recipe.from_dict({"target": [{"style": "net"}, {"tag": "spiral"}], key: weight, "gamma": {5: 1, 9: 3}})
+    for target in targets_of(recipe):
+        assert (target.recipe.style_weight, target.recipe.semantic_weight) == (1.0, 1.0)
+        assert set(target.recipe.keyframes) == {"gamma"} and target.recipe.at(7).gamma == 2.0
+    assert unused_keys(recipe, 1) == {key: "each target has a weight of its own"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (
+            {"style": ["net", "spirals"]},
+            r"^recipe: style = net spirals stands beside .*; write it as a target",
+        ),
+        ({"style": {5: "net", 9: "spirals"}}, r"^recipe: style = net spirals stands beside"),
+        ({"tag": ["spiral"]}, r"^recipe: tag = spiral stands beside"),
+        ({"mask": SPHERE}, r"^recipe: mask stands beside \[\[target\]\]; give each target its own"),
+    ],
+    ids=str,
+)
+def test_goals_beside_targets_are_told_as_they_are_written(keys: dict[str, Any], said: str) -> None:
+    """A shipped picture by its name, not by where it is installed."""
+    with pytest.raises(InputError, match=said):
+        targets_of(Recipe.from_dict({"target": [{"style": "net"}], **keys}))

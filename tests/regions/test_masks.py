@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from tnst_mi.geometry.placement import Placement
 from tnst_mi.io.sequence import open_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
-from tnst_mi.regions.regions import Regions, regions_of, smoke_shares
+from tnst_mi.regions.measured_masks import measured_masks
+from tnst_mi.regions.regions import Regions, regions_of
 from tnst_mi.regions.shapes import shape_mask
 from tnst_mi.run.prepare import prepare
 
@@ -124,6 +126,44 @@ def test_a_painted_half_is_half_of_the_grid(tmp_path: Path) -> None:
         masks(frames(), {"image": str(tmp_path / "cut.png"), "view": [0, 0]})
 
 
+@pytest.mark.parametrize(
+    ("paint", "said"),
+    [
+        ("white over our picture", True),
+        ("opaque colour", True),
+        ("thin opaque colour", True),
+        ("a layer of its own", False),
+        ("black and white", False),
+        ("soft edges", False),
+    ],
+)
+def test_a_picture_that_counts_by_its_grey_is_told(paint: str, said: bool, tmp_path: Path) -> None:
+    """Where the smoke is white in our own picture, it counts as if it had been painted."""
+    smoke = np.zeros((20, 32, 32), np.float32)
+    smoke[8:12, 6:26, 6:26] = np.linspace(0.1, 1, 20)[:, None]
+    picture = np.round(255 * (image := tnst_mi.render(smoke)) / image.max()).astype(np.uint8)
+    stroke = np.zeros((32, 32), bool)
+    stroke[4:14, 8:20] = True
+    pixels = {
+        "white over our picture": np.where(stroke, 255, picture),
+        "opaque colour": np.where(stroke[..., None], (255, 0, 0), picture[..., None]),
+        "thin opaque colour": np.where(stroke[..., None] & (np.arange(32) == 10)[:, None], (255, 0, 0), 0),
+        "a layer of its own": np.where(stroke[..., None], (90, 10, 0, 255), 0),
+        "black and white": np.where(stroke, 255, 0),
+        "soft edges": np.where(stroke, 255, np.where(np.roll(stroke, 1, 0), 128, 0)),
+    }[paint].astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "paint.png")
+    frame = Frame(smoke, number=1)
+    regions = regions_for([frame], {"image": str(tmp_path / "paint.png"), "view": [0, 0]})
+    regions.masks(0, frame)
+    share = np.atleast_3d(pixels).mean() / 255
+    expected = (
+        f"mask: paint.png has no transparency, so that what is white counts, and .*: {share:.0%} of the picture; "
+    )
+    assert len(regions.notes) == said
+    assert all(re.match(expected, note) and "transparent layer of its own" in note for note in regions.notes)
+
+
 # --- Grids -------------------------------------------------------------------------------------------------
 
 
@@ -145,11 +185,15 @@ def test_a_grid_of_the_input_is_a_mask(tmp_path: Path) -> None:
     for index, frame in enumerate(smoke):
         np.testing.assert_array_equal(regions.masks(index, frame)[0], np.minimum(heat * (index + 1), 1))
     (note,) = regions.notes
-    assert "'heat' has values up to" in note and "count as 1" in note
+    least, largest = heat.min(), 2 * heat.max()
+    assert note == (
+        f"mask: grid 'heat' has values up to {largest:.4g}; above 1 they count as 1; range = [{least:.4g}, "
+        f"{largest:.4g}] maps what it has to 0 to 1"
+    )
     for mask in masks(smoke, "marks"):
         np.testing.assert_array_equal(mask, heat > 0.5)
     with pytest.raises(
-        InputError, match=r"mask: .*s_0010.npz: has no grid 'cold'; the others in it are 'density', 'heat', 'marks'"
+        InputError, match=r"mask: .*s_0010.npz: no array 'cold', those found are: density, heat, marks$"
     ):
         masks(smoke, "cold")
 
@@ -160,6 +204,21 @@ def test_a_grid_of_a_frame_in_memory_is_a_mask() -> None:
     np.testing.assert_array_equal(mask, heat)
     with pytest.raises(InputError, match="mask: f: has no grid 'cold'; those beside its density are 'heat'"):
         masks([Frame(np.ones(SHAPE, np.float32), name="f", grids={"heat": heat})], "cold")
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.dtype(">u2"), bool, np.float64], ids=str)
+def test_types_of_numbers_count_in_memory_as_in_files(kind: Any, tmp_path: Path) -> None:
+    """Unsigned integers of 8 and 16 bits as 0 to 1, as pictures have them, before any range; others as they are."""
+    largest = {1: 255, 2: 65535}[np.dtype(kind).itemsize] if np.dtype(kind).kind == "u" else 1
+    marks = np.random.default_rng(3).uniform(0, largest, SHAPE).round(0 if largest > 1 else 2).astype(kind)
+    in_files = stored(tmp_path / "in", marks=marks)
+    in_memory = [Frame(np.ones(SHAPE), name=f"f_{n}", number=n, grids={"marks": marks}) for n in (10, 11)]
+    for smoke in (in_files, in_memory, list(in_files)):
+        for mask, expected in (
+            ("marks", marks.astype(np.float64) / largest),
+            ({"grid": "marks", "range": [0.5, 1]}, np.clip(2 * marks.astype(np.float64) / largest - 1, 0, 1)),
+        ):
+            np.testing.assert_allclose(masks(smoke, mask)[0], expected, atol=1e-6)
 
 
 def test_files_of_masks_are_for_all_frames_or_for_each(tmp_path: Path) -> None:
@@ -182,6 +241,36 @@ def test_files_of_masks_are_for_all_frames_or_for_each(tmp_path: Path) -> None:
         masks(frames(3), str(tmp_path / "each"))
 
 
+def test_a_range_of_values_becomes_0_to_1(tmp_path: Path) -> None:
+    """Linearly, clipped beyond; either end may be the larger one; with keyframes."""
+    heat = np.random.default_rng(2).uniform(-100, 1200, SHAPE).astype(np.float32)
+    smoke = stored(tmp_path / "in", heat=heat)
+    rising = np.clip((heat - 300) / 600, 0, 1)
+    for mask in masks(smoke, {"grid": "heat", "range": [300, 900]}):
+        np.testing.assert_allclose(mask, rising, atol=1e-6)
+    for mask in masks(smoke, {"grid": "heat", "range": [900, 300]}):
+        np.testing.assert_allclose(mask, 1 - rising, atol=1e-6)
+    file = {"file": str(tmp_path / "in/s_0010.npz"), "grid": "heat"}
+    found = masks(smoke, file | {"range": {10: [300, 900], 12: [100, 500]}, "invert": True})
+    np.testing.assert_allclose(found[0], 1 - rising, atol=1e-6)
+    np.testing.assert_allclose(found[1], 1 - np.clip((heat - 200) / 500, 0, 1), atol=1e-6)
+    regions = regions_for(smoke, {"grid": "heat", "range": [0, 2]})
+    assert regions.masks(0, smoke[0])[0].max() == 1 and regions.notes == []
+    with pytest.raises(InputError, match=r"negative values .*; range = \[-\S+, 1\d+\] maps what it has to 0 to 1"):
+        masks(smoke, "heat")
+    regions = regions_for(frames(grids={"five": np.full(SHAPE, 5.0)}), "five")
+    regions.masks(0, frames()[0])
+    assert regions.notes[0].endswith("; range = [0, 5] maps what it has to 0 to 1"), "the same everywhere"
+
+
+@pytest.mark.parametrize(("key", "others"), [("range", {"grid": "heat"}), ("height", {})])
+def test_a_ramp_that_turns_between_keyframes_has_a_frame_without_one(key: str, others: dict[str, Any]) -> None:
+    smoke = frames(3, grids={"heat": np.ones(SHAPE)})
+    turning = others | {key: {10: [0, 2], 12: [2, 0]}}
+    with pytest.raises(InputError, match=rf"^mask: {key}: is \[1, 1\] between its keyframes, expected two different"):
+        masks(smoke, turning)
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -194,6 +283,39 @@ def test_grids_that_are_no_masks_are_refused(values: np.ndarray, said: str, tmp_
     np.savez(tmp_path / "m.npz", density=values)
     with pytest.raises(InputError, match=rf"^mask: .*m.npz: .*{said}"):
         masks(frames(), str(tmp_path / "m.npz"))
+
+
+VECTORS = "Cd':? holds vectors, expected one number for each cell"
+
+
+@pytest.mark.parametrize("format", ["npz", "vdb", "memory"])
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize(("name", "said"), [("haet", "no (array|grid) 'haet'"), ("Cd", VECTORS)])
+def test_names_of_grids_that_are_no_masks(format: str, single: bool, name: str, said: str, tmp_path: Path) -> None:
+    """Messages speak of the grid that was asked for, not of the density and its flag, in a file and in a folder."""
+    grids = {"heat": np.ones(SHAPE, np.float32), "Cd": np.ones((*SHAPE, 3), np.float32)}
+    smoke: Any = frames(1 if single else 2, grids=grids)
+    if format != "memory":
+        tnst_mi.save_frames(tmp_path / "in", smoke, format=format)
+        smoke = open_frames(tmp_path / "in" / f"f_0.{format}" if single else tmp_path / "in")
+    for mask in (name, {"grid": name}):
+        with pytest.raises(InputError, match=f"^mask: .*{said}") as caught:
+            masks(smoke, mask)
+        assert "--density" not in str(caught.value)
+
+
+def test_files_without_the_grid_of_a_mask(tmp_path: Path) -> None:
+    np.savez(tmp_path / "m.npz", a=np.ones(SHAPE), b=np.ones(SHAPE), Cd=np.ones((*SHAPE, 3)))
+    for mask, said in (
+        ({"grid": "nope"}, "m.npz: no array 'nope', those found are: a, b, Cd$"),
+        ({"grid": "Cd"}, f"m.npz: array '{VECTORS}$"),
+        ({}, r"m.npz: no array 'density' \(or 'x'\), the arrays found are: a, b, Cd; choose with grid = NAME$"),
+    ):
+        with pytest.raises(InputError, match=said):
+            masks(frames(), {"file": str(tmp_path / "m.npz")} | mask)
+    tnst_mi.save_frames(tmp_path / "vol", frames(), format="vol")
+    with pytest.raises(InputError, match=r"no grid 'heat', since a .vol file holds one, without a name; give the file"):
+        masks(open_frames(tmp_path / "vol"), "heat")
 
 
 # --- Following ---------------------------------------------------------------------------------------------
@@ -282,7 +404,7 @@ def shares(smoke: list[Frame], recipe: dict[str, Any]) -> list[list[float]]:
     made = Recipe.from_dict(recipe)
     regions = regions_of(made, smoke, [frame.number for frame in smoke])
     assert regions is not None
-    return smoke_shares(regions, targets_of(made), smoke)
+    return [mask.smoke_shares for mask in measured_masks(regions, targets_of(made), smoke)]
 
 
 def test_the_smoke_in_each_mask_is_measured() -> None:
@@ -298,3 +420,49 @@ def test_masks_that_change_nothing_are_refused() -> None:
     smoke[0, 0, 0] = 1
     with pytest.raises(InputError, match=r"^mask: has no smoke in it in any frame"):
         shares([Frame(smoke)], {"style": "net", "mask": {"height": [2, 4]}} | {"style": ["net"]})
+
+
+@pytest.mark.parametrize("up", [None, "y", "z"])
+def test_shapes_without_smoke_are_told_where_it_is(up: str | None) -> None:
+    """In the coordinates of the mask, over all frames: a sphere there has smoke in it."""
+    placement = None if up is None else Placement(0.5, (1.0, -2.0, 0.25), up)
+    smoke = np.zeros((2, *SHAPE), np.float32)
+    smoke[0, 1, 2, 3] = smoke[1, 4, 7, 5] = 1
+    moving = [Frame(density, name=f"f_{i}", number=i, placement=placement) for i, density in enumerate(smoke)]
+    cells = [np.array((3, 2, 1)), np.array((5, 7, 4))]
+    if up == "z":  # our z runs along −Y of a scene whose Z is up
+        cells = [np.array((3, SHAPE[0] - 1 - 4, 2)), np.array((5, SHAPE[0] - 1 - 1, 7))]
+    low, high = ((cell if placement is None else placement.corner + 0.5 * cell).tolist() for cell in cells)
+    where = f"the smoke is from [{', '.join(f'{c:g}' for c in low)}] to [{', '.join(f'{c:g}' for c in high)}] in the "
+    far, beside = {"shape": "sphere", "centre": [99, 0, 0], "radius": 2}, {"height": [high[1 if up != "z" else 2], 99]}
+    for mask, said in (
+        (far, "is 0 everywhere in all frames"),
+        (beside, "has no smoke in it in any frame"),
+    ):
+        with pytest.raises(InputError, match=f"^mask: {said}.*; {re.escape(where)}units of the mask; check its place"):
+            shares(moving, {"style": ["net"], "mask": mask})
+    assert any(shares(moving, {"style": ["net"], "mask": {"shape": "box", "low": low, "high": high}})[0])
+
+
+def test_other_masks_that_hold_nothing_are_told_why(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((9, 8), np.uint8)).save(tmp_path / "black.png")
+    Image.fromarray(np.zeros((9, 8, 4), np.uint8)).save(tmp_path / "clear.png")
+    without = [Frame(np.zeros(SHAPE), grids={"cold": np.zeros(SHAPE)})]
+    cold = frames(grids={"cold": np.zeros(SHAPE)})
+    for smoke, mask, said in (
+        (cold, {"image": str(tmp_path / "black.png"), "view": [0, 0]}, "nothing in black.png is white, which is what"),
+        (cold, {"image": str(tmp_path / "clear.png"), "view": [0, 0]}, "alpha is 0 in every pixel"),
+        (cold, "cold", "is 0 everywhere in all frames; check its values and its strength"),
+        (without, {"height": [0, 1]}, "has no smoke in it in any frame.*; the input has no smoke at all"),
+    ):
+        with pytest.raises(InputError, match=f"^mask: .*{said}"):
+            shares(smoke, {"style": ["net"], "mask": mask})
+
+
+def test_boxes_have_their_low_below_their_high() -> None:
+    """In every frame, keyframes included; one cell thick is allowed."""
+    box = {"shape": "box", "low": [1, 3, 1], "high": {10: [4, 3, 3], 12: [4, 1, 3]}}
+    said = r"^mask: low = \[1.0, 3.0, 1.0\] is above high = \[4.0, 2.0, 3.0\] along y, expected the lower first"
+    assert masks(frames(1), box)[0].any()
+    with pytest.raises(InputError, match=said):
+        masks(frames(2), box)

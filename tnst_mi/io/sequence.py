@@ -31,8 +31,7 @@ from tnst_mi.io.formats import (
     require_format,
     write_frame,
 )
-from tnst_mi.io.interpretation.conventions import WITHOUT_SMOKE, Conventions, StoredFrame
-from tnst_mi.io.interpretation.grid_names import listed
+from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.io.interpretation.roles import NONE, Wanted
 from tnst_mi.machine.gate import gate
 from tnst_mi.machine.terminal import displayable
@@ -166,15 +165,7 @@ class FrameFiles(Sequence[Frame]):
                 f"{file}: the grid moves with the smoke, and places in it are known by names of files; give the masks "
                 "the names of the frames, or take the whole grid (--crop off)"
             )
-        try:
-            stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE))
-        except InputError as error:
-            # It is not the density that was asked for.
-            raise InputError(str(error).replace(f"--density {name!r}", f"grid {name!r}")) from None
-        if any(note.text == WITHOUT_SMOKE for note in stored.notes):
-            what = "density" if name is None else f"grid {name!r}"
-            others = listed(sorted({*stored.taken.others, *stored.taken.left}))
-            raise InputError(f"{file}: has no {what}; the others in it are {others}")
+        stored = read_stored(file, context=self._context, wanted=Wanted(name, NONE, NONE, alone=True))
         with naming(file):
             return stored.scaled_density(replace(self._given, scale=None))
 

@@ -75,6 +75,11 @@ def read_uni_frame(file: Path, wanted: Wanted) -> StoredFrame:
 
 def _companions(file: Path, wanted: Wanted) -> tuple[tuple[Path, ...], Path | None, Taken]:
     """The files of velocity and obstacle beside that of a density, and the words by which they are found."""
+    if wanted.density is not None and wanted.alone:
+        raise InputError(
+            f"{file}: no grid {wanted.density!r}, since a {file.suffix} file holds one, without a name; give the file "
+            "that has it"
+        )
     if wanted.density is not None:
         raise InputError(
             f"{file}: --density {wanted.density!r}: a {file.suffix} file holds one grid; give the density's as INPUT"

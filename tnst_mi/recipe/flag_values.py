@@ -25,16 +25,18 @@ def value_of_flag(name: str, text: str | tuple[str, ...]) -> Any:
     """
     flag, shown = "--" + name.replace("_", "-"), text if isinstance(text, str) else " ".join(text)
     if shown.lstrip().startswith("{"):
-        return _table(flag, shown)
+        return _table(name, flag, shown)
     try:
         return KINDS[name].check(KINDS[name].read(text))
     except (ValueError, OverflowError):
         raise InputError(f"{flag} {shown}: {expectation(KINDS[name], text, name)}") from None
 
 
-def _table(flag: str, text: str) -> dict[str, Any]:
+def _table(name: str, flag: str, text: str) -> dict[str, Any]:
     try:
         return toml_values("table = " + _KEY.sub(r"\1\2 =", text))["table"]
     except ValueError:
         # TOML that is none, a number of more digits than Python reads, or tables that are too deep.
-        raise InputError(f"{flag} {text}: expected a value for each frame, such as '{{49: 0.1, 72: 1.0}}'") from None
+        mask = "a table as in a recipe file, such as '{height = [0.5, 2.0]}'"
+        expected = mask if name == "mask" else "a value for each frame, such as '{49: 0.1, 72: 1.0}'"
+        raise InputError(f"{flag} {text}: expected {expected}") from None

@@ -17,6 +17,9 @@ from tnst_mi.resources import DATA, expanded
 #: Style pictures that ship with the package; a recipe names them without folder and extension.
 STYLES = DATA / "styles"
 
+#: Extensions by which a picture is known as one where a grid is expected.
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".exr", ".hdr")
+
 #: Mitsuba scenes whose emitters light the smoke, named likewise.
 LIGHTS = DATA / "lights"
 
@@ -131,18 +134,22 @@ def _mask(value: Any, source: str, folder: Path) -> Any:
 
 def _grid_or_file(text: str, source: str, folder: Path) -> str:
     """What exists is a file, and what looks like one has to exist; all else is the name of a grid."""
-    path = _path("mask", text, source, folder)
-    if path.exists():
-        return str(path.resolve())
-    if Path(text).suffix.lower() in READABLE or "/" in text or "\\" in text:
+    if _path("mask", text, source, folder).exists():
+        return _mask_file("mask", text, source, folder)
+    if Path(text).suffix.lower() in (*READABLE, *_PICTURES) or "/" in text or "\\" in text:
         return _mask_file("mask", text, source, folder)
     return text
 
 
 def _mask_file(key: str, text: str, source: str, folder: Path) -> str:
-    path = _path(key, text, source, folder)
+    path, given = _path(key, text, source, folder), f"{source}{'mask' if key == 'mask' else f'mask: {key}'} = {text!r}"
     # The number of a pattern has no digits yet.
     exists = path.parent.is_dir() if "#" in path.name and key != "image" else path.exists()
     if not exists:
-        raise InputError(f"{source}{'mask' if key == 'mask' else f'mask: {key}'} = {text!r}: no such file ({path})")
+        raise InputError(f"{given}: no such file ({path})")
+    if key != "image" and path.suffix.lower() in _PICTURES and not path.is_dir():
+        raise InputError(
+            f'{given}: is a picture, expected a grid; a picture painted over a view is {{ image = "{text}", view = '
+            "[0, 0] }, with azimuth and elevation of that view"
+        )
     return str(path.resolve())

@@ -54,6 +54,7 @@ _NUMBERS: dict[str, Any] = {
     "high": Point(expected="three numbers, such as [1.0, 2.0, 1.0]"),
     "edge": Number(low=0.0),
     "height": Pair("two different numbers, such as [0.5, 2.0]", ramp=True),
+    "range": Pair("two different numbers, such as [300, 900]", ramp=True),
     "view": Pair("azimuth and elevation in degrees, such as [0, 0]"),
     "strength": Number(0.0, 1.0),
 }
@@ -70,8 +71,8 @@ _OTHERS: dict[str, Any] = {
 _FORMS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "sphere": (frozenset({"shape", "centre", "radius"}), frozenset({"edge"})),
     "box": (frozenset({"shape", "low", "high"}), frozenset({"edge"})),
-    "file": (frozenset({"file"}), frozenset({"grid"})),
-    "grid": (frozenset({"grid"}), frozenset()),
+    "file": (frozenset({"file"}), frozenset({"grid", "range"})),
+    "grid": (frozenset({"grid"}), frozenset({"range"})),
     "height": (frozenset({"height"}), frozenset()),
     "image": (frozenset({"image", "view"}), frozenset()),
     "everywhere": (frozenset({"strength"}), frozenset()),
@@ -90,7 +91,7 @@ def form_of(part: Mapping[str, Any]) -> str:
 class MaskKind:
     """A mask: text, a table, or a list of these; None for "not set"."""
 
-    placeholder: str = "NAME|FILE"
+    placeholder: str = "NAME|FILE|TABLE"
     expected: str = (
         'the name of a grid or a file, a table such as {shape = "sphere", centre = [0, 1, 0], radius = 0.5}, '
         "or a list of these"
@@ -167,8 +168,9 @@ class TargetsKind:
             raise InputError(f"{where}has {found}, expected one of {', '.join(GOALS)}; a target has one goal")
         known = (goals[0], "mask", "weight", *_OF_A_GOAL[goals[0]])
         if foreign := [key for key in table if key not in known]:
+            above = "; keys of the recipe go above the first [[target]]" if foreign[0] in self.kinds() else ""
             raise InputError(
-                f"{where}{foreign[0]!r} is no key of a target with {goals[0]}; they are {', '.join(known)}"
+                f"{where}{foreign[0]!r} is no key of a target with {goals[0]}; they are {', '.join(known)}{above}"
             )
         checked = {}
         for key, entry in table.items():

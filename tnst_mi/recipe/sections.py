@@ -72,9 +72,10 @@ class Goals:
     damping: Annotated[float, Number(low=0.0)] = 0.0
     """Weight of an L1 penalty on the other channels of a semantic layer, 0 or more."""
     mask: Annotated[Any, MaskKind()] = None
-    """Where the smoke changes, from 0 (not at all) to 1: a grid of the input by its name, or a file of the same grid
-    for all frames or for each. In a recipe file also a sphere or box in the scene, a ramp over the height, a picture
-    painted over a view, or a product of these, with keyframes (docs/regions.md). If not set, everywhere."""
+    """Where the smoke changes, from 0 (not at all) to 1: a grid of the input by its name, a file of the same grid for
+    all frames or for each, or a table such as {height = [0.5, 2.0]} (as a flag, in quotes): a sphere or box in the
+    scene, a ramp over the height, a picture painted over a view, a grid with a range of its values, with keyframes
+    (docs/regions.md); in a recipe file also a list of these, whose product it is. If not set, everywhere."""
     target: Annotated[tuple[dict[str, Any], ...], TargetsKind(_kinds)] = ()
     """Several goals in regions of their own, in a recipe file: tables [[target]] with one of style, semantic, tag,
     content or match each, and with mask and weight (docs/regions.md)."""

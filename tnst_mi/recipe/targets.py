@@ -9,8 +9,10 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.keyframes import value_at
+from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
+from tnst_mi.recipe.sections import KINDS
 
 #: One part of a mask: the name of a grid or a file, or a table.
 Part = str | Mapping[str, Any]
@@ -21,7 +23,8 @@ class Target:
     """A goal, where it applies, and how much it counts.
 
     Attributes:
-        recipe: the recipe of the run with the goal of this target alone.
+        recipe: the recipe of the run with the goal of this target alone; of [[target]] with weights
+            of 1.
         mask: the parts whose product is the mask; empty for one that is 1 everywhere.
         weights: factor of its steps, one number or (frame number, weight) pairs in frame order.
         number: from 1 among several; 0 for the only one, which has the recipe's own goals.
@@ -59,11 +62,14 @@ def targets_of(recipe: Recipe) -> list[Target]:
     """
     if not recipe.target:
         return [Target(recipe, parts_of(recipe.mask))]
-    if beside := [key for key in (*GOALS, "mask") if getattr(recipe, key)]:
-        raise InputError(
-            f"recipe: {beside[0]} = {getattr(recipe, beside[0])!r} stands beside [[target]]; write it as a target too, "
-            "or leave the targets out"
-        )
+    for goal in GOALS:
+        if names := getattr(recipe, goal):
+            given = KINDS[goal].show(tuple(shipped_name(name) for name in names))
+            raise InputError(
+                f"recipe: {goal} = {given} stands beside [[target]]; write it as a target too, or leave the targets out"
+            )
+    if recipe.mask is not None:
+        raise InputError("recipe: mask stands beside [[target]]; give each target its own, or leave the targets out")
     return [_target(recipe, number, table) for number, table in enumerate(recipe.target, start=1)]
 
 
@@ -112,7 +118,9 @@ def is_path(text: str) -> bool:
 def _target(recipe: Recipe, number: int, table: Mapping[str, Any]) -> Target:
     own = {key: value for key, value in table.items() if key not in ("mask", "weight")}
     keyed = {key: dict(keys) for key, keys in recipe.keyframes.items()}
-    goal = dataclasses.replace(recipe, **keyed | {"target": ()} | own, keyframes={})
+    # The weights of the recipe weigh goals of one loss against each other, and a target's loss has a single one.
+    alone = {"target": (), "style_weight": 1.0, "semantic_weight": 1.0}
+    goal = dataclasses.replace(recipe, **keyed | alone | own, keyframes={})
     weight = table.get("weight", 1.0)
     weights = tuple(weight.items()) if isinstance(weight, Mapping) else weight
     return Target(goal, parts_of(table.get("mask")), weights, number)

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
-from tnst_mi.losses.pictures import read_image
+from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.rendering.cameras.views import View, camera_frame
 
 #: Difference of the proportions of picture and view beyond which they are not of the same frame.
 _OTHER_PROPORTIONS = 0.03
 
 
-def painted(path: str | Path, size: tuple[int, int]) -> np.ndarray:
+#: How far from 0 and 1 grey is neither black nor white, and the share of it in what is not black up to which a picture
+#: is in black and white, with soft edges.
+_GREY, _SOFT_EDGES = 0.05, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Painting:
+    """A painted picture as a mask.
+
+    Attributes:
+        values: (rows, columns) float32 in [0, 1], row 0 at the top.
+        remark: what is to be said of it; may be empty.
+    """
+
+    values: np.ndarray
+    remark: str = ""
+
+
+def painted(path: str | Path, size: tuple[int, int]) -> Painting:
     """Read a painted picture as a mask: where it has transparency, what is opaque; otherwise its grey, from 0 to 1.
 
     So a layer that is painted in any colour over a view counts, and so does a picture in black and white.
@@ -25,7 +44,7 @@ def painted(path: str | Path, size: tuple[int, int]) -> np.ndarray:
         size: rows and columns of the view that it was painted over.
 
     Raises:
-        InputError: it cannot be read, or has other proportions than the view.
+        InputError: it cannot be read, is wholly transparent, or has other proportions than the view.
     """
     picture = read_image(path)
     rows, columns = picture.grey.shape
@@ -34,8 +53,24 @@ def painted(path: str | Path, size: tuple[int, int]) -> np.ndarray:
             f"{path}: has {columns}×{rows} pixels, expected the proportions of the view, {size[1]}×{size[0]}; paint "
             "over a picture that tnst-mi rendered, such as images/NAME_before.png, and keep all of its frame"
         )
-    transparent = picture.alpha is not None and float(picture.alpha.min()) < 1.0
-    return picture.alpha if transparent and picture.alpha is not None else picture.grey
+    if picture.alpha is not None and float(picture.alpha.min()) < 1.0:
+        return Painting(picture.alpha)
+    return Painting(picture.grey, _of_greys(picture))
+
+
+def _of_greys(picture: GreyImage) -> str:
+    """What is to be said of a picture without transparency that is not in black and white.
+
+    A view that is painted over in white is white where its smoke is, too; and colours count as their grey.
+    """
+    bright = picture.grey[picture.grey > _GREY]
+    if not bright.size or (bright < 1 - _GREY).mean() <= _SOFT_EDGES:
+        return ""
+    return (
+        f"{picture.name} has no transparency, so that what is white counts, and greys and colours in part: "
+        f"{picture.grey.mean():.0%} of the picture; if only what is painted is to count, export it as a transparent "
+        "layer of its own"
+    )
 
 
 def projected(picture: np.ndarray, view: View, shape: Shape, size: tuple[int, int]) -> np.ndarray:

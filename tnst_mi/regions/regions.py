@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,9 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import form_of
 from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
 from tnst_mi.regions.following import FollowingMask
-from tnst_mi.regions.projection import painted, projected
+from tnst_mi.regions.projection import Painting, painted, projected
 from tnst_mi.regions.shapes import shape_mask
-from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid
+from tnst_mi.regions.stored import MaskFiles, checked_grid, input_grid, suggested_range
 from tnst_mi.rendering.driving import image_size
 
 
@@ -38,10 +38,10 @@ class Regions:
         numbers: Sequence[int | float | None],
     ) -> None:
         self._targets, self._frames, self._files, self._numbers = targets, frames, files, numbers
-        self._pictures: dict[str, np.ndarray] = {}
+        self._pictures: dict[str, Painting] = {}
         self._mask_files: dict[tuple[str, str | None], MaskFiles] = {}
-        #: By the name of a stored grid that exceeds 1, its largest value.
-        self._largest: dict[str, float] = {}
+        #: By the name of a stored grid without a range, its least and its largest value.
+        self._spans: dict[str, tuple[float, float]] = {}
         #: By target and part.
         self._following: dict[tuple[int, int], FollowingMask] = {}
 
@@ -53,15 +53,21 @@ class Regions:
     @property
     def notes(self) -> list[str]:
         """What is to be said of the masks that have been evaluated."""
-        return [
-            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1"
-            for name, largest in self._largest.items()
+        of_grids = [
+            f"mask: {name} has values up to {largest:.4g}; above 1 they count as 1; {suggested_range(least, largest)}"
+            for name, (least, largest) in self._spans.items()
+            if largest > 1
         ]
+        return of_grids + [f"mask: {painting.remark}" for painting in self._pictures.values() if painting.remark]
 
     @property
     def bounded(self) -> bool:
         """Whether all targets have masks, so that there is smoke that none of them changes."""
         return all(self.present)
+
+    def is_black(self, picture: str) -> bool:
+        """Whether nothing counts in a painted picture, by its path, that has been evaluated."""
+        return not self._pictures[picture].values.any()
 
     def masks(self, index: int, frame: Frame) -> tuple[np.ndarray | None, ...]:
         """The mask of each target in a frame: (D, H, W) float32 in [0, 1], or None where it is 1 everywhere.
@@ -115,25 +121,27 @@ class Regions:
         if form == "everywhere":
             return np.ones(shape, np.float32)
         if form == "grid":
-            return self._checked(input_grid(self._files, index, part["grid"]), shape, f"grid {part['grid']!r}")
+            return self._checked(input_grid(self._files, index, part["grid"]), shape, part, f"grid {part['grid']!r}")
         if form == "file":
             key = part["file"], part.get("grid")
             if key not in self._mask_files:
                 self._mask_files[key] = MaskFiles(*key, self._files, self._numbers)
-            return self._checked(self._mask_files[key].at(index), shape, part["file"])
+            return self._checked(self._mask_files[key].at(index), shape, part, part["file"])
         if form == "image":
             size = image_size(self._targets[0].recipe, shape)
             if part["image"] not in self._pictures:
                 self._pictures[part["image"]] = painted(part["image"], size)
-            return projected(self._pictures[part["image"]], part["view"], shape, size)
+            return projected(self._pictures[part["image"]].values, part["view"], shape, size)
         return shape_mask(form, part, shape, frame.placement)
 
-    def _checked(self, values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
-        """A stored grid as a mask; how far it exceeds 1 is noted."""
-        mask = checked_grid(values, shape, name)
-        largest = float(values.max())
-        if largest > 1:
-            self._largest[name] = max(largest, self._largest.get(name, 0.0))
+    def _checked(self, values: np.ndarray, shape: Shape, part: Mapping[str, Any], name: str) -> np.ndarray:
+        """A stored grid as a mask; without a range, the values that it has are noted."""
+        bounds = part.get("range")
+        mask = checked_grid(values, shape, name, bounds)
+        if bounds is None:
+            least, largest = float(values.min()), float(values.max())
+            before = self._spans.get(name, (least, largest))
+            self._spans[name] = min(least, before[0]), max(largest, before[1])
         return mask
 
 
@@ -163,33 +171,3 @@ def regions_of(
     if not any(target.mask or target.number for target in targets):
         return None
     return Regions(targets, frames, frames if files is None else files, numbers)
-
-
-def smoke_shares(regions: Regions, targets: Sequence[Target], frames: Iterable[Frame]) -> list[list[float]]:
-    """For each target, the share of the smoke of each frame that is in its mask, Σ m d / Σ d; 0 without smoke.
-
-    Args:
-        regions: the masks.
-        targets: whose they are.
-        frames: in their order; each is read once.
-
-    Raises:
-        InputError: a mask cannot be used, is 0 everywhere in all frames, or has no smoke in it in any.
-    """
-    shares: list[list[float]] = [[] for _ in targets]
-    empty = [True] * len(targets)
-    for index, frame in enumerate(frames):
-        mass = frame.mass
-        for number, mask in enumerate(regions.masks(index, frame)):
-            inside = mass if mask is None else float((mask * frame.density).sum(dtype=np.float64))
-            shares[number].append(inside / mass if mass > 0 else 0.0)
-            empty[number] &= mask is not None and not mask.any()
-    for target, none, of_target in zip(targets, empty, shares, strict=True):
-        if none:
-            raise InputError(
-                f"{target.name}: is 0 everywhere in all frames; check its strength, and its place "
-                "and size: lengths are those of the scene, or cells where the files have none"
-            )
-        if target.mask and not any(of_target):
-            raise InputError(f"{target.name}: has no smoke in it in any frame, so that nothing would change")
-    return shares

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from tnst_mi.errors import InputError
+from tnst_mi.fields.bounds import smoke_box
 from tnst_mi.fields.grid import Shape
 from tnst_mi.geometry.placement import Placement
 
@@ -36,16 +38,19 @@ def shape_mask(form: str, part: Mapping[str, Any], shape: Shape, placement: Plac
             whose two numbers the mask rises from 0 to 1.
         shape: (D, H, W).
         placement: of the grid.
+
+    Raises:
+        InputError: a box has its low above its high, or between keyframes both ends of a ramp are the same.
     """
     positions = cell_positions(shape, placement)
     if form == "height":
-        first, last = part["height"]
         up = positions[2 if placement is not None and placement.up == "z" else 1]
-        return _filled(np.clip((up - first) / (last - first), 0, 1), shape)
+        return _filled(ramp("height", up, *part["height"]), shape)
     if form == "sphere":
         square = sum((position - centre) ** 2 for position, centre in zip(positions, part["centre"], strict=True))
         depth = part["radius"] - np.sqrt(square)
     else:
+        _require_ordered(part["low"], part["high"])
         sides = [
             np.minimum(position - low, high - position)
             for position, low, high in zip(positions, part["low"], part["high"], strict=True)
@@ -53,6 +58,43 @@ def shape_mask(form: str, part: Mapping[str, Any], shape: Shape, placement: Plac
         depth = np.minimum(np.minimum(sides[0], sides[1]), sides[2])
     edge = part.get("edge", 0.0)
     return _filled(np.clip(depth / edge, 0, 1) if edge > 0 else depth >= 0, shape)
+
+
+def smoke_extent(density: np.ndarray, placement: Placement | None) -> np.ndarray | None:
+    """The lowest and the highest coordinates (X, Y, Z) of cell centres with smoke, (2, 3); None if there is no smoke.
+
+    Args:
+        density: (D, H, W).
+        placement: of its grid, see `cell_positions`.
+    """
+    box = smoke_box(density, margin=0)
+    if box is None:
+        return None
+    positions = [np.broadcast_to(values, density.shape)[box] for values in cell_positions(density.shape, placement)]
+    return np.array([[values.min() for values in positions], [values.max() for values in positions]])
+
+
+def ramp(key: str, values: np.ndarray, first: float, last: float) -> np.ndarray:
+    """Values mapped linearly, from 0 at `first` to 1 at `last`, which may be the smaller one, and clipped to [0, 1].
+
+    Args:
+        key: what the recipe calls the two numbers.
+        values: of any shape.
+        first: what becomes 0.
+        last: what becomes 1.
+
+    Raises:
+        InputError: both are the same, as they can be between keyframes.
+    """
+    if first == last:
+        raise InputError(f"{key}: is [{first:g}, {last:g}] between its keyframes, expected two different numbers")
+    return np.clip((values - first) / (last - first), 0, 1)
+
+
+def _require_ordered(low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    for axis, least, most in zip("xyz", low, high, strict=True):
+        if least > most:
+            raise InputError(f"low = {list(low)} is above high = {list(high)} along {axis}, expected the lower first")
 
 
 def _filled(values: np.ndarray, shape: Shape) -> np.ndarray:

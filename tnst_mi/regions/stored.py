@@ -12,11 +12,13 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io.files.listing import list_frames
 from tnst_mi.io.interpretation.grid_names import listed
+from tnst_mi.io.interpretation.layouts import picture_scale
 from tnst_mi.io.sequence import FrameFiles, open_frames
+from tnst_mi.regions.shapes import ramp
 
 
 def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
-    """A grid of the input by its name, on the grid of the density.
+    """A grid of the input by its name, on the grid of the density; integers of 8 and 16 bits as 0 to 1, as in files.
 
     Raises:
         InputError: the frame has no such grid.
@@ -27,7 +29,9 @@ def input_grid(frames: Sequence[Frame], index: int, name: str) -> np.ndarray:
     if name not in frame.grids:
         there = listed(sorted(frame.grids)) if frame.grids else "none"
         raise InputError(f"{frame.name}: has no grid {name!r}; those beside its density are {there}")
-    return frame.grids[name]
+    values = frame.grids[name]
+    scale = picture_scale(values.dtype)
+    return values if scale is None else values.astype(np.float32) * np.float32(scale)
 
 
 class MaskFiles:
@@ -63,16 +67,37 @@ class MaskFiles:
         return open_frames(file).grid_on_cells(0, self._name)
 
 
-def checked_grid(values: np.ndarray, shape: Shape, name: str) -> np.ndarray:
-    """A grid as a mask (D, H, W): what exceeds 1 counts as 1.
+def checked_grid(values: np.ndarray, shape: Shape, name: str, bounds: tuple[float, float] | None = None) -> np.ndarray:
+    """A grid as a mask (D, H, W).
+
+    Args:
+        values: of the grid.
+        shape: (D, H, W) of the density.
+        name: of the grid, for messages.
+        bounds: the values that become 0 and 1, between which it is linear and beyond which it is clipped; None takes
+            the values as they are, and what exceeds 1 as 1.
 
     Raises:
-        InputError: it has another shape, negative values, or values that are not finite.
+        InputError: it has another shape, values that are not finite, or negative ones without bounds.
     """
+    if values.shape == (*shape, 3):
+        raise InputError(f"{name}: holds vectors, expected one number for each cell")
     if values.shape != tuple(shape):
         raise InputError(f"{name}: has shape {values.shape}, expected {tuple(shape)} like the density")
     if bad := int((~np.isfinite(values)).sum()):
         raise InputError(f"{name}: has {bad} values that are not finite, expected values from 0 to 1")
+    if bounds is not None:
+        return ramp("range", values, *bounds).astype(np.float32)
     if values.min() < 0:
-        raise InputError(f"{name}: has negative values (smallest {values.min():g}), expected values from 0 to 1")
+        raise InputError(
+            f"{name}: has negative values (smallest {values.min():g}), expected values from 0 to 1; "
+            f"{suggested_range(values.min(), values.max())}"
+        )
     return np.minimum(values, 1).astype(np.float32)
+
+
+def suggested_range(least: float, largest: float) -> str:
+    """What to add to the table of a mask whose grid has other values than those from 0 to 1."""
+    if least == largest:
+        least, largest = sorted((0.0, least))
+    return f"range = [{least:.4g}, {largest:.4g}] maps what it has to 0 to 1"

@@ -30,6 +30,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield f"device: {environment.device_line(prepared.record['device']['variant'])}"
     yield f"network: {model.flavour}, {model.source}"
     yield from prepared.reading
+    yield from _of_masks(prepared)
     yield from _of_other_grids(prepared)
     yield prepared.memory
     if prepared.step != 1:
@@ -48,6 +49,22 @@ def announcement(prepared: Prepared) -> Iterator[str]:
 
 def _pictures(target: Target) -> tuple[str, ...]:
     return (*target.recipe.style, *target.recipe.content)
+
+
+def _of_masks(prepared: Prepared) -> Iterator[str]:
+    """How much of the smoke each mask holds, in frames that have some."""
+    for target, record in zip(targets_of(prepared.recipe), prepared.record.get("targets", ()), strict=False):
+        shares = zip(prepared.measures, record["smoke_shares"], strict=True)
+        with_smoke = [share for measure, share in shares if measure.mass > 0.0]
+        if target.mask and with_smoke:
+            least, most = _percent(min(with_smoke)), _percent(max(with_smoke))
+            span = least if least == most else f"{least} to {most}"
+            yield f"{target.name.removesuffix(': mask')}: {span} of the smoke"
+
+
+def _percent(share: float) -> str:
+    """A share in percent, with two digits where it is small."""
+    return f"{share:.0%}" if share >= 0.1 else f"{100 * share:.2g}%"
 
 
 def _of_other_grids(prepared: Prepared) -> Iterator[str]:

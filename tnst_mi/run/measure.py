@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +16,9 @@ from tnst_mi.io.files.frame_numbers import first_gap
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.recipe.targets import mask_files, targets_of
+from tnst_mi.recipe.targets import Target, mask_files, targets_of
 from tnst_mi.run.carry import movable, read_chosen
-from tnst_mi.run.folder import is_file_name
+from tnst_mi.run.folder import DAMAGE, ELSEWHERE, is_file_name
 from tnst_mi.run.inputs import frame_digest, grid_digest
 
 
@@ -124,23 +123,35 @@ def require_same_input(measures: Sequence[Measure], recipe: Recipe, run: dict[st
         raise InputError(f"{out}: its run had the frames in another order; {remedy}")
 
 
-def require_same_masks(targets: Sequence[dict[str, Any]] | None, run: dict[str, Any], out: Path) -> None:
-    """Check that the masks of a run to be resumed held the same smoke: grids of the input are no part of its digests.
+def require_same_masks(
+    targets: Sequence[Target], records: Sequence[dict[str, Any]], run: dict[str, Any], out: Path
+) -> None:
+    """Check that a run to be resumed had these masks: what they are read from need not be part of its other digests.
 
     Args:
-        targets: the records of the targets now, or None.
-        run: the record of the run.
+        targets: the targets; none of them has another recipe than in that run.
+        records: the records of the targets that have regions, now, see `run.record.target_record`.
+        run: the record of the run, with these frames.
         out: its folder.
 
     Raises:
-        InputError: they did not.
+        InputError: a mask has changed, or the record does not say what it was.
     """
-    # As they are once they have been written and read.
-    if run.get("targets") != json.loads(json.dumps(targets)):
-        raise InputError(
-            f"{out}: its run had other masks, or other smoke in them, than there are now; resume with the same input, "
-            "or use --overwrite"
-        )
+    now = [record["mask_sha256"] for record in records]
+    try:
+        earlier = [dict(zip(run["inputs"], record["mask_sha256"], strict=True)) for record in run.get("targets", ())]
+        if len(earlier) != len(now):
+            raise ValueError(len(earlier))
+    except DAMAGE:
+        raise InputError(f"{out / 'run.json'}: does not say which masks its run had; {ELSEWHERE}") from None
+    for target, digests_now, before in zip(targets, now, earlier, strict=False):
+        for frame, digest in zip(before, digests_now, strict=True):
+            if before[frame] != digest:
+                whose = f" of target {target.number}" if target.number else ""
+                raise InputError(
+                    f"{out}: its run had another mask{whose} in {frame} than there is now; resume with the same masks, "
+                    "or use --overwrite"
+                )
 
 
 def digests(measures: Sequence[Measure]) -> dict[str, str]:

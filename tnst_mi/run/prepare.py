@@ -29,7 +29,8 @@ from tnst_mi.optimisation.goals import objective_of, require_known, require_mean
 from tnst_mi.optimisation.plan import Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
-from tnst_mi.regions.regions import regions_of, smoke_shares
+from tnst_mi.regions.measured_masks import measured_masks
+from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
 from tnst_mi.resources import expanded
@@ -207,8 +208,8 @@ def prepare(
     regions = regions_of(recipe, unchanged, numbers, sequence)
     target_records = None
     if regions is not None:
-        shares = smoke_shares(regions, targets, _watched(unchanged, "masking", progress))
-        target_records = [target_record(target, share) for target, share in zip(targets, shares, strict=True)]
+        masks = measured_masks(regions, targets, _watched(unchanged, "masking", progress))
+        target_records = [target_record(target, mask) for target, mask in zip(targets, masks, strict=True)]
     recipes = [by_cell(recipe.at(number), shape) for number in numbers]
     density_scale = reference.scale(recipe.density_scale)
     densest = max(measure.densest for measure in measures)
@@ -258,7 +259,7 @@ def prepare(
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
     if earlier is not None and out is not None:
         require_same_input(measures, recipe, earlier, out)
-        require_same_masks(target_records, earlier, out)
+        require_same_masks(targets, target_records or [], earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe))

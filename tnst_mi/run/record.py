@@ -18,6 +18,7 @@ from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.recipe.targets import Target
+from tnst_mi.regions.measured_masks import MeasuredMask
 from tnst_mi.run.flicker import FlickerMeter, relative_change
 
 
@@ -56,21 +57,28 @@ def run_identity(recipe: Recipe, run: Mapping[str, Any]) -> str:
         recipe: the recipe of the run.
         run: the contents of run.json.
     """
-    decisive = replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"]
+    masks = [target["mask_sha256"] for target in run.get("targets", ())]
+    decisive = replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"], masks
     return hashlib.sha256(json.dumps(decisive).encode("utf-8")).hexdigest()
 
 
-def target_record(target: Target, shares: Sequence[float]) -> dict[str, Any]:
+def target_record(target: Target, mask: MeasuredMask) -> dict[str, Any]:
     """The record of a target: its goal, mask and weight as the recipe has them, and what it reaches.
 
     Args:
         target: the target.
-        shares: for each frame, the share of its smoke that is in the mask.
+        mask: its mask in all frames.
     """
     recipe = target.recipe
     goals = {goal: [shipped_name(name) for name in getattr(recipe, goal)] for goal in GOALS if getattr(recipe, goal)}
     weight = dict(target.weights) if isinstance(target.weights, tuple) else target.weights
-    return {"goals": goals, "mask": list(target.mask), "weight": weight, "smoke_shares": list(shares)}
+    return {
+        "goals": goals,
+        "mask": list(target.mask),
+        "weight": weight,
+        "smoke_shares": mask.smoke_shares,
+        "mask_sha256": mask.sha256,
+    }
 
 
 def _folded(recipe: Recipe, stylized: Stylized) -> float | None:

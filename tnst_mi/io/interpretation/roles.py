@@ -51,11 +51,14 @@ class Wanted:
         velocity: name of a grid of vectors, what the names of three scalar grids have in common, or all their names
             separated by commas.
         obstacle: name of a grid.
+        alone: whether a single grid is read, by the name of `density`, for another purpose than a density: it has to be
+            there, and messages do not speak of the flags that choose the parts of a frame.
     """
 
     density: str | None = None
     velocity: str | None = None
     obstacle: str | None = None
+    alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,8 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
         noun: what an entry is called, "grid" or "array".
 
     Raises:
-        InputError: several could be meant, a name that the user gives is not there, or what is called by the name of a
-            role holds no numbers. The message does not name the file.
+        InputError: several could be meant, a name that the user gives is not there, what is called by the name of a
+            role holds no numbers, or there is nothing that could be read alone. The message does not name the file.
 
     Example:
         >>> from tnst_mi.io.interpretation.roles import Entry, Wanted, chosen_roles
@@ -100,8 +103,10 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
         >>> chosen_roles(entries[4:], Wanted()).lacking
         "no grid 'density', the grids found are: 'temperature'; choose with --density NAME"
     """
-    choice = _Choice(entries, noun)
+    choice = _Choice(entries, noun, wanted.alone)
     density, lacking = choice.density(wanted.density)
+    if wanted.alone and lacking:
+        raise InputError(lacking)
     # A frame without smoke may lack its other grids too.
     velocity = choice.velocity(wanted.velocity, required=not lacking)
     obstacle = choice.obstacle(wanted.obstacle, required=not lacking)
@@ -113,8 +118,8 @@ def chosen_roles(entries: Sequence[Entry], wanted: Wanted, noun: str = "grid") -
 class _Choice:
     """The choice among the entries of one file."""
 
-    def __init__(self, entries: Sequence[Entry], noun: str) -> None:
-        self._entries, self._noun = entries, noun
+    def __init__(self, entries: Sequence[Entry], noun: str, alone: bool) -> None:
+        self._entries, self._noun, self._alone = entries, noun, alone
         self._all = tuple(range(len(entries)))
 
     def density(self, wanted: str | None) -> tuple[_Indices, str]:
@@ -129,7 +134,9 @@ class _Choice:
             expected = "grid 'density'" if self._noun == "grid" else "array 'density' (or 'x')"
             lacking = f"no {expected}, the {self._noun}s found are: {self._names(self._all)}"
             nameless = " ('' for the nameless one)" if any(not entry.name for entry in self._entries) else ""
-            lacking += f"; choose with --density NAME{nameless}" if any(e.scalar for e in self._entries) else ""
+            lacking += (
+                f"; choose with {self._flag('density')}{nameless}" if any(e.scalar for e in self._entries) else ""
+            )
             if len(self._all) == 1 and self._unnamed(lambda entry: entry.vector and not entry.scalar):
                 lacking = "holds vectors, expected a density"
         self._require("density", found)
@@ -246,17 +253,27 @@ class _Choice:
         for index in found:
             entry = self._entries[index]
             if not entry.scalar:
+                called = f"{self._noun} {quoted(entry.name)}"
+                if self._alone and entry.vector:
+                    raise InputError(f"{called} holds vectors, expected one number for each cell")
                 without = "" if role == "density" else f", or go without it with --{role} none"
                 raise InputError(
-                    f"{self._noun} {quoted(entry.name)} holds {entry.kind}, expected numbers; export it as such, or "
-                    f"choose another with --{role} NAME{without}"
+                    f"{called} holds {entry.kind}, expected numbers; export it as such, or choose another with "
+                    f"{self._flag(role)}{without}"
                 )
 
     def _several(self, role: str, found: _Indices) -> str:
-        return f"several {self._noun}s may be the {role}: {self._names(found)}; choose with --{role} NAME"
+        meant = "meant" if self._alone else f"the {role}"
+        return f"several {self._noun}s may be {meant}: {self._names(found)}; choose with {self._flag(role)}"
 
     def _absent(self, role: str, wanted: str) -> str:
-        return f"--{role} {quoted(wanted)}: no such {self._noun}, those found are: {self._names(self._all)}"
+        start = "" if self._alone else f"--{role} {quoted(wanted)}: "
+        such = f"{self._noun} {quoted(wanted)}" if self._alone else f"such {self._noun}"
+        return f"{start}no {such}, those found are: {self._names(self._all)}"
+
+    def _flag(self, role: str) -> str:
+        """What chooses a grid by its name: a flag of the part of a frame, or the key in the table of a mask."""
+        return "grid = NAME" if self._alone else f"--{role} NAME"
 
     def _names(self, indices: _Indices) -> str:
         """Names in a message: numbered where they are equal, with the type of what is no usual grid of numbers."""
