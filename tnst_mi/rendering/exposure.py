@@ -108,7 +108,8 @@ def brightness(
         columns.append(largest_columns(density, levels, recipe, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, size))
         if recipe.integrator != "emission_absorption":
-            ends = [recipe.main_view, *itertools.product(recipe.azimuth, recipe.elevation)]
+            corners = itertools.product(recipe.azimuth, recipe.elevation)
+            ends = [recipe.main_view, *(recipe.view(*angles) for angles in corners)]
             pixels.append(float(stills(density, ends, recipe, size, _GLIMPSE_SPP).max()))
     others = {*own_gammas} - {*gammas}
     for leader in {max(range(len(frames)), key=lambda i: in_view[i][g]) for g in gammas} if others else ():
