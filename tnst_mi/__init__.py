@@ -27,12 +27,14 @@ if TYPE_CHECKING:
     from tnst_mi.machine.backend import activate
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.recipe.recipe import Recipe
+    from tnst_mi.rendering.cameras.camera import Camera
     from tnst_mi.rendering.cameras.views import sample_views
     from tnst_mi.rendering.renderer import render
     from tnst_mi.run.api import Result, stylize
 
 #: Public names and the modules that define them; a module is imported on first use of its name.
 _PUBLIC = {
+    "Camera": "rendering.cameras.camera",
     "Frame": "frame",
     "GoogLeNet": "network.googlenet",
     "Recipe": "recipe.recipe",
@@ -48,6 +50,7 @@ _PUBLIC = {
 }
 
 __all__ = [
+    "Camera",
     "Frame",
     "GoogLeNet",
     "InputError",

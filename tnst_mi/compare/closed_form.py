@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from tnst_mi.compare.rays import Interpolation, rays
+from tnst_mi.rendering.cameras.views import View
 
 
 def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
@@ -17,7 +18,7 @@ def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
     return -np.expm1(-gamma * columns) / gamma
 
 
-def column_density(density: np.ndarray, view: tuple[float, float]) -> np.ndarray:
+def column_density(density: np.ndarray, view: View) -> np.ndarray:
     """∫ d along the ray through each pixel centre, in density × cells: (H, W) float64, row 0 at the top.
 
     Args:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.compare.rays import Interpolation, rays
+from tnst_mi.rendering.cameras.views import View
 
 #: Error of a float32 position relative to the grid's diagonal: 2^-24 of each number on the way to it, of which the
 #: largest are the distance of the camera, twice the diagonal, and the rows of all images, stacked.
@@ -41,7 +42,7 @@ class InclusiveSums:
     tolerance: np.ndarray
 
 
-def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Sequence[float]) -> list[InclusiveSums]:
+def inclusive_sums(density: np.ndarray, view: View, gammas: Sequence[float]) -> list[InclusiveSums]:
     """The images of a view at each γ.
 
     Args:
@@ -69,7 +70,7 @@ def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Seque
 
 
 def inclusive_gradients(
-    density: np.ndarray, view: tuple[float, float], gammas: Sequence[float], weights: np.ndarray
+    density: np.ndarray, view: View, gammas: Sequence[float], weights: np.ndarray
 ) -> list[np.ndarray]:
     """For each γ, the derivative (D, H, W) of Σ weights · I with respect to the density.
 
@@ -99,7 +100,7 @@ def gradient_tolerance(density: np.ndarray, gamma: float) -> float:
     return _position_error(density.shape) * (1 + gamma * float(density.max())) + _SUM
 
 
-def undecided(shape: tuple[int, int, int], view: tuple[float, float]) -> np.ndarray:
+def undecided(shape: tuple[int, int, int], view: View) -> np.ndarray:
     """(H, W) bool: the pixels whose ray has a sample on a wall of the grid's box, up to the error of float32."""
     return np.concatenate([on_wall.any(0) for *_, on_wall in _samples(shape, view)]).reshape(shape[1:])
 
@@ -124,9 +125,7 @@ def _sum_and_tolerance(values: np.ndarray, moved: np.ndarray, gamma: float) -> t
     return at_and_behind[0], (sensitivity * moved).sum(0) + _SUM * at_and_behind[0] + _ZERO
 
 
-def _samples(
-    shape: tuple[int, int, int], view: tuple[float, float]
-) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+def _samples(shape: tuple[int, int, int], view: View) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
     """The samples of some pixels at a time: positions (n, rays, 3), and which are in the box, which on its wall."""
     n = 2 * int(np.ceil(np.linalg.norm(shape) / 2)) + shape[0] % 2
     distances = np.arange(n) - (n - 1) / 2

@@ -10,18 +10,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tnst_mi.rendering.cameras.views import View
+
 #: Rays followed at once; bounds the memory.
 _RAYS = 2048
 
 
-def rays(shape: tuple[int, int, int], view: tuple[float, float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def rays(shape: tuple[int, int, int], view: View) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The rays through the pixel centres of a view of a grid (D, H, W), row by row from the top, some at a time.
 
     Yields:
         Points (rays, 3) nearest the grid's centre, and the viewing direction (3,).
     """
     _, rows, columns = shape
-    right, up, towards = _camera_axes(*view)
+    right, up, towards = _camera_axes(*view[:2])
     y, x = np.meshgrid((rows - 1) / 2 - np.arange(rows), np.arange(columns) - (columns - 1) / 2, indexing="ij")
     centre = (np.array(shape[::-1]) - 1) / 2
     nearest = centre + x.reshape(-1, 1) * right + y.reshape(-1, 1) * up

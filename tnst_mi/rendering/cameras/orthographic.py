@@ -40,7 +40,7 @@ class OrthographicRays:
 
     def __init__(self, width: int, height: int, spacing: float, distance: float, views: Sequence[View]) -> None:
         self.width, self.height, self.spacing, self.distance = width, height, spacing, distance
-        self.views = [(float(azimuth), float(elevation)) for azimuth, elevation in views]
+        self.views = [(float(view[0]), float(view[1])) for view in views]
         #: right, up and towards-the-camera vectors of every view: 9 numbers each.
         self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
 

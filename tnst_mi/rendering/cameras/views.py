@@ -1,7 +1,9 @@
 """Camera placement: Poisson-disc sets of views, and the camera's axes for one view.
 
-A view is (azimuth, elevation) in degrees. (0, 0) looks along -z from +z with x to the right and y up;
-+azimuth moves the camera towards +x, +elevation moves it up.
+A view looks at the centre of the grid. It is (azimuth, elevation) in degrees: (0, 0) looks along -z from +z with x to
+the right and y up; +azimuth moves the camera towards +x, +elevation moves it up. Such a view is orthographic. One of
+(azimuth, elevation, distance) is in perspective, from a point at that distance, in full-resolution cells; pixels are as
+far apart as in the orthographic view in the plane through the centre that faces the camera.
 """
 
 from __future__ import annotations
@@ -14,8 +16,8 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import smoke_box
 
-#: (azimuth, elevation) in degrees.
-View = tuple[float, float]
+#: (azimuth, elevation) in degrees, or (azimuth, elevation, distance): see the top of this file.
+View = tuple[float, float] | tuple[float, float, float]
 
 # Darts thrown at one radius before it shrinks; the first radius relative to the densest packing; the factor by which it
 # shrinks; and the fraction of the first radius below which points may coincide, so that the search ends even in ranges
@@ -118,7 +120,7 @@ def fitted_size(
 
 def common_size(shape: tuple[int, int, int], views: Sequence[View]) -> tuple[int, int]:
     """Rows and columns of an image that shows all of a grid (D, H, W) in each of some views; see `fitted_size`."""
-    sizes = [fitted_size(shape, (azimuth, azimuth), (elevation, elevation)) for azimuth, elevation in views]
+    sizes = [fitted_size(shape, (azimuth, azimuth), (elevation, elevation)) for azimuth, elevation, *_ in views]
     rows, columns = zip(*sizes, strict=True)
     return max(rows), max(columns)
 
