@@ -7,8 +7,8 @@ Of every frame, that is the scene's active camera, also where markers change it,
 perspective or orthographic, its field of view as the sensor's fit and the resolution make it, its aspect with that of
 the pixels, its shift. Lens effects are left out. Frames are those of the scene unless --frames says otherwise.
 
-A fluid's cache lies along the axes of its domain object, whatever the object's rotation. --relative-to DOMAIN writes the
-camera in that object's axes and from its origin, for frames read with the --origin that `tnst-mi info` names.
+A fluid's cache lies along the axes of its domain object, whatever the object's rotation. --relative-to DOMAIN writes
+the camera in that object's axes and from its origin, for frames read with the --origin that `tnst-mi info` names.
 
 Started by Python, it starts Blender (`apt-get install blender`, or --blender PROGRAM). Exit codes: 0 done, 1 Blender
 failed, 2 bad input.
@@ -107,7 +107,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="export_camera.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE.blend", help="the scene; in Blender, the open one")
+    parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE.blend", help="a scene; in Blender, the open one")
     parser.add_argument("--out", type=Path, required=True, metavar="SHOT.json", help="the file of cameras to write")
     parser.add_argument("--camera", metavar="NAME", help="the camera (default: the active one of each frame)")
     parser.add_argument("--frames", metavar="A:B", help="first and last frame (default: those of the scene)")

@@ -81,9 +81,9 @@ class Recipe(Reading, Resources, Method, Goals):
     """The share of each picture of `style`, 0 or more: all 1 except in a recipe from `at`. Never read from a file or
     written to one."""
     shots: tuple[_View, ...] = ()
-    """Where `camera` sees the smoke of each frame of a run from, in their order: (azimuth, elevation) in degrees, and of
-    a perspective one the distance from the grid's centre in cells. Of one frame's recipe, its own. Set by a run, never
-    read from a file or written to one."""
+    """Where `camera` sees the smoke of each frame of a run from, in their order: (azimuth, elevation) in degrees, and
+    of a perspective one the distance from the grid's centre in cells. Of one frame's recipe, its own. Set by a run,
+    never read from a file or written to one."""
     given: frozenset[str] = field(init=False, repr=False, compare=False)
     """The keys that were given, rather than left to the defaults or the preset. Derived, never a key of a file."""
 
@@ -212,7 +212,8 @@ class Recipe(Reading, Resources, Method, Goals):
             (azimuth, elevation), or (azimuth, elevation, distance) of a perspective view.
 
         Example:
-            >>> Recipe(shots=((30.0, 5.0, 200.0),)).view(-10.0, 1.0)
+            >>> import tnst_mi
+            >>> tnst_mi.Recipe(shots=((30.0, 5.0, 200.0),)).view(-10.0, 1.0)
             (20.0, 6.0, 200.0)
         """
         if not self.shots:

@@ -179,7 +179,7 @@ def digests(measures: Sequence[Measure]) -> dict[str, str]:
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:
-    """The SHA-256 of the pictures, the maps, the masks, the light and the cameras that a recipe names, by their paths."""
+    """The SHA-256 of the pictures, maps, masks, light and cameras that a recipe names, by their paths."""
     paths = [*recipe.style, *recipe.content, *(str(file) for _, file in recipe.maps), recipe.light]
     paths += mask_files(recipe)
     paths += [] if recipe.camera is None else [str(file_and_name(recipe.camera)[0])]

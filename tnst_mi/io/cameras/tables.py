@@ -59,7 +59,8 @@ class TableCameras:
             InputError: the frame has none.
         """
         if not self.by_frame:
-            return self._camera(self.always, up)
+            with naming(Path(self.name)):
+                return self._camera(self.always, up)
         if number is None:
             raise InputError(f"{self.name}: its cameras are of numbered frames, and the smoke's have no numbers")
         if number not in self.by_frame:

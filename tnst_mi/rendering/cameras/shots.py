@@ -60,9 +60,7 @@ def camera_in_cells(camera: SceneCamera, placement: Placement | None, shape: Sha
     to_world = np.eye(4)
     to_world[:3, :3] = cells.matrix
     to_world[:3, 3] = cells.offset - (np.array(shape[::-1]) - 1) / 2
-    in_scene = Camera(
-        tuple(map(tuple, camera.to_scene)), camera.perspective, camera.field, camera.aspect, camera.shift
-    )
+    in_scene = Camera(tuple(map(tuple, camera.to_scene)), camera.perspective, camera.field, camera.aspect, camera.shift)
     return in_scene.moved(to_world)
 
 
@@ -83,7 +81,7 @@ def shot_view(camera: Camera, shape: Shape) -> ShotView:
         InputError: it is at the centre of the grid, from which there is no direction.
     """
     view = camera.centred_view
-    if not camera.perspective:
+    if len(view) == 2:
         return ShotView(view, False)
     azimuth, elevation, distance = view
     direction = np.abs(camera.position) / distance
