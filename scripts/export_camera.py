@@ -79,7 +79,8 @@ def camera_at(frame: int, name: str | None, domain: bpy.types.Object | None) -> 
         matrix = domain.evaluated_get(graph).matrix_world.normalized().inverted() @ matrix
     # The corners of the picture in the camera's own space: sensor fit, resolution, pixel aspect and shift are in them.
     corners = evaluated.data.view_frame(scene=scene)
-    (left, right), (bottom, top) = ((f(c[axis] for c in corners) for f in (min, max)) for axis in range(2))
+    across, above = [corner.x for corner in corners], [corner.y for corner in corners]
+    left, right, bottom, top = min(across), max(across), min(above), max(above)
     width, height = right - left, top - bottom
     table: dict[str, Any] = {"matrix": [[round(value, DIGITS) for value in row] for row in matrix]}
     if camera.data.type == "PERSP":

@@ -154,9 +154,7 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
     if arguments.camera is not None:
         if path_traced:
-            raise InputError(
-                "--camera: is of emission_absorption; the studio of a look has its own, see --views"
-            )
+            raise InputError("--camera: is of emission_absorption; the studio of a look has its own, see --views")
         others = {"fit": arguments.fit, "turntable": arguments.turntable is not None}
         if beside := [flag for flag, there in others.items() if there]:
             raise InputError(f"--camera and --{beside[0]}: a shot has its own framing; give one of them")

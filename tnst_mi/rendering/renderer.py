@@ -23,7 +23,9 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int, require_indexable
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.turns import turn
+from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
+from tnst_mi.rendering.cameras.perspective import ConvergingRays, ViewpointRays, rays_of
 from tnst_mi.rendering.cameras.views import View, common_size
 from tnst_mi.rendering.march.grid_march import GridMarch
 from tnst_mi.rendering.march.lattice import Lattice
@@ -43,19 +45,19 @@ class Renderer(ABC):
     images and derivatives.
     """
 
-    def render(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int] = (0,)) -> mi.TensorXf:
+    def render(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int] = (0,)) -> mi.TensorXf:
         """Images (V, H, W) of a density (D, H, W), differentiable with respect to it; row 0 is at the top."""
         return dr.custom(_Render, density, self, tuple(views), tuple(seed))
 
     @abstractmethod
-    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+    def images(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
 
     @abstractmethod
     def gradient(
         self,
         density: mi.TensorXf,
-        views: Sequence[View],
+        views: Sequence[Viewpoint],
         seed: Sequence[int],
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
@@ -63,7 +65,7 @@ class Renderer(ABC):
         """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
 
     def tangent(
-        self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int], change: mi.TensorXf
+        self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int], change: mi.TensorXf
     ) -> mi.TensorXf:
         """The derivative of the images (V, H, W) along a change (D, H, W) of the density."""
         raise NotImplementedError(f"{type(self).__name__} has no forward-mode derivatives")
@@ -73,7 +75,7 @@ class _Render(dr.CustomOp):
     """density → images, by any renderer."""
 
     def eval(
-        self, density: mi.TensorXf, renderer: Renderer, views: tuple[View, ...], seed: tuple[int, ...]
+        self, density: mi.TensorXf, renderer: Renderer, views: tuple[Viewpoint, ...], seed: tuple[int, ...]
     ) -> mi.TensorXf:
         self.density, self.renderer, self.arguments = dr.detach(density), renderer, (views, seed)
         with turn(), dr.suspend_grad():
@@ -128,17 +130,17 @@ class EmissionAbsorptionRenderer(Renderer):
         self._step = step or h
         self._integrator = _integrator(mi.variant(), gamma, quadrature, self._step)
 
-    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+    def images(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
         self._place(density)
         rays = self._rays(views)
-        L = self._sample(dr.ADMode.Primal, rays.through_pixels(0, len(views)))
+        L = self._sample(dr.ADMode.Primal, rays, 0, len(views))
         return mi.TensorXf(L, (len(views), *self.size))
 
     def gradient(
         self,
         density: mi.TensorXf,
-        views: Sequence[View],
+        views: Sequence[Viewpoint],
         seed: Sequence[int],
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
@@ -154,12 +156,11 @@ class EmissionAbsorptionRenderer(Renderer):
                     count = min(at_once, len(views) - first)
                     pixel = dr.arange(mi.UInt32, count * pixels) + mi.UInt32(opaque_int(first * pixels))
                     L, δL = (dr.gather(mi.Float, image.array, pixel) for image in (images, image_gradient))
-                    adjoint = {"state_in": L, "δL": mi.Spectrum(δL, 0, 0), "parallel": rays.parallel(first, count)}
-                    self._sample(dr.ADMode.Backward, rays.through_pixels(first, count), **adjoint)
+                    self._sample(dr.ADMode.Backward, rays, first, count, state_in=L, δL=mi.Spectrum(δL, 0, 0))
             return mi.TensorXf(dr.grad(σ_t).array, self.shape)
 
     def tangent(
-        self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int], change: mi.TensorXf
+        self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int], change: mi.TensorXf
     ) -> mi.TensorXf:
         """The derivative of the images (V, H, W) along a change (D, H, W) of the density."""
         with dr.resume_grad():
@@ -167,22 +168,25 @@ class EmissionAbsorptionRenderer(Renderer):
             dr.set_grad(σ_t, mi.TensorXf(change.array, (*self.shape, 1)))
             with dr.suspend_grad():
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
-                L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
+                L = self._sample(dr.ADMode.Forward, self._rays(views), 0, len(views))
         return mi.TensorXf(L, (len(views), *self.size))
 
-    def march(self, density: mi.TensorXf, views: Sequence[View]) -> tuple[GridMarch, mi.Float]:
+    def march(self, density: mi.TensorXf, views: Sequence[Viewpoint]) -> tuple[GridMarch, mi.Float]:
         """The samples of all rays of the views in a density, without derivatives, and the distance between them."""
         self._place(density)
-        lattice = Lattice(self._medium, self._rays(views).through_pixels(0, len(views)), self._step)
+        rays = self._rays(views)
+        together = rays.together(0, len(views))
+        axis = together.axis if isinstance(together, ConvergingRays) else None
+        lattice = Lattice(self._medium, rays.through_pixels(0, len(views)), self._step, axis=axis)
         return GridMarch(self._medium, lattice), lattice.step
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
         return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape, self.size))) if on_gpu() else 1
 
-    def _rays(self, views: Sequence[View]) -> OrthographicRays:
+    def _rays(self, views: Sequence[Viewpoint]) -> OrthographicRays | ViewpointRays:
         rows, columns = self.size
-        return OrthographicRays(columns, rows, self.pixel, view_distance(self.shape, self.h), views)
+        return rays_of(views, columns, rows, self.pixel, view_distance(self.shape, self.h))
 
     def _place(self, density: mi.TensorXf, attached: bool = False) -> mi.TensorXf:
         """Set the medium's density, which stays until the next call; returns the medium's tensor."""
@@ -197,10 +201,13 @@ class EmissionAbsorptionRenderer(Renderer):
         self._medium.refresh()
         return self._medium.extinction
 
-    def _sample(self, mode: dr.ADMode, rays: mi.Ray3f, **adjoint: object) -> mi.Float:
-        """Call the integrator for some rays directly, without a film."""
-        adjoint = {"state_in": None, "δL": None} | adjoint
-        return self._integrator.sample(mode, self._medium, None, rays, active=mi.Bool(True), **adjoint)[0][0]
+    def _sample(
+        self, mode: dr.ADMode, rays: OrthographicRays | ViewpointRays, first: int, count: int, **adjoint: object
+    ) -> mi.Float:
+        """Call the integrator for the rays of `count` views directly, without a film."""
+        arguments = {"state_in": None, "δL": None, "together": rays.together(first, count)} | adjoint
+        through = rays.through_pixels(first, count)
+        return self._integrator.sample(mode, self._medium, None, through, active=mi.Bool(True), **arguments)[0][0]
 
 
 def view_samples(shape: Shape, size: tuple[int, int]) -> int:
@@ -224,7 +231,7 @@ def _integrator(variant: str, gamma: float, quadrature: str, step: float) -> mi.
 @any_array_kind("density")
 def render(
     density: mi.TensorXf,
-    view: View | Sequence[View] = (0.0, 0.0),
+    view: View | Sequence[Viewpoint] = (0.0, 0.0),
     gamma: float = 0.1,
     quadrature: str = "paper",
     h: float = 1.0,

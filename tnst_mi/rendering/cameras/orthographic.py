@@ -71,7 +71,7 @@ class OrthographicRays:
         y = (mi.Float(row) + 0.5) / opaque(len(self.views) * self.height)
         return self.through(mi.Point2f(x, y))
 
-    def parallel(self, first: int, count: int) -> ParallelRays | None:
+    def together(self, first: int, count: int) -> ParallelRays | None:
         """What the rays of `through_pixels(first, count)` have in common; None if a view's form a single line."""
         if min(self.width, self.height) < 2:
             return None

@@ -84,6 +84,19 @@ def sample_views(
     return views
 
 
+def distance_of(view: View) -> float | None:
+    """The distance of the eye of a view in perspective, above 0; None if it is orthographic.
+
+    Raises:
+        InputError: there is one that is not above 0.
+    """
+    if len(view) == 2:
+        return None
+    if not 0 < view[2] < math.inf:
+        raise InputError(f"view: a distance of {view[2]} given, expected a number of full-resolution cells above 0")
+    return float(view[2])
+
+
 def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the camera's right, up and towards-the-camera axes for a view given in degrees.
 

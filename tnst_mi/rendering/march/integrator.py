@@ -15,7 +15,8 @@ import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.choices import QUADRATURES
-from tnst_mi.rendering.cameras.orthographic import ParallelRays
+from tnst_mi.rendering.cameras.perspective import ConvergingRays
+from tnst_mi.rendering.march.back_projection import RaysTogether
 from tnst_mi.rendering.march.behind import NestedIntegrator, emitters_seen
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
@@ -146,13 +147,14 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         δL: mi.Spectrum | None,
         state_in: Any,
         active: mi.Bool,
-        parallel: ParallelRays | None = None,
+        together: RaysTogether | None = None,
         **kwargs: Any,  # Absorbs unused arguments
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
         """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
 
         A `GridMedium` instead of a scene is marched alone, in front of black: no rays are traced, and on a GPU no OptiX
-        is needed. Declaring the rays `parallel` makes the adjoint faster.
+        is needed. What the rays of whole viewpoints have `together` makes the adjoint faster, and aligns the samples
+        of a camera.
         """
         if isinstance(scene, mi.Scene):
             named = ray.medium if isinstance(ray, SensorRays) else None
@@ -160,13 +162,14 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             segments, end = self._segments(scene, media, ray, named, active)
             behind, on_surface = self._behind(scene, media, sampler, ray, end, active), end.surface.is_valid()
         else:
-            lattice = Lattice(scene, ray, self._sample_distance(scene))
+            axis = together.axis if isinstance(together, ConvergingRays) else None
+            lattice = Lattice(scene, ray, self._sample_distance(scene), axis=axis)
             segments, behind, on_surface = [GridSegment(scene, lattice, self._quadrature)], None, False
         if mode == dr.ADMode.Primal:
             L = self._radiance(segments, behind)
         elif mode == dr.ADMode.Backward:
             L = state_in
-            self._scatter_adjoint(segments, behind, L, δL, parallel)
+            self._scatter_adjoint(segments, behind, L, δL, together)
         else:
             L = self._tangent(segments, behind)
         valid = active & (functools.reduce(operator.or_, [segment.crossed for segment in segments], on_surface))
@@ -236,11 +239,11 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         behind: mi.Spectrum | None,
         L: Any,
         δL: mi.Spectrum,
-        parallel: ParallelRays | None,
+        together: RaysTogether | None,
     ) -> None:
         """Accumulate δL · ∂L/∂p into the gradients of all media's parameters p."""
         if len(segments) == 1:
-            segments[0].scatter_adjoint(L, δL, behind, parallel)
+            segments[0].scatter_adjoint(L, δL, behind, together)
             return
         # What each segment and everything behind it show, and its transmittance: from the back to the front.
         shown, transmittances = [behind], []
@@ -250,7 +253,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             transmittances.append(T)
         dr.eval(shown, transmittances)
         for i, segment in enumerate(segments):
-            segment.scatter_adjoint(shown[-1 - i], δL, shown[-2 - i], parallel)
+            segment.scatter_adjoint(shown[-1 - i], δL, shown[-2 - i], together)
             δL = δL * transmittances[-1 - i]
 
     def _tangent(self, segments: Sequence[Segment], behind: mi.Spectrum | None) -> Any:
