@@ -47,7 +47,7 @@ def brightest_possible(column: float, recipe: Recipe, octaves: Sequence[Octave])
 
 def _way_through(octave: Octave, view: View) -> float:
     """The longest way of a ray of a view through the box of a grid, and a sample more, in full-resolution cells."""
-    direction = np.abs(camera_frame(*view)[2])
+    direction = np.abs(camera_frame(*view[:2])[2])
     cells = np.array(octave.shape[::-1])[direction > 0] / direction[direction > 0]
     return octave.cell_size * (float(cells.min()) + 1.0)
 

@@ -149,7 +149,7 @@ def share_cut_off(density: np.ndarray, views: Sequence[View], size: tuple[int, i
     smoke, places = density[box], [(np.arange(n) - (n - 1) / 2)[s] for n, s in zip(density.shape, box, strict=True)]
 
     def lost(view: View) -> float:
-        right, up, _ = camera_frame(*view)
+        right, up, _ = camera_frame(*view[:2])
         outside: np.ndarray | bool = False
         for axis, half in ((right, size[1] / 2), (up, size[0] / 2)):
             along = [part * place for part, place in zip(axis[::-1], places, strict=True)]
