@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tnst_mi.recipe.recipe import Recipe
     from tnst_mi.rendering.cameras.camera import Camera
     from tnst_mi.rendering.cameras.views import sample_views
-    from tnst_mi.rendering.renderer import render
+    from tnst_mi.rendering.render import render
     from tnst_mi.run.api import Result, stylize
 
 #: Public names and the modules that define them; a module is imported on first use of its name.
@@ -42,7 +42,7 @@ _PUBLIC = {
     "activate": "machine.backend",
     "advect": "fields.advection",
     "load_frames": "io",
-    "render": "rendering.renderer",
+    "render": "rendering.render",
     "sample_views": "rendering.cameras.views",
     "save_frames": "io",
     "stylize": "run.api",

@@ -1,4 +1,4 @@
-"""Renderers of a density on a grid, differentiable with respect to it; emission–absorption, and the public `render`.
+"""Renderers of a density on a grid, differentiable with respect to it, and the one of emission and absorption.
 
 World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d of
 a `heterogeneous` medium, and the `emission_absorption` plugin marches through it. A medium is enough: no Mitsuba scene
@@ -14,19 +14,14 @@ from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from tnst_mi.choices import QUADRATURES
-from tnst_mi.errors import InputError
-from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
-from tnst_mi.fields.kernels import opaque_int, require_indexable
+from tnst_mi.fields.kernels import opaque_int
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.perspective import ConvergingRays, ViewpointRays, rays_of
-from tnst_mi.rendering.cameras.views import View, common_size
 from tnst_mi.rendering.march.grid_march import GridMarch
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
@@ -39,7 +34,7 @@ LARGEST_SAMPLES = 1 << 28
 
 
 class Renderer(ABC):
-    """Renders densities (D, H, W) of one grid from orthographic views.
+    """Renders densities (D, H, W) of one grid from centred views and from the cameras of shots, in any mixture.
 
     A seed is one or more integers ≥ 0 from which a renderer draws its random numbers: the same seed gives the same
     images and derivatives.
@@ -110,8 +105,9 @@ class EmissionAbsorptionRenderer(Renderer):
         h: size of a cell in full-resolution cells.
         step: distance between the samples of a ray in full-resolution cells; h if None.
         size: rows and columns of the images, around the grid's centre; those of the grid if None.
-        pixel: distance between pixels in full-resolution cells; h if None. Rays are not averaged over pixels that are
-            larger than cells: resample the density instead.
+        pixel: distance between pixels in full-resolution cells, of views in perspective in the plane through the grid's
+            centre; h if None. Cameras have their own. Rays are not averaged over pixels that are larger than cells:
+            resample the density instead.
     """
 
     def __init__(
@@ -226,72 +222,3 @@ def _medium(variant: str, shape: Shape, h: float) -> GridMedium:
 @functools.lru_cache(maxsize=64)
 def _integrator(variant: str, gamma: float, quadrature: str, step: float) -> mi.ad.integrators.common.RBIntegrator:
     return mi.load_dict({"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": step})
-
-
-@any_array_kind("density")
-def render(
-    density: mi.TensorXf,
-    view: View | Sequence[Viewpoint] = (0.0, 0.0),
-    gamma: float = 0.1,
-    quadrature: str = "paper",
-    h: float = 1.0,
-    fit: bool = False,
-) -> mi.TensorXf:
-    """Render a density as emitting and absorbing smoke (paper Eq. 11), orthographically.
-
-    Emission is the density d, extinction γ d. The view (0, 0) looks along −z from +z with x to the right and y up;
-    positive azimuth moves the camera towards +x, positive elevation moves it up. The rotation is rigid, about the
-    centre of the grid. The image has the rows and columns of the grid, as in the paper: from other views, what lies
-    beyond them is cut off. Of a grid of 48×16×12 cells, an image from the side shows a quarter. `fit` makes room.
-
-    Args:
-        density: (D, H, W), finite and ≥ 0 (not checked); 0 outside the grid.
-        view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
-        gamma: γ > 0, extinction per unit of density and full-resolution cell.
-        quadrature: "paper" (inclusive sum), "exact", "transmittance" (= γ · exact) or "integrated_transmittance" (the
-            transmittance integrated over the grid's box: empty space is bright, smoke dark).
-        h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
-        fit: take the smallest image that shows all of the grid in every view, instead of (H, W).
-
-    Returns:
-        Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
-        and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1); "integrated_transmittance" is in
-        cells, up to the length of the ray inside the box. Differentiable with respect to the density.
-
-    Raises:
-        InputError: the shape or range of an argument is not as stated, or an array is too large to be indexed.
-
-    Example:
-        >>> import torch
-        >>> import tnst_mi
-        >>> density = torch.full((4, 2, 3), 0.5, requires_grad=True)
-        >>> image = tnst_mi.render(density, quadrature="exact")  # everywhere (1 − exp(−0.1 · 4 · 0.5)) / 0.1
-        >>> image.shape, round(image[0, 0].item(), 3)
-        (torch.Size([2, 3]), 1.813)
-        >>> image.sum().backward()
-        >>> density.grad.shape
-        torch.Size([4, 2, 3])
-        >>> tnst_mi.render(density, view=[(0, 0), (30, 10)]).shape
-        torch.Size([2, 2, 3])
-        >>> tnst_mi.render(density, view=(90, 0), fit=True).shape
-        torch.Size([2, 5])
-    """
-    angles = np.asarray(view, dtype=np.float64)
-    if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():
-        raise InputError(
-            f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs"
-        )
-    if len(density.shape) != 3 or 0 in density.shape:
-        raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
-    if quadrature not in QUADRATURES:
-        raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
-    if not (0 < gamma < math.inf and 0 < h < math.inf):
-        raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
-    views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
-    require_indexable(math.prod(density.shape), "render: a density")
-    shape = tuple(density.shape)
-    size = common_size(shape, views) if fit else shape[1:]
-    require_indexable(len(views) * math.prod(size), "render: images")
-    renderer = EmissionAbsorptionRenderer(shape, float(gamma), quadrature, float(h), size=size)
-    images = renderer.render(density, views)
-    return images if angles.ndim == 2 else mi.TensorXf(images.array, size)

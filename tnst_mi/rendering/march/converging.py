@@ -64,7 +64,19 @@ class ConvergingBackProjection(BackProjection):
         origin, a, b, c, to_u, to_w, to_j = (mi.Vector3f(*numbers[i : i + 3]) for i in range(0, 21, 3))
         slope_u, slope_w, reach_u, reach_w, reach_j, scale, growth, first_plane = numbers[21:]
 
-        middle = voxel - origin + mi.Vector3f(0, 0, (RUN - 1) / 2)
+        # From here on positions are relative to the voxel. Beyond the outermost cells, which repeat there, a sample's
+        # weight does not fall: a slope is 0.
+        origin = origin - voxel
+        falls, rises = (
+            [dr.select(at_wall, 0.0, 1.0) for at_wall in walls]
+            for walls in ([voxel[i] == last[i] for i in range(3)], [voxel[i] == 0 for i in range(3)])
+        )
+        falls += [dr.select(voxel.z + k == last.z, 0.0, 1.0) for k in range(1, RUN)]
+
+        def hat(x: mi.Float, fall: mi.Float, rise: mi.Float | float) -> mi.Float:
+            return larger(smaller(1 - fall * x, 1 + rise * x), 0)
+
+        middle = mi.Vector3f(0, 0, (RUN - 1) / 2) - origin
         u, w, plane = (dr.dot(row, middle) for row in (to_u, to_w, to_j))
         low_plane = mi.Int32(dr.ceil(larger(plane - reach_j, first_plane)))
         high_plane = mi.Int32(dr.floor(smaller(plane + reach_j, last_plane)))
@@ -72,7 +84,7 @@ class ConvergingBackProjection(BackProjection):
         def of_plane(j: mi.Int32, sums: list[mi.Float]) -> tuple[mi.Int32, list[mi.Float]]:
             number = mi.Float(j)
             spacing = dr.fma(growth, number, scale)
-            per_pixel, ahead = dr.rcp(spacing), number - plane
+            per_pixel, ahead = 1 / spacing, number - plane
             middle_u, middle_w = dr.fma(slope_u, ahead, u), dr.fma(slope_w, ahead, w)
             left, top = (
                 mi.Int32(dr.ceil(larger((centre - reach) * per_pixel, 0)))
@@ -83,23 +95,25 @@ class ConvergingBackProjection(BackProjection):
                 for centre, reach, end in ((middle_u, reach_u, last_column), (middle_w, reach_w, last_row))
             )
             across, down = a * spacing, b * spacing
-            of_row = origin + c * number + across * mi.Float(left)
-            first = plane_start + dr.fma(j, self.pixels, left)
+            corner = origin + c * number + across * mi.Float(left) + down * mi.Float(top)
+            first = plane_start + dr.fma(j, self.pixels, dr.fma(top, width, left))
 
-            # Rows and columns in one loop: lanes go on together for as long as the largest number of pixels of a lane.
-            def of_pixel(p: mi.Int32, q: mi.Int32, sums: list[mi.Float]) -> tuple[mi.Int32, mi.Int32, list[mi.Float]]:
-                position = of_row + across * mi.Float(p - left) + down * mi.Float(q)
-                index = first + dr.fma(q, width, p - left)
-                clamped = [smaller(larger(position[i], 0), last[i]) for i in range(3)]
-                x, y = (larger(1 - dr.abs(clamped[i] - voxel[i]), 0) for i in range(2))
-                value = x * y * dr.gather(mi.Float, self.values, mi.UInt32(index))
-                z = clamped[2] - voxel.z
-                sums = [dr.fma(larger(1 - dr.abs(z - i), 0), value, total) for i, total in enumerate(sums)]
-                ends = p == right
-                return dr.select(ends, left, p + 1), dr.select(ends, q + 1, q), sums
+            def of_row(q: mi.Int32, position: mi.Vector3f, index: mi.Int32, sums: list[mi.Float]) -> tuple:
+                def of_column(p: mi.Int32, at: mi.Vector3f, sums: list[mi.Float]) -> tuple:
+                    value = dr.gather(mi.Float, self.values, mi.UInt32(index + p))
+                    value *= hat(at.x, falls[0], rises[0]) * hat(at.y, falls[1], rises[1])
+                    sums = [
+                        dr.fma(hat(at.z - k, falls[2 + k], rises[2] if k == 0 else 1.0), value, total)
+                        for k, total in enumerate(sums)
+                    ]
+                    return p + 1, at + across, sums
 
-            start = (left, dr.select(left <= right, top, bottom + 1), sums)
-            return j + 1, dr.while_loop(start, lambda _, q, __: q <= bottom, of_pixel, label="pixels")[2]
+                state = (mi.Int32(0), position, sums)
+                sums = dr.while_loop(state, lambda p, *_: p <= right - left, of_column, label="columns")[2]
+                return q + 1, position + down, index + width, sums
+
+            state = (top, corner, first, sums)
+            return j + 1, dr.while_loop(state, lambda q, *_: q <= bottom, of_row, label="rows")[3]
 
         sums = [dr.zeros(mi.Float, dr.width(voxel)) for _ in range(RUN)]
         return dr.while_loop((low_plane, sums), lambda j, _: j <= high_plane, of_plane, label="planes")[1]
