@@ -17,7 +17,9 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.shapes import cell_positions
 from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.cameras.shots import camera_in_cells, shot_view, shot_views, with_shots
+from tnst_mi.rendering.cameras.views import camera_frame
 from tnst_mi.rendering.columns import views_around
+from tnst_mi.rendering.levels import full_level, levels_of
 
 SHAPE = (9, 14, 11)
 
@@ -102,6 +104,21 @@ def test_a_frame_without_a_camera_and_one_at_the_centre_are_refused(tmp_path: Pa
     with pytest.raises(InputError, match=r"frame 1: .* centre"):
         shot_views(centre, frames, SHAPE)
     assert shot_views(Recipe(), frames, SHAPE) == []
+
+
+def test_images_that_fit_have_room_for_the_grid_from_the_nearest_shot() -> None:
+    """Oracle: the farthest corner's image in any view of either frame, of the full grid and of an octave."""
+    recipe = Recipe(fit=True, shots=((20.0, 10.0, 40.0), (60.0, -5.0, 30.0)), azimuth=(-6, 6), elevation=(-3, 3))
+    corners = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3) * SHAPE[::-1]
+    for level in (full_level(recipe, SHAPE), levels_of(dataclasses.replace(recipe, octaves=2), SHAPE)[0]):
+        for shot in recipe.shots:
+            for across, above in ((-6, -3), (0, 0), (6, 3), (6, -3), (-6, 3)):
+                right, up, towards = camera_frame(shot[0] + across, shot[1] + above)
+                nearness = shot[2] / (shot[2] - corners @ towards) / level.pixel
+                assert np.abs(corners @ up * nearness).max() <= level.size[0] / 2 + 1e-6
+                assert np.abs(corners @ right * nearness).max() <= level.size[1] / 2 + 1e-6
+    with pytest.raises(InputError, match="no image shows all of a grid"):
+        full_level(dataclasses.replace(recipe, shots=((0.0, 0.0, 4.6),)), SHAPE)
 
 
 def test_ranges_are_offsets_around_the_shot() -> None:

@@ -50,7 +50,8 @@ def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
     finest = [n if n == 1 or rows == shape[1] else max(1, round(n * rows / shape[1])) for n in shape]
     levels = []
     for seen in octaves(finest, recipe.octaves, recipe.scale_factor):
-        pixel, size = shape[1] / seen.shape[1], image_size(recipe, seen.shape)
+        pixel = shape[1] / seen.shape[1]
+        size = image_size(recipe, seen.shape, pixel)
         # Octaves of the input's own grid may have as many rows as it: one row stays one.
         finer = seen.shape[1] >= shape[1] and rows > shape[1]
         levels.append(Level(shape, 1.0, size, pixel) if finer else Level(seen.shape, pixel, size, pixel))
