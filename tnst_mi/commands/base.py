@@ -16,6 +16,7 @@ from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
 from tnst_mi.io.cameras.reading import Cameras, read_cameras
 from tnst_mi.machine.terminal import printable
+from tnst_mi.recipe.combinations import require_unmirrored
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.keyframes import with_keyframes
 from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
@@ -131,12 +132,19 @@ def say(lines: Iterable[str]) -> None:
         print(printable(line), file=sys.stderr)
 
 
-def cameras_of(text: str, views: Sequence[str], default: Sequence[str]) -> Cameras:
+def cameras_of(text: str, views: Sequence[str], default: Sequence[str], flip: str | None) -> Cameras:
     """The cameras of --camera, which stands in place of --views.
 
+    Args:
+        text: of the flag.
+        views: the texts of --views.
+        default: what these are if they are not given.
+        flip: the axes that are mirrored on reading.
+
     Raises:
-        InputError: views are given too, or the file cannot be read.
+        InputError: views are given too, the smoke is mirrored, or the file cannot be read.
     """
+    require_unmirrored(flip)
     if tuple(views) != tuple(default):
         raise InputError(f"--camera {text} and --views {' '.join(views)}: both say from where; give one")
     return read_cameras(str(expanded(Path(text))))

@@ -39,11 +39,11 @@ _GRADIENT_SHARE = 4
 def run(arguments: CompareArguments) -> int:
     """Measure, write the report, print the verdict."""
     settings = _settings(arguments)
-    camera = arguments.camera
-    cameras = None if camera is None else cameras_of(camera, arguments.views, COMPARE_VIEWS)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
     recipe = Recipe().updated_by_flags(given(arguments.reading))
+    camera = arguments.camera
+    cameras = None if camera is None else cameras_of(camera, arguments.views, COMPARE_VIEWS, recipe.flip)
     readable = Readable(open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))[:1])
     frame = next(iter(readable))
     if cameras is not None:

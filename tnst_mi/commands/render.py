@@ -50,7 +50,7 @@ def run(arguments: RenderArguments) -> int:
         raise InputError(f"--gamma {arguments.renderer.gamma}: render takes one value, keyframes are of stylize")
     views = [view_of(text) for text in arguments.views]
     shot = arguments.camera
-    cameras = None if shot is None else cameras_of(shot, arguments.views, RENDER_VIEWS)
+    cameras = None if shot is None else cameras_of(shot, arguments.views, RENDER_VIEWS, recipe.flip)
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)

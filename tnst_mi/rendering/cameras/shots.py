@@ -13,6 +13,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.geometry.placement import Placement
 from tnst_mi.io.cameras.reading import Cameras, read_cameras
 from tnst_mi.io.cameras.scene_camera import SceneCamera
+from tnst_mi.recipe.combinations import require_unmirrored
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.cameras.views import View
@@ -100,10 +101,11 @@ def shot_views(recipe: Recipe, frames: Iterable[Placed], shape: Shape) -> list[S
         shape: (D, H, W) of their grids.
 
     Raises:
-        InputError: the file of the camera cannot be read, or has none for a frame.
+        InputError: the file of the camera cannot be read, or has none for a frame, or the smoke is mirrored.
     """
     if recipe.camera is None:
         return []
+    require_unmirrored(recipe.flip)
     cameras = read_cameras(recipe.camera)
     views = []
     for frame in frames:
