@@ -141,7 +141,7 @@ def camera_files(folder: Path) -> Iterator[bytes]:
     """Cameras in TOML."""
     yield b'up_axis = "z"\nfov = 40\naspect = 1.5\n[frames.49]\nposition = [3, -4, 2]\ntarget = [0, 0, 1]\n'
     yield b"matrix = [[1, 0, 0, 3.5], [0, 1, 0, 2], [0, 0, 1, 9], [0, 0, 0, 1]]\nheight = 5\nresolution = [6, 4]\n"
-    yield b"focal_length = 50\nsensor_width = 6\naspect = 2\nshift = [0.1, -2]\nposition = [0, 1, 2]\ntarget = [0, 0, 0]\n"
+    yield b"focal_length = 5\nsensor_width = 6\naspect = 2\nshift = [0, -2]\nposition = [0, 1, 2]\ntarget = [0, 0, 0]\n"
 
 
 def camera_json_files(folder: Path) -> Iterator[bytes]:
