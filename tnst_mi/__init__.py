@@ -2,7 +2,7 @@
 
 `activate()` selects the Mitsuba variant; every public function calls it if none is active, and puts back one that it
 cannot work in. Importing the package imports Mitsuba but no other large dependency: a callback registers the plugins
-`emission_absorption` and `orthographic_views` for each variant as it becomes active, and the public names are imported
+`emission_absorption` and `camera_views` for each variant as it becomes active, and the public names are imported
 on first use.
 """
 

@@ -13,7 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.kernels import Divisor, opaque, opaque_int
+from tnst_mi.errors import InputError
+from tnst_mi.fields.kernels import Divisor, on_device, opaque, opaque_int
 from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
 from tnst_mi.rendering.cameras.views import camera_frame, distance_of
@@ -75,6 +76,13 @@ class ImagePlane:
         start = min(reach, outside + (reach - before if spread else 0.0))
         return cls(foot, towards, corner, width / columns * right, -height / rows * up, spread, start)
 
+    def starts_inside(self, size: np.ndarray) -> bool:
+        """Whether rays may start inside a box of this size (x, y, z) about the origin."""
+        eye = self.foot + self.start * self.towards
+        if self.spread and self.start * self.spread > 1 - 1e-12:
+            return bool((np.abs(eye) < size / 2).all())
+        return float(eye @ self.towards) < float(np.abs(self.towards) @ size / 2)
+
 
 @dataclass(frozen=True)
 class ConvergingRays:
@@ -116,13 +124,14 @@ class ViewpointRays:
         narrowed = [1 - plane.start * plane.spread for plane in self.planes]
         #: By viewpoint, 17 numbers: five vectors, how much of a point's distance from the axis is left where its ray
         #: starts, and the spread.
-        self.numbers = mi.Float(
+        self.numbers = on_device(
+            mi.Float,
             np.ravel(
                 [
                     [*plane.towards, *origin, *plane.corner, *plane.across, *plane.down, narrow, plane.spread]
                     for plane, origin, narrow in zip(self.planes, origins, narrowed, strict=True)
                 ]
-            ).astype(np.float32)
+            ),
         )
 
     def through(self, position: mi.Point2f, active: mi.Bool | bool = True) -> mi.Ray3f:
@@ -168,6 +177,21 @@ class ViewpointRays:
 
     def _vector(self, view: mi.UInt32, i: int, active: mi.Bool | bool) -> mi.Vector3f:
         return mi.Vector3f(*(self._number(view, 3 * i + k, active) for k in range(3)))
+
+
+def require_outside(viewpoints: Sequence[Viewpoint], shape: tuple[int, int, int], h: float, what: str) -> None:
+    """Check that no ray starts in a grid (D, H, W) of cells of size h, for what follows rays from outside alone.
+
+    Raises:
+        InputError: a camera is inside.
+    """
+    size = h * np.array(shape[::-1], float)
+    for viewpoint in viewpoints:
+        if ImagePlane.of(viewpoint, (1, 1), 1.0, 2 * float(np.linalg.norm(size))).starts_inside(size):
+            raise InputError(
+                f"{what}: a camera is inside the grid of the smoke, from where paths would miss some; expected one "
+                f"outside {' × '.join(f'{n:g}' for n in size)} cells along x, y and z about the centre"
+            )
 
 
 def rays_of(

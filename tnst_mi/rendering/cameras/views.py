@@ -97,6 +97,11 @@ def distance_of(view: View) -> float | None:
     return float(view[2])
 
 
+def text_of(view: View, between: str = ",") -> str:
+    """A view as text, such as "-10,5", or "-10,5,60" with its distance."""
+    return between.join(f"{number:g}" for number in view)
+
+
 def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the camera's right, up and towards-the-camera axes for a view given in degrees.
 

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.grid import Cells
-from tnst_mi.fields.kernels import Divisor, opaque, opaque_int, require_indexable
+from tnst_mi.fields.kernels import Divisor, on_device, opaque, opaque_int, require_indexable
 from tnst_mi.fields.stencil import larger, smaller
 from tnst_mi.rendering.cameras.orthographic import ParallelRays
 from tnst_mi.rendering.cameras.perspective import ConvergingRays
@@ -52,12 +52,12 @@ class BackProjection(ABC):
         require_indexable(pixels * int(planes.sum()), "the samples of the rays: an array")
         self.pixels = opaque_int(pixels)
         #: By view: the last plane of its lattice, and where its values begin.
-        self.last_plane = mi.Float((planes - 1).astype(np.float32))
-        self.start = mi.Int32((pixels * (np.cumsum(planes) - planes)).astype(np.int32))
+        self.last_plane = on_device(mi.Float, planes - 1)
+        self.start = on_device(mi.Int32, pixels * (np.cumsum(planes) - planes))
         #: Samples that no ray visits stay 0.
         self.values = dr.zeros(mi.Float, pixels * int(planes.sum()))
         view, pixel = Divisor(pixels).split_first(pixels * self.views)
-        self.planes_before = dr.gather(mi.Float, mi.Float(self.before.astype(np.float32)), view)
+        self.planes_before = dr.gather(mi.Float, on_device(mi.Float, self.before), view)
         #: By ray: where the value of its first sample is stored.
         self.first = mi.Int32(lattice.first + self.planes_before) * self.pixels
         self.first += dr.gather(mi.Int32, self.start, view) + mi.Int32(pixel)

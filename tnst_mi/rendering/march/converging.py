@@ -8,12 +8,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.fields.kernels import opaque, opaque_int
+from tnst_mi.fields.kernels import on_device, opaque, opaque_int
 from tnst_mi.fields.stencil import larger, smaller
 from tnst_mi.rendering.cameras.orthographic import ParallelRays
 from tnst_mi.rendering.cameras.perspective import ConvergingRays, ImagePlane
 from tnst_mi.rendering.march.back_projection import RUN, BackProjection, ParallelBackProjection, RaysTogether
-from tnst_mi.rendering.march.lattice import Lattice
+from tnst_mi.rendering.march.lattice import AT_EYE, Lattice
 from tnst_mi.rendering.march.medium import GridMedium, GridTransform
 
 
@@ -40,7 +40,7 @@ class ConvergingBackProjection(BackProjection):
         phase = 0.0 if self.shape[0] % 2 else 0.5
         #: Each of the numbers of `_lattice_of`, by view.
         self.numbers = [
-            mi.Float(np.array(values, np.float32))
+            on_device(mi.Float, values)
             for values in zip(
                 *(
                     _lattice_of(plane, medium.transform, self.shape, lattice.spacing, phase - before)
@@ -153,7 +153,7 @@ def _lattice_of(
     slopes = [_least_reach(row, to_j, reach) for row in (to_u, to_w)]
     reaches = [float(np.abs(row) @ reach) for row in (to_u - slopes[0] * to_j, to_w - slopes[1] * to_j, to_j)]
     # Planes at and behind the eye have no samples.
-    in_front = math.floor(-scale / growth) + 1 if growth else 0
+    in_front = math.ceil(AT_EYE / 2 - scale / growth) if growth else 0
     numbers = [*slopes, *reaches, scale, growth, max(in_front, 0)]
     return np.concatenate([origin, a, b, c, np.ravel(rows), numbers]).tolist()
 

@@ -11,6 +11,9 @@ from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.stencil import ClampedStencil
 from tnst_mi.rendering.march.medium import GridMedium
 
+#: Planes of samples nearer to the eye than this, in parts of their distance, count as being at the eye.
+AT_EYE = 1e-3
+
 
 class Lattice:
     """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
@@ -68,7 +71,8 @@ class Lattice:
         within = (origin >= -0.5) & (origin <= size - 0.5)
         low = dr.select(parallel, dr.select(within, -dr.inf, dr.inf), dr.minimum(to_low, to_high))
         high = dr.select(parallel, dr.select(within, dr.inf, -dr.inf), dr.maximum(to_low, to_high))
-        begin = dr.maximum(dr.max(low), -nearest)
+        # In planes across an axis, one at the eye itself has no samples: they would be the same for all rays.
+        begin = dr.maximum(dr.max(low), -nearest if axis is None else opaque(AT_EYE) * self.step - nearest)
         end = dr.min(high)
         if crossing is not None:
             begin = dr.maximum(begin, crossing[0] - nearest)
