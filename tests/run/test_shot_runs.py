@@ -191,3 +191,35 @@ def test_render_refuses_what_a_shot_decides(run: Run, tmp_path: Path, flags: lis
     folder = stored(tmp_path)
     ran = run("render", folder, "--out", tmp_path / "out", "--camera", tmp_path / "shot.json", *flags)
     assert ran.code == 2 and line in ran.errors[-1] and not (tmp_path / "out").exists()
+
+
+def test_compare_takes_the_view_of_a_stylization(run: Run, tmp_path: Path) -> None:
+    folder, out = stored(tmp_path), tmp_path / "out"
+    few = ("--quick", "--spp", 32, "--directions", 3, "--gamma", 0.3)
+    ran = run("compare", folder, "--out", out, "--camera", tmp_path / "shot.json", *few)
+    assert ran.code in (0, 1), ran.errors
+    (view,) = json.loads((out / "report.json").read_text("utf-8"))["settings"]["views"]
+    assert view == pytest.approx([30.0, math.degrees(math.atan2(20, 50)), math.hypot(20, 50)])
+    ran = run("compare", folder, "--out", tmp_path / "b", "--camera", tmp_path / "shot.json", "--flip", "x", *few)
+    assert ran.code == 2 and "flip = 'x' mirrors the smoke" in ran.errors[-1]
+
+
+def test_a_run_says_that_its_camera_is_inside_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = smoke()
+    depth, rows, columns = frames[0].density.shape
+    middle = 0.05 * (np.array([columns, depth, rows]) - 1)
+    keys = {
+        "position": (middle + np.array([0.2, -0.3, 0.1])).tolist(),
+        "target": middle.tolist(),
+        "fov": 60,
+        "aspect": 1,
+    }
+    (tmp_path / "in.json").write_text(json.dumps(keys), "utf-8")
+    result = tnst_mi.stylize(frames[0], RECIPE | {"camera": str(tmp_path / "in.json")}, progress=True)
+    said = capsys.readouterr().err
+    assert (
+        f"warning: {frames[0].name}: the camera is inside the grid; the smoke is seen from where its direction" in said
+    )
+    # Along (0.2, 0.1, 0.3) in our axes, the side z of the grid is reached first.
+    (view,) = result.run["shots"].values()
+    assert view[2] == pytest.approx(depth / 2 * math.sqrt(0.2**2 + 0.1**2 + 0.3**2) / 0.3)
