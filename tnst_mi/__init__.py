@@ -2,7 +2,7 @@
 
 `activate()` selects the Mitsuba variant; every public function calls it if none is active, and puts back one that it
 cannot work in. Importing the package imports Mitsuba but no other large dependency: a callback registers the plugins
-`emission_absorption` and `orthographic_views` for each variant as it becomes active, and the public names are imported
+`emission_absorption` and `camera_views` for each variant as it becomes active, and the public names are imported
 on first use.
 """
 
@@ -27,12 +27,14 @@ if TYPE_CHECKING:
     from tnst_mi.machine.backend import activate
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.recipe.recipe import Recipe
+    from tnst_mi.rendering.cameras.camera import Camera
     from tnst_mi.rendering.cameras.views import sample_views
-    from tnst_mi.rendering.renderer import render
+    from tnst_mi.rendering.render import render
     from tnst_mi.run.api import Result, stylize
 
 #: Public names and the modules that define them; a module is imported on first use of its name.
 _PUBLIC = {
+    "Camera": "rendering.cameras.camera",
     "Frame": "frame",
     "GoogLeNet": "network.googlenet",
     "Recipe": "recipe.recipe",
@@ -40,7 +42,7 @@ _PUBLIC = {
     "activate": "machine.backend",
     "advect": "fields.advection",
     "load_frames": "io",
-    "render": "rendering.renderer",
+    "render": "rendering.render",
     "sample_views": "rendering.cameras.views",
     "save_frames": "io",
     "stylize": "run.api",
@@ -48,6 +50,7 @@ _PUBLIC = {
 }
 
 __all__ = [
+    "Camera",
     "Frame",
     "GoogLeNet",
     "InputError",

@@ -1,11 +1,13 @@
-"""Undamaged files of smoke, of recipes and of pictures, small ones in every variant that the readers know."""
+"""Undamaged files of smoke, recipes, cameras and pictures, small ones in every variant that the readers know."""
 
 from __future__ import annotations
 
 import gzip
 import importlib.util
 import io
+import json
 import struct
+import tomllib
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -133,6 +135,19 @@ def recipe_files(folder: Path) -> Iterator[bytes]:
     yield b"\xef\xbb\xbfseed = 3\r\noctaves = 3\r\nstyle = ['C:\\smoke\\fire.png']\r\n"
     yield b'content = ["flames"]\ndensity_scale = "auto"\nup = "z"\nflip = "x"\nmatch = ["logits:map.npy"]\n'
     yield b".".join([b"a"] * 20_000) + b" = 1\n"
+
+
+def camera_files(folder: Path) -> Iterator[bytes]:
+    """Cameras in TOML."""
+    yield b'up_axis = "z"\nfov = 40\naspect = 1.5\n[frames.49]\nposition = [3, -4, 2]\ntarget = [0, 0, 1]\n'
+    yield b"matrix = [[1, 0, 0, 3.5], [0, 1, 0, 2], [0, 0, 1, 9], [0, 0, 0, 1]]\nheight = 5\nresolution = [6, 4]\n"
+    yield b"focal_length = 5\nsensor_width = 6\naspect = 2\nshift = [0, -2]\nposition = [0, 1, 2]\ntarget = [0, 0, 0]\n"
+
+
+def camera_json_files(folder: Path) -> Iterator[bytes]:
+    """The same in JSON."""
+    for text in camera_files(folder):
+        yield json.dumps(tomllib.loads(text.decode())).encode()
 
 
 def picture_files(folder: Path) -> Iterator[bytes]:

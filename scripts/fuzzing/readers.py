@@ -13,6 +13,7 @@ from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.commands import info
 from tnst_mi.commands.arguments import InfoArguments
 from tnst_mi.errors import InputError
+from tnst_mi.io.cameras.reading import read_cameras
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.optimisation.items.store import FolderStore
@@ -99,6 +100,8 @@ READERS = {
     "uni": Reader("density_0001.uni", corpus.uni_files, _described_and_loaded),
     "vol": Reader("density_0001.vol", corpus.vol_files, _described_and_loaded),
     "toml": Reader("recipe.toml", corpus.recipe_files, Recipe.from_toml),
+    "cameras": Reader("shot.toml", corpus.camera_files, lambda path: read_cameras(str(path))),
+    "cameras_json": Reader("shot.json", corpus.camera_json_files, lambda path: read_cameras(str(path))),
     "picture": Reader("style.png", corpus.picture_files, read_image),
     "exr": Reader("style.exr", corpus.exr_files, read_image),
     "radiance": Reader("style.hdr", corpus.radiance_files, read_image),

@@ -467,7 +467,7 @@ def test_the_version(run: Run) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("stylize a --out b --camera 10", "unexpected '--camera'; did you mean --azimuth?"),
+        ("stylize a --out b --angle 10", "unexpected '--angle'; did you mean --azimuth?"),
         ("stylize a --out b --intensity=2", "unexpected '--intensity'; did you mean --strength?"),
         ("stylize a --out b --learning-rate 2", "did you mean --eta?"),
         ("stylize a --out b --style-image x.png", "did you mean --style?"),

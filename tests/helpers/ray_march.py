@@ -71,16 +71,34 @@ def samples(
     return trilinear(grid.astype(np.float64), local * size + (size - 1) / 2) * visible
 
 
+def through_eye(
+    density: np.ndarray, eye: np.ndarray, axes: np.ndarray, pixels: np.ndarray, gamma: float, quadrature: str, h: float
+) -> np.ndarray:
+    """The image (rays,) from an eye in world space, its axes right, up and towards the rows of `axes`.
+
+    Pixels (rays, 2) are right and up from the axis at a depth of 1. Samples lie in planes h apart across the axis; of
+    the number of planes, which has the parity of D, half are beyond the grid's centre. There is none at the eye.
+    """
+    size = np.array(density.shape[::-1])
+    directions = pixels @ axes[:2] - axes[2]
+    n = 2 * int(np.ceil(np.linalg.norm(size))) + density.shape[0] % 2
+    depth = eye @ axes[2] + (np.arange(n) - (n - 1) / 2) * h
+    points = eye + depth[:, None] * directions[:, None]
+    exists = (np.abs(points) <= h * size / 2).all(-1) & (depth > 1e-3 * h)
+    values = trilinear(density.astype(np.float64), points / h + (size - 1) / 2) * exists
+    return radiance(values, gamma, h * np.linalg.norm(directions, axis=1)[:, None], quadrature, exists)
+
+
 def radiance(
-    values: np.ndarray, gamma: float, step: float, quadrature: str, exists: np.ndarray | None = None
+    values: np.ndarray, gamma: float, step: float | np.ndarray, quadrature: str, exists: np.ndarray | None = None
 ) -> np.ndarray:
     """Images (rays,) of density samples (rays, samples); "integrated_transmittance" needs 1 where samples `exist`."""
     depth = gamma * step * np.cumsum(values, -1)
     if quadrature == "paper":
-        return step * (values * np.exp(-depth)).sum(-1)
+        return (step * values * np.exp(-depth)).sum(-1)
     if quadrature == "integrated_transmittance":
         assert exists is not None
-        return step * (exists * np.exp(-depth)).sum(-1)
+        return (step * exists * np.exp(-depth)).sum(-1)
     opacity = -np.expm1(-depth[:, -1])
     return opacity if quadrature == "transmittance" else opacity / gamma
 

@@ -20,6 +20,8 @@ from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.silhouette import displacement_allowed, distance_inside
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import camera_frame
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 GOAL = {
     "semantic": ("inception_3a/3x3:2",),
@@ -43,6 +45,31 @@ def test_distances_are_those_to_the_nearest_pixel_outside(shape: tuple[int, int]
         [np.hypot(*(outside - place).T).min() for place in row] for row in np.moveaxis(np.indices(padded.shape), 0, -1)
     ]
     np.testing.assert_allclose(distance_inside(mask), np.array(expected)[1:-1, 1:-1])
+
+
+@pytest.mark.parametrize("view", [(0.0, 0.0, 45.0), (35.0, 20.0, 60.0), (-70.0, -10.0, 300.0)])
+def test_in_perspective_no_movement_within_what_is_allowed_takes_a_cell_out_of_the_outline(
+    view: tuple[float, float, float],
+) -> None:
+    """Oracle: every cell of a ball is moved as far as it may be in 40 directions, and projected."""
+    shape, keep = (30, 40, 34), 0.5
+    recipe = dataclasses.replace(RECIPE, azimuth=(0.0, 0.0), elevation=(0.0, 0.0), shots=(view,))
+    density = ball(shape, 12.0)
+    allowed = displacement_allowed(density, recipe, shape[1:], keep)
+    assert allowed[shape[0] // 2, shape[1] // 2, shape[2] // 2] > 6.0
+    freed = (allowed > keep + 1e-6) & (density > 0)
+    z, y, x = np.nonzero(freed)
+    cells = np.stack([x, y, z], axis=-1) - (np.array(shape[::-1]) - 1) / 2
+    renderer = EmissionAbsorptionRenderer(shape, recipe.gamma, "transmittance", 1.0)
+    outline = renderer.render(mi.TensorXf(density), [view]).numpy()[0] > 0.05
+    right, up, towards = camera_frame(*view[:2])
+    directions = np.random.default_rng(3).normal(size=(40, 3))
+    for direction in directions / np.linalg.norm(directions, axis=1, keepdims=True):
+        places = cells + allowed[freed][:, None] * direction
+        nearness = view[2] / (view[2] - places @ towards)
+        row = np.rint((shape[1] - 1) / 2 - places @ up * nearness).astype(int)
+        column = np.rint((shape[2] - 1) / 2 + places @ right * nearness).astype(int)
+        assert outline[row, column].all()
 
 
 def ball(shape: tuple[int, int, int], radius: float) -> np.ndarray:

@@ -46,6 +46,7 @@ CHANGED: dict[str, Any] = {
     "scale_factor": 1.5,
     "iterations": 7,
     "views": 1,
+    "camera": str(Path(__file__).resolve()),
     "azimuth": (80.0, 110.0),
     "elevation": (0.0, 0.0),
     "fit": True,
@@ -115,7 +116,7 @@ def test_the_defaults_are_the_published_ones() -> None:
 
 
 def test_every_key_is_documented_and_has_a_kind() -> None:
-    derived = {"keyframes", "style_shares", "given"}
+    derived = {"keyframes", "style_shares", "shots", "given"}
     names = [field.name for field in dataclasses.fields(Recipe) if field.name not in derived]
     assert set(CHANGED) == set(KINDS) == set(names) == set(documentation())
     assert list(KINDS) == names == list(documentation())

@@ -1,4 +1,4 @@
-"""The `orthographic_views` sensor: where its rays start and point, and the order of the views on the film."""
+"""The `camera_views` sensor: where its rays start and point, and the order of the views on the film."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WIDTH, HEIGHT, SPACING, DISTANCE = 5, 4, 1.8, 70.0
 
 
 def sensor(view_count: int = len(VIEWS), height: int = HEIGHT * len(VIEWS)) -> mi.Sensor:
-    description = {"type": "orthographic_views", "view_count": view_count, "spacing": SPACING, "distance": DISTANCE}
+    description = {"type": "camera_views", "view_count": view_count, "spacing": SPACING, "distance": DISTANCE}
     return mi.load_dict(description | film(WIDTH, height))
 
 

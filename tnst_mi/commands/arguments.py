@@ -20,6 +20,9 @@ from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
 #: What renders the pictures of `render`, and how dense smoke appears in the studio.
 INTEGRATOR, LOOK = Choice(("emission_absorption", "prbvolpath", "volpath")), Choice(LOOKS)
 
+#: Views of `render` and of `compare`, unless others or a camera are given.
+RENDER_VIEWS, COMPARE_VIEWS = ("0,0",), ("0,0", "35,12", "-80,-25")
+
 #: Defaults of `compare` without --quick.
 FULL_SPP, FULL_DIRECTIONS = 256, 64
 
@@ -102,8 +105,11 @@ class RenderArguments(Arguments):
     """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the pictures."""
-    views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0",)
+    views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = RENDER_VIEWS
     """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="FILE[#NAME]", help_behavior_hint="(default: --views)")] = None
+    """Camera of the shot (docs/cameras.md): every frame is rendered in its framing, with the rows of the grid or in
+    --resolution."""
     turntable: Annotated[str | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: no video)")] = None
     """Make a video of one turn around the smoke in N pictures, from the given view, while a sequence plays once."""
     fit: bool = False
@@ -151,8 +157,10 @@ class CompareArguments(Arguments):
     """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     out: Folder
     """New or empty folder for the report."""
-    views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = ("0,0", "35,12", "-80,-25")
+    views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = COMPARE_VIEWS
     """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="FILE[#NAME]", help_behavior_hint="(default: --views)")] = None
+    """Camera of the shot (docs/cameras.md): the view is the one from where it stands, as a stylization has it."""
     gamma: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NUMBER…")] = ("0.05", "0.5", "2")
     """Extinction γ per cell at density 1, one or more."""
     spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_SPP})")] = None

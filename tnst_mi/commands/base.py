@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,11 +14,14 @@ import tyro
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.frame import Frame
+from tnst_mi.io.cameras.reading import Cameras, read_cameras
 from tnst_mi.machine.terminal import printable
+from tnst_mi.recipe.combinations import require_unmirrored
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.keyframes import with_keyframes
 from tnst_mi.recipe.keys import Kind, Number, Switch, Texts
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
+from tnst_mi.resources import expanded
 from tnst_mi.run.inputs import reference_density
 
 #: Earlier names of flags, which still work.
@@ -127,6 +130,24 @@ def say(lines: Iterable[str]) -> None:
     """Print lines on stderr."""
     for line in lines:
         print(printable(line), file=sys.stderr)
+
+
+def cameras_of(text: str, views: Sequence[str], default: Sequence[str], flip: str | None) -> Cameras:
+    """The cameras of --camera, which stands in place of --views.
+
+    Args:
+        text: of the flag.
+        views: the texts of --views.
+        default: what these are if they are not given.
+        flip: the axes that are mirrored on reading.
+
+    Raises:
+        InputError: views are given too, the smoke is mirrored, or the file cannot be read.
+    """
+    require_unmirrored(flip)
+    if tuple(views) != tuple(default):
+        raise InputError(f"--camera {text} and --views {' '.join(views)}: both say from where; give one")
+    return read_cameras(str(expanded(Path(text))))
 
 
 def view_of(text: str) -> tuple[float, float]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import statistics
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from tnst_mi.commands.arguments import FULL_DIRECTIONS, FULL_SPP, CompareArguments
-from tnst_mi.commands.base import checked, given, say, unit_of, view_of
+from tnst_mi.commands.arguments import COMPARE_VIEWS, FULL_DIRECTIONS, FULL_SPP, CompareArguments
+from tnst_mi.commands.base import cameras_of, checked, given, say, unit_of, view_of
 from tnst_mi.compare.comparison import Settings, compare, require_light
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
@@ -19,6 +20,7 @@ from tnst_mi.machine.optix import require_optix
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
+from tnst_mi.rendering.cameras.shots import camera_of, shot_view
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
 
@@ -40,8 +42,13 @@ def run(arguments: CompareArguments) -> int:
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
     recipe = Recipe().updated_by_flags(given(arguments.reading))
+    camera = arguments.camera
+    cameras = None if camera is None else cameras_of(camera, arguments.views, COMPARE_VIEWS, recipe.flip)
     readable = Readable(open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))[:1])
     frame = next(iter(readable))
+    if cameras is not None:
+        shape = frame.density.shape
+        settings = replace(settings, views=(shot_view(camera_of(cameras, frame, shape), shape).view,))
     unit = unit_of([frame], arguments.density_scale)
     density = scaled(frame.density, unit.factor)
     if not density.any():

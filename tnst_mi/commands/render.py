@@ -10,11 +10,12 @@ from contextlib import nullcontext
 
 from tqdm import tqdm
 
-from tnst_mi.commands.arguments import INTEGRATOR, LOOK, RenderArguments
-from tnst_mi.commands.base import checked, given, say, unit_of, view_of
+from tnst_mi.commands.arguments import INTEGRATOR, LOOK, RENDER_VIEWS, RenderArguments
+from tnst_mi.commands.base import cameras_of, checked, given, say, unit_of, view_of
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
+from tnst_mi.io.cameras.reading import Cameras
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
@@ -24,8 +25,10 @@ from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
+from tnst_mi.rendering.cameras.shots import camera_of
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
+from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
 from tnst_mi.run.inputs import ScaledFrames, conventions_of
 from tnst_mi.run.readable import Readable
 
@@ -46,6 +49,8 @@ def run(arguments: RenderArguments) -> int:
     if recipe.keyframes:
         raise InputError(f"--gamma {arguments.renderer.gamma}: render takes one value, keyframes are of stylize")
     views = [view_of(text) for text in arguments.views]
+    shot = arguments.camera
+    cameras = None if shot is None else cameras_of(shot, arguments.views, RENDER_VIEWS, recipe.flip)
     size = _size(studio.resolution or "288x384")
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
@@ -55,6 +60,12 @@ def run(arguments: RenderArguments) -> int:
     unit = unit_of(readable, arguments.density_scale or ("auto" if path_traced else "1"))
     frames = ScaledFrames(readable.frames(), unit.factor)
     activate(recipe.variant)
+    if cameras is not None:
+        say(readable.lines())
+        unit.note()
+        width, height = size
+        _write_shot(arguments, frames, cameras, recipe, (height, width) if studio.resolution else None)
+        return 0
     if turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
     else:
@@ -110,6 +121,22 @@ def _write(
             bar.update()
 
 
+def _write_shot(
+    arguments: RenderArguments, frames: Sequence[Frame], cameras: Cameras, recipe: Recipe, size: tuple[int, int] | None
+) -> None:
+    """Render and write every frame as its own camera frames it."""
+    shape = frames[0].density.shape
+    in_cells = [camera_of(cameras, frame, shape) for frame in frames]
+    thick = recipe.gamma if arguments.look is None else gamma(arguments.look, shape)
+    painter = ShotPainter(frames, in_cells, thick, recipe.quadrature, shot_size(in_cells, shape, size))
+    attributes = {"gamma": thick, "quadrature": recipe.quadrature, "exposure": painter.exposure}
+    for frame, camera in zip(progress_bar(frames, "rendering", unit="picture"), in_cells, strict=True):
+        image, file = painter.paint(frame.density, camera), arguments.out / f"{frame.name}_camera"
+        write_png(file.with_name(f"{file.name}.png"), image)
+        write_exr(file.with_name(f"{file.name}.exr"), image, {"camera": str(arguments.camera), **attributes})
+        tqdm.write(f"picture   {file}.png and {file.name}.exr", file=sys.stdout)
+
+
 def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[Shot, Frame]]:
     """Every shot with the frame it shows, which is read once for consecutive shots of it."""
     for index, group in itertools.groupby(shots, key=lambda shot: shot.frame):
@@ -125,13 +152,21 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
             checked(flag, text, kind)
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
+    if arguments.camera is not None:
+        if path_traced:
+            raise InputError("--camera: is of emission_absorption; the studio of a look has its own, see --views")
+        others = {"fit": arguments.fit, "turntable": arguments.turntable is not None}
+        if beside := [flag for flag, there in others.items() if there]:
+            raise InputError(f"--camera and --{beside[0]}: a shot has its own framing; give one of them")
     if path_traced and arguments.fit:
         raise InputError("--fit: is of emission_absorption; a path tracer's camera always shows all of the grid")
     if path_traced:
         others = {"gamma": renderer.gamma, "quadrature": renderer.quadrature}
         remedy = "is of emission_absorption; for a path tracer use --look"
     else:
-        others = {"spp": studio.spp, "seed": studio.seed, "resolution": studio.resolution}
+        others = {"spp": studio.spp, "seed": studio.seed}
+        if arguments.camera is None:
+            others["resolution"] = studio.resolution
         others["denoise"] = "on" if studio.denoise else None
         remedy = "is of the path tracers, and emission_absorption has no noise and one pixel per cell; add --look"
         if arguments.look is not None and renderer.gamma is not None:

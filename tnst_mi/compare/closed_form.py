@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tnst_mi.compare.rays import Interpolation, rays
+from tnst_mi.compare.rays import Interpolation, rays, visible_from
+from tnst_mi.rendering.cameras.views import View
 
 
 def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
@@ -17,40 +18,43 @@ def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
     return -np.expm1(-gamma * columns) / gamma
 
 
-def column_density(density: np.ndarray, view: tuple[float, float]) -> np.ndarray:
+def column_density(density: np.ndarray, view: View) -> np.ndarray:
     """∫ d along the ray through each pixel centre, in density × cells: (H, W) float64, row 0 at the top.
 
     Args:
         density: (D, H, W), interpolated trilinearly, clamped to its edge values inside its box, 0 outside.
-        view: (azimuth, elevation) in degrees.
+        view: orthographic or in perspective; see `rendering.cameras.views`.
     """
     result = []
-    for origins, direction in rays(density.shape, view):
-        edges = _crossings(density.shape, origins, direction)
+    for origins, directions in rays(density.shape, view):
+        edges = np.maximum(_crossings(density.shape, origins, directions), visible_from(view))
         middle, half = (edges[:, 1:] + edges[:, :-1]) / 2, (edges[:, 1:] - edges[:, :-1]) / 2
         ray, segment = np.nonzero(half > 0)
         middle, half = middle[ray, segment], half[ray, segment]
         total = np.zeros(len(ray))
         for side in (-1, 1):
             distance = middle + side * half / np.sqrt(3)
-            points = origins[ray] + distance[:, None] * direction
+            points = origins[ray] + distance[:, None] * directions[ray]
             total += half * Interpolation(density.shape, points).of(density)
-        result.append(np.bincount(ray, total, len(origins)))
+        result.append(np.bincount(ray, total, len(origins)) * np.linalg.norm(directions, axis=1))
     return np.concatenate(result).reshape(density.shape[1:])
 
 
-def _crossings(shape: tuple[int, int, int], origins: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Sorted distances (rays, n) at which rays cross the box and the planes through the cell centres inside it."""
+def _crossings(shape: tuple[int, int, int], origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Where rays cross the box, and in it the planes through cell centres: sorted multiples (rays, n) of directions."""
     begin, end = np.full(len(origins), -np.inf), np.full(len(origins), np.inf)
     planes = []
     for axis, size in enumerate(shape[::-1]):
         position = origins[:, axis]
-        if direction[axis] == 0:
-            end[(position < -0.5) | (position > size - 0.5)] = -np.inf
-            continue
-        walls = np.sort((np.array([[-0.5], [size - 0.5]]) - position) / direction[axis], axis=0)
-        begin, end = np.maximum(begin, walls[0]), np.minimum(end, walls[1])
-        planes.append((np.arange(size) - position[:, None]) / direction[axis])
+        along = directions[:, axis]
+        parallel = along == 0
+        end[parallel & ((position < -0.5) | (position > size - 0.5))] = -np.inf
+        # A ray parallel to the planes of an axis crosses none of them.
+        step = np.where(parallel, np.inf, along)
+        walls = np.sort((np.array([[-0.5], [size - 0.5]]) - position) / step, axis=0)
+        begin = np.where(parallel, begin, np.maximum(begin, walls[0]))
+        end = np.where(parallel, end, np.minimum(end, walls[1]))
+        planes.append((np.arange(size) - position[:, None]) / step[:, None])
     # For a ray that misses the box the interval shrinks to a point.
     end = np.maximum(begin, end)
     inner = np.clip(np.concatenate(planes, axis=1), begin[:, None], end[:, None])

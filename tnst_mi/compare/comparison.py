@@ -28,7 +28,7 @@ from tnst_mi.compare.verdict import (
     value_checks,
 )
 from tnst_mi.errors import InputError
-from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.cameras.views import View, text_of
 
 #: Called with the name of the current measurement and the share of all work, 0 to 1, done since the last call.
 Report = Callable[[str, float], None]
@@ -45,7 +45,7 @@ class Settings:
     """What to compare, and how precisely.
 
     Attributes:
-        views: (azimuth, elevation) in degrees.
+        views: orthographic or in perspective; see `rendering.cameras.views`.
         gammas: extinctions γ per unit of density and cell, for the values.
         gradient_gammas: the same for the derivatives.
         spp: paths per pixel for the values.
@@ -103,7 +103,7 @@ def require_light(density: np.ndarray, settings: Settings) -> None:
             if (settings.spp * transmittance * (1 - transmittance)).max() < TESTABLE:
                 raise InputError(
                     f"compare: at gamma {gamma:g} the smoke lets nearly all paths through or nearly none in all pixels "
-                    f"of the view {view[0]:g},{view[1]:g}: nothing can be tested; give another --gamma, more --spp, or "
+                    f"of the view {text_of(view)}: nothing can be tested; give another --gamma, more --spp, or "
                     "--density-scale auto"
                 )
     thinnest = column_density(density, (0.0, 0.0)).min()

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from tnst_mi.compare.quadrature_study import STEPS, QuadratureStudy, darkening
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.rendering.cameras.views import text_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +44,7 @@ def image_figure(values: Sequence[Comparison]) -> Figure:
             sheet.show(row, column, image, title, "gray", 0.0, brightest)
         sheet.show(row, 4, difference, "prbvolpath − exact", _DIFFERENCES, -largest, largest)
         sheet.show(row, 5, compared.z, "z-score (grey: not testable)", _DIFFERENCES, -4.0, 4.0)
-        sheet.label(row, f"view {compared.view[0]:g}, {compared.view[1]:g}")
+        sheet.label(row, f"view {text_of(compared.view, ', ')}")
     return sheet.figure
 
 
@@ -130,7 +131,7 @@ def paper_figure(images: Sequence[PaperImages], gradients: Sequence[PaperGradien
         sheet.show(row, 0, compared.ours[0], "paper", "gray", 0.0, brightest)
         sheet.show(row, 1, compared.sums[0].upper, "sum in float64", "gray", 0.0, brightest)
         sheet.show(row, 2, error, "difference", _DIFFERENCES, -_largest([error]), _largest([error]))
-        sheet.label(row, f"γ = {compared.gamma:g}, view {compared.views[0][0]:g}, {compared.views[0][1]:g}")
+        sheet.label(row, f"γ = {compared.gamma:g}, view {text_of(compared.views[0], ', ')}")
         if gradient := gradient_of.get(compared.gamma):
             shown = [_projected(gradient.ours), _projected(gradient.reference)]
             difference = _projected(gradient.ours - gradient.reference)

@@ -4,6 +4,10 @@ The samples of a ray lie one cell apart, d_1 nearest the camera; sample k of n l
 nearest the grid's centre, n having the parity of D. With the optical depth τ_k = γ Σ_{i≤k} d_i, sample k included,
 
     I = Σ_k d_k exp(−τ_k)          ∂I/∂d_k = exp(−τ_k) − γ Σ_{j≥k} d_j exp(−τ_j)
+
+In perspective, samples lie in planes one cell apart across the direction of the view, one of which, or the middle
+between two, passes through the grid's centre. With the distance h of samples along a ray, d_k stands for h d_k, and
+∂I/∂d_k is h times as large.
 """
 
 from __future__ import annotations
@@ -13,11 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tnst_mi.compare.rays import Interpolation, rays
+from tnst_mi.compare.rays import Interpolation, rays, visible_from
+from tnst_mi.rendering.cameras.views import View
 
 #: Error of a float32 position relative to the grid's diagonal: 2^-24 of each number on the way to it, of which the
 #: largest are the distance of the camera, twice the diagonal, and the rows of all images, stacked.
 _POSITION = 2.0**-20
+
+#: A plane of samples nearer to the eye than this, in cells, has none.
+_AT_EYE = 1e-3
 
 #: Error of a float32 sum of a few hundred products with exponentials, relative to the sum, and what float32 calls 0.
 _SUM, _ZERO = 2.0**-16, float(np.finfo(np.float32).tiny)
@@ -41,21 +49,22 @@ class InclusiveSums:
     tolerance: np.ndarray
 
 
-def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Sequence[float]) -> list[InclusiveSums]:
+def inclusive_sums(density: np.ndarray, view: View, gammas: Sequence[float]) -> list[InclusiveSums]:
     """The images of a view at each γ.
 
     Args:
         density: (D, H, W), interpolated trilinearly, clamped to its edge values inside its box, 0 outside.
-        view: (azimuth, elevation) in degrees.
+        view: orthographic or in perspective; see `rendering.cameras.views`.
         gammas: extinctions γ per unit of density and cell.
     """
     shape = density.shape
     steepness = _steepness(density)
     results = np.empty((len(gammas), 3, shape[1] * shape[2]))
-    for pixels, points, inside, on_wall in _samples(shape, view):
+    for pixels, points, steps, inside, on_wall in _samples(shape, view):
         interpolation = Interpolation(shape, points[inside])
         values, slopes = np.zeros(inside.shape), np.zeros(inside.shape)
         values[inside], slopes[inside] = interpolation.of(density), interpolation.of(steepness)
+        values, slopes = values * steps, slopes * steps
         moved = _position_error(shape) * slopes
         walls = on_wall.any(0)
         without = [np.where(hidden, 0, values)[:, walls] for hidden in _near_far_and_all(on_wall)]
@@ -69,7 +78,7 @@ def inclusive_sums(density: np.ndarray, view: tuple[float, float], gammas: Seque
 
 
 def inclusive_gradients(
-    density: np.ndarray, view: tuple[float, float], gammas: Sequence[float], weights: np.ndarray
+    density: np.ndarray, view: View, gammas: Sequence[float], weights: np.ndarray
 ) -> list[np.ndarray]:
     """For each γ, the derivative (D, H, W) of Σ weights · I with respect to the density.
 
@@ -79,13 +88,14 @@ def inclusive_gradients(
     """
     shape = density.shape
     gradients = [np.zeros(shape) for _ in gammas]
-    for pixels, points, inside, _ in _samples(shape, view):
+    for pixels, points, steps, inside, _ in _samples(shape, view):
         interpolation = Interpolation(shape, points[inside])
         values = np.zeros(inside.shape)
         values[inside] = interpolation.of(density)
+        values *= steps
         for gamma, gradient in zip(gammas, gradients, strict=True):
             transmittance, at_and_behind = _transmittance_and_sums(values, gamma)
-            derivative = transmittance - gamma * at_and_behind
+            derivative = (transmittance - gamma * at_and_behind) * steps
             interpolation.add_transposed((weights.ravel()[pixels] * derivative)[inside], gradient)
     return gradients
 
@@ -99,7 +109,7 @@ def gradient_tolerance(density: np.ndarray, gamma: float) -> float:
     return _position_error(density.shape) * (1 + gamma * float(density.max())) + _SUM
 
 
-def undecided(shape: tuple[int, int, int], view: tuple[float, float]) -> np.ndarray:
+def undecided(shape: tuple[int, int, int], view: View) -> np.ndarray:
     """(H, W) bool: the pixels whose ray has a sample on a wall of the grid's box, up to the error of float32."""
     return np.concatenate([on_wall.any(0) for *_, on_wall in _samples(shape, view)]).reshape(shape[1:])
 
@@ -125,18 +135,25 @@ def _sum_and_tolerance(values: np.ndarray, moved: np.ndarray, gamma: float) -> t
 
 
 def _samples(
-    shape: tuple[int, int, int], view: tuple[float, float]
-) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
-    """The samples of some pixels at a time: positions (n, rays, 3), and which are in the box, which on its wall."""
+    shape: tuple[int, int, int], view: View
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """The samples of some pixels at a time.
+
+    They are positions (n, rays, 3), the distances between those of a ray (rays,), which of them are in the box and in
+    front of the eye, and which are on its wall or at the eye.
+    """
     n = 2 * int(np.ceil(np.linalg.norm(shape) / 2)) + shape[0] % 2
     distances = np.arange(n) - (n - 1) / 2
     middle, half = (np.array(shape[::-1]) - 1) / 2, np.array(shape[::-1]) / 2
     error = _position_error(shape)
     first = 0
-    for nearest, direction in rays(shape, view):
-        points = nearest + distances[:, None, None] * direction
-        beyond = (np.abs(points - middle) - half).max(-1)
-        yield slice(first, first + len(nearest)), points, beyond <= error, np.abs(beyond) <= error
+    for nearest, directions in rays(shape, view):
+        points = nearest + distances[:, None, None] * directions
+        beyond = np.maximum(
+            (np.abs(points - middle) - half).max(-1), (visible_from(view) + _AT_EYE - distances)[:, None]
+        )
+        steps = np.linalg.norm(directions, axis=1)
+        yield slice(first, first + len(nearest)), points, steps, beyond <= error, np.abs(beyond) <= error
         first += len(nearest)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, smoke_box
 from tnst_mi.machine.optix import require_optix
+from tnst_mi.rendering.cameras.perspective import require_outside
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.scene import scene_description
 
@@ -38,7 +39,7 @@ class PathTracer:
 
     Args:
         density: (D, H, W) float32, finite, ≥ 0, somewhere > 0.
-        views: V pairs (azimuth, elevation) in degrees.
+        views: V of them, orthographic or in perspective; see `rendering.cameras.views`.
         gamma: extinction γ per unit of density and cell.
         slack: ratio of the extinction's majorant to its maximum, > 1. At 1 the derivatives are wrong (they rely on
             null collisions, which do not occur where the smoke is densest); more slack means less noise and more
@@ -48,11 +49,12 @@ class PathTracer:
         region: the slices of the (D, H, W) grid that the medium covers; derivatives outside it are not estimated.
 
     Raises:
-        InputError: the density is 0 everywhere, or a GPU lacks OptiX.
+        InputError: the density is 0 everywhere, the eye of a view is in the grid, or a GPU lacks OptiX.
     """
 
     def __init__(self, density: np.ndarray, views: Sequence[View], gamma: float, slack: float = 2.0) -> None:
         require_optix("compare")
+        require_outside(views, density.shape, 1.0, "compare")
         d, h, w = density.shape
         self.shape, self.view_count = (d, h, w), len(views)
         self.region = smoke_region(density)

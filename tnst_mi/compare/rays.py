@@ -10,23 +10,34 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tnst_mi.rendering.cameras.views import View
+
 #: Rays followed at once; bounds the memory.
 _RAYS = 2048
 
 
-def rays(shape: tuple[int, int, int], view: tuple[float, float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def rays(shape: tuple[int, int, int], view: View) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The rays through the pixel centres of a view of a grid (D, H, W), row by row from the top, some at a time.
 
     Yields:
-        Points (rays, 3) nearest the grid's centre, and the viewing direction (3,).
+        Where rays meet the plane through the grid's centre that faces the camera, (rays, 3), and their directions
+        (rays, 3), as long as they have to be to get one cell farther from that plane: of unit length in orthographic
+        views. From a view at a distance, the eye is at minus that many directions.
     """
     _, rows, columns = shape
-    right, up, towards = _camera_axes(*view)
+    right, up, towards = _camera_axes(*view[:2])
     y, x = np.meshgrid((rows - 1) / 2 - np.arange(rows), np.arange(columns) - (columns - 1) / 2, indexing="ij")
     centre = (np.array(shape[::-1]) - 1) / 2
-    nearest = centre + x.reshape(-1, 1) * right + y.reshape(-1, 1) * up
-    for first in range(0, len(nearest), _RAYS):
-        yield nearest[first : first + _RAYS], -towards
+    across = x.reshape(-1, 1) * right + y.reshape(-1, 1) * up
+    directions = np.broadcast_to(-towards, across.shape) if len(view) == 2 else across / view[2] - towards
+    for first in range(0, len(across), _RAYS):
+        part = slice(first, first + _RAYS)
+        yield centre + across[part], directions[part]
+
+
+def visible_from(view: View) -> float:
+    """How many directions of `rays` from the plane through the centre a ray begins: −distance; −∞ if orthographic."""
+    return -np.inf if len(view) == 2 else -view[2]
 
 
 def _camera_axes(azimuth: float, elevation: float) -> np.ndarray:

@@ -24,6 +24,7 @@ from tnst_mi.compare.values import Comparison, relative_rms
 from tnst_mi.compare.verdict import Check
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.pictures.exr import write_exr
+from tnst_mi.rendering.cameras.views import text_of
 from tnst_mi.resources import DATA
 
 _TEMPLATE = DATA / "compare.html"
@@ -75,7 +76,7 @@ def _passed(checks: Sequence[Check], quadrature: str) -> str:
 
 
 def _write_images(folder: Path, values: Comparison) -> None:
-    stem = f"view_{values.view[0]:g}_{values.view[1]:g}_gamma_{values.gamma:g}"
+    stem = f"view_{text_of(values.view, '_')}_gamma_{values.gamma:g}"
     images = {
         "exact": (values.exact, "exact"),
         "paper": (values.paper, "paper"),

@@ -12,6 +12,7 @@ from tnst_mi.compare.gradients import Directional, GradientFields
 from tnst_mi.compare.paper_quadrature import PaperGradient, PaperImages
 from tnst_mi.compare.quadrature_study import QuadratureStudy
 from tnst_mi.compare.values import NEGLIGIBLE, Comparison, Convergence
+from tnst_mi.rendering.cameras.views import text_of
 
 #: Share of the testable pixels that must lie within three standard errors (99.7% of a normal distribution do).
 _WITHIN = 0.99
@@ -52,7 +53,7 @@ class Check:
 
 def value_checks(values: Comparison) -> Iterator[Check]:
     """The checks of one view at one γ."""
-    where = f"view {values.view[0]:g},{values.view[1]:g} γ {values.gamma:g}"
+    where = f"view {text_of(values.view)} γ {values.gamma:g}"
     count = int(values.testable.sum())
     allowed = max(_ALWAYS_ALLOWED, math.floor((1 - _WITHIN) * count))
     yield Check(
@@ -131,7 +132,7 @@ def paper_image_checks(images: PaperImages) -> Iterator[Check]:
         largest = float(np.abs(deviation).max())
         yield Check(
             "paper",
-            f"view {view[0]:g},{view[1]:g} γ {images.gamma:g}: paper against the inclusive sum in float64",
+            f"view {text_of(view)} γ {images.gamma:g}: paper against the inclusive sum in float64",
             f"every pixel within {largest:.2g} of what float32 may differ by",
             "at most 1",
             largest <= 1,

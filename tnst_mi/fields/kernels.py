@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from tnst_mi.errors import InputError
 
@@ -24,6 +27,17 @@ def opaque_int(value: int) -> mi.Int32:
 def _opaque(kind: type, value: float) -> mi.Float | mi.Int32:
     # Creating one costs a memory allocation and a fill; a run uses few distinct numbers.
     return dr.opaque(kind, value)
+
+
+def on_device(kind: type, values: Sequence[float] | np.ndarray) -> Any:
+    """Numbers as an array that kernels read from memory.
+
+    One made of a numpy array would share its memory, whose alignment is part of the generated code where an array has a
+    single value: now and then a kernel would be compiled again.
+    """
+    array = kind(np.asarray(values).tolist())
+    dr.make_opaque(array)
+    return array
 
 
 #: Arrays have fewer values than this; see `Divisor`.

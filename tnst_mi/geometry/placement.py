@@ -102,6 +102,20 @@ class Placement:
     source: FileSource | None = field(default=None, compare=False, repr=False)
     drift: tuple[float, float, float] | None = None
 
+    def to_scene(self, shape: tuple[int, int, int]) -> Affine:
+        """From the cells (x, y, z) of a grid of shape (D, H, W), the first of which is centred at 0, to the scene.
+
+        Example:
+            >>> Placement(0.5, (1.0, 2.0, 3.0), "z").to_scene((9, 5, 7))(np.array([0.0, 4.0, 8.0])).tolist()
+            [1.0, 2.0, 5.0]
+        """
+        if self.up == "y":
+            return Affine.scaling(self.voxel_size, self.corner)
+        # Our z runs along −Y of a scene whose Z is up.
+        turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        farthest = np.array([0.0, self.voxel_size * (shape[0] - 1), 0.0])
+        return Affine(self.voxel_size * turn, self.corner + farthest)
+
     def moved(self, vector: tuple[float, float, float]) -> Placement:
         """The placement after a translation (X, Y, Z) in the scene, such as that of a simulation's domain.
 

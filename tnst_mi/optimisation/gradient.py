@@ -156,8 +156,9 @@ class OctaveProblem:
         `regions` are the masks of the targets at full resolution, as for `gradient`.
         """
         recipe = frame.recipe
-        (azimuth, elevation), reach = recipe.main_view, _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
-        views = [(azimuth - reach, elevation), (azimuth, elevation), (azimuth + reach, elevation)]
+        azimuth, elevation = sum(recipe.azimuth) / 2, sum(recipe.elevation) / 2
+        reach = _JUDGED_REACH * (recipe.azimuth[1] - recipe.azimuth[0]) / 2
+        views = [recipe.view(azimuth + across, elevation) for across in (-reach, 0.0, reach)]
         with torch.no_grad(), dr.suspend_grad():
             shape, h = self.octave.shape, self.octave.cell_size
             smoke = resample_density(mi.TensorXf(density), 1.0, shape, h)
@@ -180,7 +181,7 @@ class OctaveProblem:
     def _views(self, frame: FramePlan, seed: Sequence[int]) -> list[View]:
         recipe = frame.recipe
         angles = sample_views(recipe.views, recipe.azimuth, recipe.elevation, seed)
-        return [(float(azimuth), float(elevation)) for azimuth, elevation in angles]
+        return [recipe.view(float(azimuth), float(elevation)) for azimuth, elevation in angles]
 
     def _guides(
         self, density: mi.TensorXf, regions: Sequence[mi.TensorXf | None], views: Sequence[View], frame: FramePlan

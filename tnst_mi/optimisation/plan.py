@@ -24,7 +24,7 @@ from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.regions.regions import Regions
-from tnst_mi.rendering.levels import Level, by_cell, full_level, levels_of
+from tnst_mi.rendering.levels import Level, by_frame, full_level, levels_of
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def plan_of(
     require_averageable(recipe)
     require_one_transport(recipe)
     targets = targets_of(recipe)
-    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
+    recipes = by_frame(recipe, numbers, shape)
     # All frames have the same fields, even if λ goes from 0 to 1 over the sequence.
     lams = [at_frame.lam for at_frame in recipes]
     frames = tuple(

@@ -35,18 +35,47 @@ def displacement_allowed(density: np.ndarray, recipe: Recipe, size: tuple[int, i
         keep: by how much the outline may move, in full-resolution cells.
     """
     renderer = EmissionAbsorptionRenderer(density.shape, recipe.gamma, "transmittance", 1.0, size=size)
-    opacity = renderer.render(mi.TensorXf(density), [recipe.main_view]).numpy()[0]
+    view = recipe.main_view
+    opacity = renderer.render(mi.TensorXf(density), [view]).numpy()[0]
     inside = distance_inside(opacity > _SEEN)
-    right, up, _ = camera_frame(*recipe.main_view)
     z, y, x = (np.arange(n) - (n - 1) / 2 for n in density.shape)
-    places = (
-        axis[2] * z[:, None, None] + axis[1] * y[:, None] + axis[0] * x + (n - 1) / 2
-        for axis, n in ((-up, size[0]), (right, size[1]))
+    down, across, towards = (
+        axis[2] * z[:, None, None] + axis[1] * y[:, None] + axis[0] * x
+        for right, up, viewer in [camera_frame(*view[:2])]
+        for axis in (-up, right, viewer)
     )
-    row, column = (np.rint(place).astype(np.int64) for place in places)
-    shown = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-    depth = np.where(shown, inside[row.clip(0, size[0] - 1), column.clip(0, size[1] - 1)], 0)
-    return np.maximum(depth - _PIXELS, keep).astype(np.float32)
+    nearness = np.ones_like(down) if len(view) == 2 else _magnification(towards, view[2])
+    row, column = (
+        np.rint((place * nearness + (n - 1) / 2).clip(-1, n)).astype(np.int64)
+        for place, n in ((down, size[0]), (across, size[1]))
+    )
+    shown = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1]) & (nearness > 0)
+    depth = np.where(shown, inside[row.clip(0, size[0] - 1), column.clip(0, size[1] - 1)], 0) - _PIXELS
+    if len(view) == 3:
+        depth = _in_cells(depth, np.hypot(down, across), nearness, view[2])
+    return np.maximum(depth, keep).astype(np.float32)
+
+
+def _magnification(towards: np.ndarray, distance: float) -> np.ndarray:
+    """By what a perspective view enlarges what is so much nearer to it than the centre; 0 for what is behind it."""
+    ahead = distance - towards
+    return np.where(ahead > 0, distance / np.where(ahead > 0, ahead, 1.0), 0.0)
+
+
+def _in_cells(pixels: np.ndarray, off_axis: np.ndarray, nearness: np.ndarray, distance: float) -> np.ndarray:
+    """How far a place may be moved in any direction so that its image in a perspective view moves so many pixels.
+
+    An image at D x/z, with z ahead of the viewer at distance D, is moved by D(x' z + x z')/(z(z − z')) by a movement of
+    x' across and z' towards the viewer: at most D L √(z² + x²)/(z(z − L)) by one of length L, which is solved for L.
+
+    Args:
+        pixels: how far the image may move, (D, H, W).
+        off_axis: distance x of the places from the axis of the view, in cells.
+        nearness: D/z, above 0 where they are ahead of the viewer.
+        distance: D.
+    """
+    ahead = np.where(nearness > 0, distance / np.where(nearness > 0, nearness, 1.0), np.inf)
+    return np.where(nearness > 0, pixels / (nearness * np.hypot(1.0, off_axis / ahead) + pixels / ahead), 0.0)
 
 
 def distance_inside(mask: np.ndarray) -> np.ndarray:

@@ -14,8 +14,9 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.regions import regions_of
+from tnst_mi.rendering.cameras.shots import shot_views, with_shots
 from tnst_mi.rendering.exposure import brightness
-from tnst_mi.rendering.levels import by_cell, levels_seen
+from tnst_mi.rendering.levels import by_frame, levels_seen
 
 
 def optimise(
@@ -47,7 +48,8 @@ def optimise(
     reference.add(frame.density)
     density_scale = reference.scale(recipe.density_scale)
     shape = frame.density.shape
-    at_frame = by_cell(recipe.at(frame.number), shape)
+    recipe = with_shots(recipe, shot_views(recipe, [frame], shape))
+    (at_frame,) = by_frame(recipe, [frame.number], shape)
     (alone,) = brightness([frame], [at_frame], levels_seen(recipe, shape), density_scale)
     scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
     regions = regions_of(recipe, [frame], [frame.number])

@@ -25,6 +25,21 @@ def require_averageable(recipe: Recipe) -> None:
         )
 
 
+def require_unmirrored(flip: str | None) -> None:
+    """Check that smoke lies in its scene as its files have it, so that the camera of a shot sees the same.
+
+    Args:
+        flip: the axes that are mirrored on reading.
+
+    Raises:
+        InputError: some are.
+    """
+    if flip:
+        raise InputError(
+            f"flip = {flip!r} mirrors the smoke, which the camera of a shot does not see mirrored; expected one of them"
+        )
+
+
 def require_one_transport(recipe: Recipe) -> None:
     """Check that the keys of one kind of transport do not come with the other.
 

@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe.bounded_toml import toml_values
+from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.sections import KINDS
 

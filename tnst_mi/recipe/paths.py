@@ -69,6 +69,8 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
         return str(path.resolve())
     if name == "weights" and value not in (None, PATTERNS) and (path := _path(name, value, source, folder)).exists():
         return str(path.resolve())
+    if name == "camera" and value is not None:
+        return _camera(value, source, folder)
     if name == "mask":
         return _mask(value, source, folder)
     if name == "target" and value is not None:
@@ -103,6 +105,17 @@ def _picture(name: str, entry: str, source: str, folder: Path) -> str:
         return str(STYLES / f"{entry}.png")
     shipped = ", ".join(shipped_styles())
     raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+
+
+def _camera(text: str, source: str, folder: Path) -> str:
+    path, camera = _path("camera", text, source, folder), ""
+    if not path.exists():
+        # What exists is a file, also if it has # in its name.
+        file, mark, camera = text.rpartition("#")
+        path, camera = _path("camera", file if mark else text, source, folder), mark + camera if mark else ""
+    if not path.is_file():
+        raise InputError(f"{source}camera = {text!r}: no such file ({path})")
+    return f"{path.resolve()}{camera}"
 
 
 def _map(entry: str, source: str, folder: Path) -> str:

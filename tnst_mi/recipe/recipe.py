@@ -41,6 +41,9 @@ from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, do
 from tnst_mi.recipe.synonyms import advice, meant
 from tnst_mi.resources import expanded
 
+#: (azimuth, elevation) in degrees, and the distance in cells of a perspective view.
+_View = tuple[float, float] | tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Recipe(Reading, Resources, Method, Goals):
@@ -77,6 +80,10 @@ class Recipe(Reading, Resources, Method, Goals):
     style_shares: tuple[float, ...] = ()
     """The share of each picture of `style`, 0 or more: all 1 except in a recipe from `at`. Never read from a file or
     written to one."""
+    shots: tuple[_View, ...] = ()
+    """Where `camera` sees the smoke of each frame of a run from, in their order: (azimuth, elevation) in degrees, and
+    of a perspective one the distance from the grid's centre in cells. Of one frame's recipe, its own. Set by a run,
+    never read from a file or written to one."""
     given: frozenset[str] = field(init=False, repr=False, compare=False)
     """The keys that were given, rather than left to the defaults or the preset. Derived, never a key of a file."""
 
@@ -199,19 +206,40 @@ class Recipe(Reading, Resources, Method, Goals):
         """The value of a key, or its table of keyframes."""
         return dict(self.keyframes[name]) if name in self.keyframes else getattr(self, name)
 
+    def view(self, azimuth: float, elevation: float) -> _View:
+        """The view at angles within the recipe's ranges, in degrees, which are offsets from its shot if it has one.
+
+        Returns:
+            (azimuth, elevation), or (azimuth, elevation, distance) of a perspective view.
+
+        Example:
+            >>> import tnst_mi
+            >>> tnst_mi.Recipe(shots=((30.0, 5.0, 200.0),)).view(-10.0, 1.0)
+            (20.0, 6.0, 200.0)
+        """
+        if not self.shots:
+            return azimuth, elevation
+        shot = self.shots[0]
+        around = shot[0] + azimuth, shot[1] + elevation
+        return around if len(shot) == 2 else (*around, shot[2])
+
     @property
-    def main_view(self) -> tuple[float, float]:
-        """The centre of the camera ranges, (azimuth, elevation) in degrees."""
-        return sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0
+    def main_view(self) -> _View:
+        """The view at the centre of the camera ranges, see `view`."""
+        return self.view(sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0)
 
     @property
     def view_ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The ranges of azimuth and elevation of all frames together."""
+        """The ranges of azimuth and elevation of all frames together, those of all shots."""
         azimuth, elevation = (
             np.array([value for _, value in self.keyframes.get(name, ((0, getattr(self, name)),))])
             for name in ("azimuth", "elevation")
         )
-        (low, high), (lowest, highest) = ((keys[:, 0].min(), keys[:, 1].max()) for keys in (azimuth, elevation))
+        shots = np.array([shot[:2] for shot in self.shots] or [(0.0, 0.0)])
+        (low, high), (lowest, highest) = (
+            (keys[:, 0].min() + shots[:, axis].min(), keys[:, 1].max() + shots[:, axis].max())
+            for axis, keys in enumerate((azimuth, elevation))
+        )
         return (float(low), float(high)), (float(lowest), float(highest))
 
     @property

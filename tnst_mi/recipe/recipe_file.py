@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError, naming
-from tnst_mi.recipe.bounded_toml import toml_values
+from tnst_mi.io.bounded_toml import toml_values
 
 _LARGEST_FILE = 1 << 19
 

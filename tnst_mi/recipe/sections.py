@@ -113,10 +113,14 @@ class Method:
     """Iterations in each octave, 1 or more."""
     views: Annotated[int, Integer(1, 10_000)] = 9
     """Viewpoints per iteration, redrawn each time; the first is the main view."""
+    camera: Annotated[str | None, Text("FILE[#NAME]", "a file of cameras, and the name of one in it after #")] = None
+    """Camera of the shot, still or moving (docs/cameras.md): TOML, JSON, or USD with the name of one of several. The
+    main view of a frame is then from where it stands, and azimuth and elevation are offsets around that."""
     azimuth: Annotated[tuple[float, float], Range(-360.0, 360.0)] = (-10.0, 10.0)
-    """Range of camera azimuths in degrees, + to the right; the main view is its centre."""
+    """Range of camera azimuths in degrees, + to the right; the main view is its centre. With a camera, offsets from
+    it."""
     elevation: Annotated[tuple[float, float], Range(-90.0, 90.0)] = (-5.0, 5.0)
-    """Range of camera elevations in degrees, + upwards; the main view is its centre."""
+    """Range of camera elevations in degrees, + upwards; the main view is its centre. With a camera, offsets from it."""
     fit: Annotated[bool, Switch()] = False
     """Size of the images: off is the paper's, the columns and rows of the grid, beyond which views from the side are
     cut off; on has room for all of the grid in every view."""

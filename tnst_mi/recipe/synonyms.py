@@ -10,7 +10,8 @@ _OTHER_NAMES: dict[str, str] = {
     "input": "file files in i source src path in_dir input_dir input_file input_folder smoke_file",
     "files": "file input in i source src path folder input_file input_folder",
     "output": "out output_dir outdir out_dir dest destination output_file target o",
-    "azimuth": "camera camera_angle angle angles view_angle rotation yaw orbit",
+    "camera": "shot shot_camera camera_file camera_path usd",
+    "azimuth": "camera_angle angle angles view_angle rotation yaw orbit",
     "elevation": "pitch tilt camera_height",
     "views": "cameras num_views n_views view viewpoints",
     "strength": "amount intensity effect influence",
@@ -83,7 +84,7 @@ def meant(name: str, known: Collection[str]) -> str | None:
         known: the names to choose from.
 
     Example:
-        >>> meant("--camera", ["azimuth", "gamma"]), meant("gama", ["azimuth", "gamma"]), meant("bogus", ["fog"])
+        >>> meant("--angle", ["azimuth", "gamma"]), meant("gama", ["azimuth", "gamma"]), meant("bogus", ["fog"])
         ('azimuth', 'gamma', None)
     """
     plain = _plain(name)

@@ -37,6 +37,11 @@ def views_around(recipe: Recipe, spacing: float = 15.0) -> list[View]:
 
     Neighbours are at most `spacing` degrees apart.
     """
+    return [recipe.view(*angles) for angles in _angles_around(recipe, spacing)]
+
+
+def _angles_around(recipe: Recipe, spacing: float) -> list[tuple[float, float]]:
+    """The angles of `views_around`, within the camera ranges of the recipe."""
     azimuths, elevations = (
         np.linspace(low, high, 1 + 2 * math.ceil((high - low) / (2 * spacing)) if high > low else 1)
         for low, high in (recipe.azimuth, recipe.elevation)
@@ -107,20 +112,26 @@ def _thickest_views(density: np.ndarray, size: tuple[int, int], recipe: Recipe, 
     full = mi.TensorXf(density)
     coarse = resample_density(full, 1.0, (d, rows, columns), h)
     spacing = _SPACING
-    while len(views := views_around(recipe, spacing)) > _MOST_VIEWS:
+    while len(angles := _angles_around(recipe, spacing)) > _MOST_VIEWS:
         spacing *= 1.25
+    views = [recipe.view(*pair) for pair in angles]
     best = np.argsort(-_columns(coarse, h, coarse_size, views, gamma), kind="stable")[:_BEST]
-    return [_climbed(full, size, views[i], recipe, gamma, spacing) for i in best]
+    return [_climbed(full, size, angles[i], recipe, gamma, spacing) for i in best]
 
 
 def _climbed(
-    density: mi.TensorXf, size: tuple[int, int], view: View, recipe: Recipe, gamma: float, spacing: float
+    density: mi.TensorXf,
+    size: tuple[int, int],
+    angles: tuple[float, float],
+    recipe: Recipe,
+    gamma: float,
+    spacing: float,
 ) -> View:
-    """The view with the largest column around one, by steps to neighbours that are halved."""
+    """The view with the largest column around one of these angles, by steps to neighbours that are halved."""
     ranges = np.array([recipe.azimuth, recipe.elevation])
     compass = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     for step in spacing * 0.5 ** np.arange(1, _HALVINGS + 1):
-        around = np.clip(np.array(view) + step * compass, ranges[:, 0], ranges[:, 1]).tolist()
-        views = [(azimuth, elevation) for azimuth, elevation in around]
-        view = views[int(np.argmax(_columns(density, 1.0, size, views, gamma)))]
-    return view
+        around = np.clip(np.array(angles) + step * compass, ranges[:, 0], ranges[:, 1]).tolist()
+        views = [recipe.view(azimuth, elevation) for azimuth, elevation in around]
+        angles = around[int(np.argmax(_columns(density, 1.0, size, views, gamma)))]
+    return recipe.view(*angles)

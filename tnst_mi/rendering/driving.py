@@ -20,9 +20,21 @@ STILL_SPP = 256
 """Paths per pixel of a path-traced still; an iteration of an optimisation needs far fewer."""
 
 
-def image_size(recipe: Recipe, shape: Shape) -> tuple[int, int]:
-    """Rows and columns of the images of a grid (D, H, W), of all frames of a recipe."""
-    return fitted_size(shape, *recipe.view_ranges) if recipe.fit else shape[1:]
+def image_size(recipe: Recipe, shape: Shape, h: float = 1.0) -> tuple[int, int]:
+    """Rows and columns of the images of a grid (D, H, W), of all frames of a recipe.
+
+    Args:
+        recipe: of a run or a frame.
+        shape: of the grid.
+        h: size of its cells in full-resolution cells.
+
+    Raises:
+        InputError: all of the grid is to be seen, and a shot is too near for that.
+    """
+    if not recipe.fit:
+        return shape[1:]
+    nearest = min((shot[2] for shot in recipe.shots if len(shot) == 3), default=None)
+    return fitted_size(shape, *recipe.view_ranges, None if nearest is None else nearest / h)
 
 
 def driving_renderer(

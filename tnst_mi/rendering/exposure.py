@@ -47,7 +47,7 @@ def brightest_possible(column: float, recipe: Recipe, octaves: Sequence[Octave])
 
 def _way_through(octave: Octave, view: View) -> float:
     """The longest way of a ray of a view through the box of a grid, and a sample more, in full-resolution cells."""
-    direction = np.abs(camera_frame(*view)[2])
+    direction = np.abs(camera_frame(*view[:2])[2])
     cells = np.array(octave.shape[::-1])[direction > 0] / direction[direction > 0]
     return octave.cell_size * (float(cells.min()) + 1.0)
 
@@ -108,7 +108,8 @@ def brightness(
         columns.append(largest_columns(density, levels, recipe, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, size))
         if recipe.integrator != "emission_absorption":
-            ends = [recipe.main_view, *itertools.product(recipe.azimuth, recipe.elevation)]
+            corners = itertools.product(recipe.azimuth, recipe.elevation)
+            ends = [recipe.main_view, *(recipe.view(*angles) for angles in corners)]
             pixels.append(float(stills(density, ends, recipe, size, _GLIMPSE_SPP).max()))
     others = {*own_gammas} - {*gammas}
     for leader in {max(range(len(frames)), key=lambda i: in_view[i][g]) for g in gammas} if others else ():

@@ -8,6 +8,7 @@ it is the smoke that is resampled, and where it is coarser, its cells stay and i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tnst_mi.fields.grid import Octave, Shape, octaves
@@ -49,7 +50,8 @@ def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
     finest = [n if n == 1 or rows == shape[1] else max(1, round(n * rows / shape[1])) for n in shape]
     levels = []
     for seen in octaves(finest, recipe.octaves, recipe.scale_factor):
-        pixel, size = shape[1] / seen.shape[1], image_size(recipe, seen.shape)
+        pixel = shape[1] / seen.shape[1]
+        size = image_size(recipe, seen.shape, pixel)
         # Octaves of the input's own grid may have as many rows as it: one row stays one.
         finer = seen.shape[1] >= shape[1] and rows > shape[1]
         levels.append(Level(shape, 1.0, size, pixel) if finer else Level(seen.shape, pixel, size, pixel))
@@ -65,6 +67,22 @@ def levels_seen(recipe: Recipe, shape: Shape) -> list[Level]:
     """All grids of which a run renders images: its octaves, and last the input's own."""
     levels, full = levels_of(recipe, shape), full_level(recipe, shape)
     return levels if levels[-1] == full else [*levels, full]
+
+
+def by_frame(recipe: Recipe, numbers: Sequence[int | float | None], shape: Shape) -> list[Recipe]:
+    """The recipe of each frame of a run: without keyframes, with its own shot, and with γ per full-resolution cell.
+
+    Args:
+        recipe: of the run.
+        numbers: of its frames.
+        shape: (D, H, W) of their grids.
+
+    Raises:
+        InputError: there are keyframes, and a frame has no number.
+    """
+    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
+    shots = [(shot,) for shot in recipe.shots] or [()] * len(recipes)
+    return [replace(of_frame, shots=shot) for of_frame, shot in zip(recipes, shots, strict=True)]
 
 
 def by_cell(recipe: Recipe, shape: Shape) -> Recipe:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.png import srgb
-from tnst_mi.rendering.cameras.views import View, common_size
+from tnst_mi.rendering.cameras.views import View, common_size, text_of
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
 
@@ -29,7 +29,7 @@ class Shot:
 
 def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot]:
     """Every view of every frame."""
-    return [Shot(frame, view, f"view_{view[0]:g}_{view[1]:g}") for frame in range(frames) for view in views]
+    return [Shot(frame, view, f"view_{text_of(view, '_')}") for frame in range(frames) for view in views]
 
 
 def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:

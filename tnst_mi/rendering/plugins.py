@@ -13,7 +13,8 @@ import mitsuba as mi
 
 from tnst_mi.machine.loaded_llvm import check_llvm
 
-_MODULES = ("tnst_mi.rendering.march.integrator", "tnst_mi.rendering.cameras.sensor")
+#: The sensor first: the integrator refers to it.
+_MODULES = ("tnst_mi.rendering.cameras.sensor", "tnst_mi.rendering.march.integrator")
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""Renderers of a density on a grid, differentiable with respect to it; emission–absorption, and the public `render`.
+"""Renderers of a density on a grid, differentiable with respect to it, and the one of emission and absorption.
 
 World units are full-resolution cells; the grid's centre is the origin. The density becomes the extinction σ_t = γ d of
 a `heterogeneous` medium, and the `emission_absorption` plugin marches through it. A medium is enough: no Mitsuba scene
@@ -14,17 +14,14 @@ from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from tnst_mi.choices import QUADRATURES
-from tnst_mi.errors import InputError
-from tnst_mi.fields.arrays import any_array_kind
 from tnst_mi.fields.grid import Shape
-from tnst_mi.fields.kernels import opaque_int, require_indexable
+from tnst_mi.fields.kernels import opaque_int
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.turns import turn
+from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
-from tnst_mi.rendering.cameras.views import View, common_size
+from tnst_mi.rendering.cameras.perspective import ConvergingRays, ViewpointRays, rays_of
 from tnst_mi.rendering.march.grid_march import GridMarch
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium
@@ -37,25 +34,25 @@ LARGEST_SAMPLES = 1 << 28
 
 
 class Renderer(ABC):
-    """Renders densities (D, H, W) of one grid from orthographic views.
+    """Renders densities (D, H, W) of one grid from centred views and from the cameras of shots, in any mixture.
 
     A seed is one or more integers ≥ 0 from which a renderer draws its random numbers: the same seed gives the same
     images and derivatives.
     """
 
-    def render(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int] = (0,)) -> mi.TensorXf:
+    def render(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int] = (0,)) -> mi.TensorXf:
         """Images (V, H, W) of a density (D, H, W), differentiable with respect to it; row 0 is at the top."""
         return dr.custom(_Render, density, self, tuple(views), tuple(seed))
 
     @abstractmethod
-    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+    def images(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
 
     @abstractmethod
     def gradient(
         self,
         density: mi.TensorXf,
-        views: Sequence[View],
+        views: Sequence[Viewpoint],
         seed: Sequence[int],
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
@@ -63,7 +60,7 @@ class Renderer(ABC):
         """Pull a gradient (V, H, W) with respect to the `images` back to one (D, H, W) with respect to the density."""
 
     def tangent(
-        self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int], change: mi.TensorXf
+        self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int], change: mi.TensorXf
     ) -> mi.TensorXf:
         """The derivative of the images (V, H, W) along a change (D, H, W) of the density."""
         raise NotImplementedError(f"{type(self).__name__} has no forward-mode derivatives")
@@ -73,7 +70,7 @@ class _Render(dr.CustomOp):
     """density → images, by any renderer."""
 
     def eval(
-        self, density: mi.TensorXf, renderer: Renderer, views: tuple[View, ...], seed: tuple[int, ...]
+        self, density: mi.TensorXf, renderer: Renderer, views: tuple[Viewpoint, ...], seed: tuple[int, ...]
     ) -> mi.TensorXf:
         self.density, self.renderer, self.arguments = dr.detach(density), renderer, (views, seed)
         with turn(), dr.suspend_grad():
@@ -108,8 +105,9 @@ class EmissionAbsorptionRenderer(Renderer):
         h: size of a cell in full-resolution cells.
         step: distance between the samples of a ray in full-resolution cells; h if None.
         size: rows and columns of the images, around the grid's centre; those of the grid if None.
-        pixel: distance between pixels in full-resolution cells; h if None. Rays are not averaged over pixels that are
-            larger than cells: resample the density instead.
+        pixel: distance between pixels in full-resolution cells, of views in perspective in the plane through the grid's
+            centre; h if None. Cameras have their own. Rays are not averaged over pixels that are larger than cells:
+            resample the density instead.
     """
 
     def __init__(
@@ -128,17 +126,17 @@ class EmissionAbsorptionRenderer(Renderer):
         self._step = step or h
         self._integrator = _integrator(mi.variant(), gamma, quadrature, self._step)
 
-    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+    def images(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
         self._place(density)
         rays = self._rays(views)
-        L = self._sample(dr.ADMode.Primal, rays.through_pixels(0, len(views)))
+        L = self._sample(dr.ADMode.Primal, rays, 0, len(views))
         return mi.TensorXf(L, (len(views), *self.size))
 
     def gradient(
         self,
         density: mi.TensorXf,
-        views: Sequence[View],
+        views: Sequence[Viewpoint],
         seed: Sequence[int],
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
@@ -154,12 +152,11 @@ class EmissionAbsorptionRenderer(Renderer):
                     count = min(at_once, len(views) - first)
                     pixel = dr.arange(mi.UInt32, count * pixels) + mi.UInt32(opaque_int(first * pixels))
                     L, δL = (dr.gather(mi.Float, image.array, pixel) for image in (images, image_gradient))
-                    adjoint = {"state_in": L, "δL": mi.Spectrum(δL, 0, 0), "parallel": rays.parallel(first, count)}
-                    self._sample(dr.ADMode.Backward, rays.through_pixels(first, count), **adjoint)
+                    self._sample(dr.ADMode.Backward, rays, first, count, state_in=L, δL=mi.Spectrum(δL, 0, 0))
             return mi.TensorXf(dr.grad(σ_t).array, self.shape)
 
     def tangent(
-        self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int], change: mi.TensorXf
+        self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int], change: mi.TensorXf
     ) -> mi.TensorXf:
         """The derivative of the images (V, H, W) along a change (D, H, W) of the density."""
         with dr.resume_grad():
@@ -167,22 +164,25 @@ class EmissionAbsorptionRenderer(Renderer):
             dr.set_grad(σ_t, mi.TensorXf(change.array, (*self.shape, 1)))
             with dr.suspend_grad():
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
-                L = self._sample(dr.ADMode.Forward, self._rays(views).through_pixels(0, len(views)))
+                L = self._sample(dr.ADMode.Forward, self._rays(views), 0, len(views))
         return mi.TensorXf(L, (len(views), *self.size))
 
-    def march(self, density: mi.TensorXf, views: Sequence[View]) -> tuple[GridMarch, mi.Float]:
+    def march(self, density: mi.TensorXf, views: Sequence[Viewpoint]) -> tuple[GridMarch, mi.Float]:
         """The samples of all rays of the views in a density, without derivatives, and the distance between them."""
         self._place(density)
-        lattice = Lattice(self._medium, self._rays(views).through_pixels(0, len(views)), self._step)
+        rays = self._rays(views)
+        together = rays.together(0, len(views))
+        axis = together.axis if isinstance(together, ConvergingRays) else None
+        lattice = Lattice(self._medium, rays.through_pixels(0, len(views)), self._step, axis=axis)
         return GridMarch(self._medium, lattice), lattice.step
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
         return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape, self.size))) if on_gpu() else 1
 
-    def _rays(self, views: Sequence[View]) -> OrthographicRays:
+    def _rays(self, views: Sequence[Viewpoint]) -> OrthographicRays | ViewpointRays:
         rows, columns = self.size
-        return OrthographicRays(columns, rows, self.pixel, view_distance(self.shape, self.h), views)
+        return rays_of(views, columns, rows, self.pixel, view_distance(self.shape, self.h))
 
     def _place(self, density: mi.TensorXf, attached: bool = False) -> mi.TensorXf:
         """Set the medium's density, which stays until the next call; returns the medium's tensor."""
@@ -197,10 +197,13 @@ class EmissionAbsorptionRenderer(Renderer):
         self._medium.refresh()
         return self._medium.extinction
 
-    def _sample(self, mode: dr.ADMode, rays: mi.Ray3f, **adjoint: object) -> mi.Float:
-        """Call the integrator for some rays directly, without a film."""
-        adjoint = {"state_in": None, "δL": None} | adjoint
-        return self._integrator.sample(mode, self._medium, None, rays, active=mi.Bool(True), **adjoint)[0][0]
+    def _sample(
+        self, mode: dr.ADMode, rays: OrthographicRays | ViewpointRays, first: int, count: int, **adjoint: object
+    ) -> mi.Float:
+        """Call the integrator for the rays of `count` views directly, without a film."""
+        arguments = {"state_in": None, "δL": None, "together": rays.together(first, count)} | adjoint
+        through = rays.through_pixels(first, count)
+        return self._integrator.sample(mode, self._medium, None, through, active=mi.Bool(True), **arguments)[0][0]
 
 
 def view_samples(shape: Shape, size: tuple[int, int]) -> int:
@@ -219,72 +222,3 @@ def _medium(variant: str, shape: Shape, h: float) -> GridMedium:
 @functools.lru_cache(maxsize=64)
 def _integrator(variant: str, gamma: float, quadrature: str, step: float) -> mi.ad.integrators.common.RBIntegrator:
     return mi.load_dict({"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": step})
-
-
-@any_array_kind("density")
-def render(
-    density: mi.TensorXf,
-    view: View | Sequence[View] = (0.0, 0.0),
-    gamma: float = 0.1,
-    quadrature: str = "paper",
-    h: float = 1.0,
-    fit: bool = False,
-) -> mi.TensorXf:
-    """Render a density as emitting and absorbing smoke (paper Eq. 11), orthographically.
-
-    Emission is the density d, extinction γ d. The view (0, 0) looks along −z from +z with x to the right and y up;
-    positive azimuth moves the camera towards +x, positive elevation moves it up. The rotation is rigid, about the
-    centre of the grid. The image has the rows and columns of the grid, as in the paper: from other views, what lies
-    beyond them is cut off. Of a grid of 48×16×12 cells, an image from the side shows a quarter. `fit` makes room.
-
-    Args:
-        density: (D, H, W), finite and ≥ 0 (not checked); 0 outside the grid.
-        view: (azimuth, elevation) in degrees, or a sequence of V such pairs.
-        gamma: γ > 0, extinction per unit of density and full-resolution cell.
-        quadrature: "paper" (inclusive sum), "exact", "transmittance" (= γ · exact) or "integrated_transmittance" (the
-            transmittance integrated over the grid's box: empty space is bright, smoke dark).
-        h: size of a cell in full-resolution cells, > 0; also the pixel spacing and the step.
-        fit: take the smallest image that shows all of the grid in every view, instead of (H, W).
-
-    Returns:
-        Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
-        and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1); "integrated_transmittance" is in
-        cells, up to the length of the ray inside the box. Differentiable with respect to the density.
-
-    Raises:
-        InputError: the shape or range of an argument is not as stated, or an array is too large to be indexed.
-
-    Example:
-        >>> import torch
-        >>> import tnst_mi
-        >>> density = torch.full((4, 2, 3), 0.5, requires_grad=True)
-        >>> image = tnst_mi.render(density, quadrature="exact")  # everywhere (1 − exp(−0.1 · 4 · 0.5)) / 0.1
-        >>> image.shape, round(image[0, 0].item(), 3)
-        (torch.Size([2, 3]), 1.813)
-        >>> image.sum().backward()
-        >>> density.grad.shape
-        torch.Size([4, 2, 3])
-        >>> tnst_mi.render(density, view=[(0, 0), (30, 10)]).shape
-        torch.Size([2, 2, 3])
-        >>> tnst_mi.render(density, view=(90, 0), fit=True).shape
-        torch.Size([2, 5])
-    """
-    angles = np.asarray(view, dtype=np.float64)
-    if angles.ndim not in (1, 2) or angles.shape[-1] != 2 or not angles.size or not np.isfinite(angles).all():
-        raise InputError(
-            f"render: view {view!r} given, expected (azimuth, elevation) in degrees or a list of such pairs"
-        )
-    if len(density.shape) != 3 or 0 in density.shape:
-        raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
-    if quadrature not in QUADRATURES:
-        raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
-    if not (0 < gamma < math.inf and 0 < h < math.inf):
-        raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
-    views = [(float(a), float(e)) for a, e in angles.reshape(-1, 2)]
-    require_indexable(math.prod(density.shape), "render: a density")
-    shape = tuple(density.shape)
-    size = common_size(shape, views) if fit else shape[1:]
-    require_indexable(len(views) * math.prod(size), "render: images")
-    renderer = EmissionAbsorptionRenderer(shape, float(gamma), quadrature, float(h), size=size)
-    images = renderer.render(density, views)
-    return images if angles.ndim == 2 else mi.TensorXf(images.array, size)

@@ -18,7 +18,8 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.machine.optix import require_optix
-from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.cameras.camera import Viewpoint
+from tnst_mi.rendering.cameras.perspective import require_outside
 from tnst_mi.rendering.renderer import Renderer
 from tnst_mi.rendering.scene import scene_description
 
@@ -82,7 +83,16 @@ class ScatteringRenderer(Renderer):
         #: Loaded scenes by number of views.
         self._scenes: dict[int, _LoadedScene] = {}
 
-    def images(self, density: mi.TensorXf, views: Sequence[View], seed: Sequence[int]) -> mi.TensorXf:
+    def render(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int] = (0,)) -> mi.TensorXf:
+        """See `Renderer`.
+
+        Raises:
+            InputError: a camera is inside the grid.
+        """
+        require_outside(views, self.shape, self.h, "prbvolpath")
+        return super().render(density, views, seed)
+
+    def images(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int]) -> mi.TensorXf:
         """The images (V, H, W) of the views, without derivatives."""
         loaded = self._show(density, views)
         primal, _ = _seeds(seed)
@@ -94,7 +104,7 @@ class ScatteringRenderer(Renderer):
     def gradient(
         self,
         density: mi.TensorXf,
-        views: Sequence[View],
+        views: Sequence[Viewpoint],
         seed: Sequence[int],
         images: mi.TensorXf,
         image_gradient: mi.TensorXf,
@@ -113,7 +123,7 @@ class ScatteringRenderer(Renderer):
                 )
             return mi.TensorXf(dr.grad(loaded.parameters[_DENSITY]).array, self.shape)
 
-    def _show(self, density: mi.TensorXf, views: Sequence[View]) -> _LoadedScene:
+    def _show(self, density: mi.TensorXf, views: Sequence[Viewpoint]) -> _LoadedScene:
         """A scene with this density and these views, and a majorant above the largest extinction."""
         largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
         # It follows from the density alone, and so do the paths. Powers of two: a scene serves many densities.

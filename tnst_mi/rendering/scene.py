@@ -69,7 +69,7 @@ def scene_description(
         "type": "scene",
         "integrator": {"type": "emission_absorption", "gamma": gamma, "quadrature": quadrature, "step": step or h},
         "sensor": {
-            "type": "orthographic_views",
+            "type": "camera_views",
             "view_count": view_count,
             "spacing": h,
             "distance": view_distance(shape, h),

@@ -107,7 +107,7 @@ class Studio:
         }
         distance = float(np.array(self._front[_CAMERA].translation()).ravel()[2])
         lowest = math.degrees(math.asin(-edges[1] / 2 / distance))
-        for azimuth, elevation in views:
+        for azimuth, elevation, *_ in views:
             if distance * math.sin(math.radians(elevation)) <= -edges[1] / 2:
                 raise InputError(
                     f"view {azimuth:g},{elevation:g}: the camera would be below the ground; "
@@ -141,7 +141,7 @@ class Studio:
         """Set the density (D, H, W) of a frame, and turn the camera to a view."""
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
-        azimuth, elevation = view
+        azimuth, elevation, *_ = view
         turned = mi.ScalarTransform4f().rotate([0, 1, 0], azimuth)
         raised = turned @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
         for key, front in self._front.items():

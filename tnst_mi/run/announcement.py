@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
+from tnst_mi.machine.terminal import some_of
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
@@ -43,6 +44,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     preset = PRESETS.get(recipe.preset or "", {})
     if own := [key for key, value in preset.items() if getattr(recipe, key) != value]:
         yield f'note: preset = "{recipe.preset}" leaves {", ".join(own)} as the recipe gives them'
+    yield from _of_camera(prepared)
     yield from _of_density(prepared)
     yield from _of_images(prepared)
 
@@ -83,6 +85,28 @@ def _of_other_grids(prepared: Prepared) -> Iterator[str]:
         )
     if lost := [name for name in chosen(carry, movable) if name not in carried]:
         yield f"note: {prepared.suffix} files do not hold other grids of such names: {listed(lost, in_quotes=False)}"
+
+
+def _of_camera(prepared: Prepared) -> Iterator[str]:
+    """Where the shot's camera sees the smoke from, and the frames in which it is among the smoke."""
+    if not prepared.shots:
+        return
+    views = [shot.view for shot in prepared.shots]
+    spans = [f"azimuth {_span(view[0] for view in views)}°", f"elevation {_span(view[1] for view in views)}°"]
+    distances = [view[2] for view in views if len(view) == 3]
+    spans += [f"{_span(distances)} cells from the grid's centre"] if distances else ["orthographic"]
+    yield f"camera: {prepared.recipe.camera}: {', '.join(spans)}"
+    pairs = zip(prepared.measures, prepared.shots, strict=True)
+    if inside := [measure.name for measure, shot in pairs if shot.inside]:
+        yield (
+            f"warning: {some_of(inside)}: the camera is inside the grid; the smoke is seen from where its direction "
+            "leaves the grid"
+        )
+
+
+def _span(values: Iterable[float]) -> str:
+    low, *_, high = sorted(values) * 2
+    return f"{low:.4g}" if f"{low:.4g}" == f"{high:.4g}" else f"{low:.4g} to {high:.4g}"
 
 
 def _of_density(prepared: Prepared) -> Iterator[str]:

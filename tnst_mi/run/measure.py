@@ -5,18 +5,21 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
+from tnst_mi.geometry.placement import Placement
+from tnst_mi.io.cameras.reading import file_and_name
 from tnst_mi.io.files.frame_numbers import first_gap
 from tnst_mi.io.sequence import checked_shapes
 from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, mask_files, targets_of
+from tnst_mi.rendering.cameras.shots import ShotView
 from tnst_mi.run.carry import movable, read_chosen
 from tnst_mi.run.folder import DAMAGE, ELSEWHERE, is_file_name
 from tnst_mi.run.inputs import frame_digest, grid_digest
@@ -35,6 +38,7 @@ class Measure:
         moves: whether it has a velocity.
         movable: the names of all that can move with the smoke.
         others: the SHA-256 of its other grids that do, by name.
+        placement: where it lies in its scene, without what results keep of its file.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Measure:
     moves: bool
     movable: tuple[str, ...] = ()
     others: Mapping[str, str] = field(default_factory=dict)
+    placement: Placement | None = None
 
     @property
     def identity(self) -> str:
@@ -70,10 +75,9 @@ def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
         others = {name: grid_digest(values) for name, values in read_chosen(frame, carry)}
-        names = tuple(movable(frame))
-        measures.append(
-            Measure(frame.name, frame.number, frame.mass, densest, frame_digest(frame), moves, names, others)
-        )
+        place = None if frame.placement is None else replace(frame.placement, own=None, source=None)
+        names, digest = tuple(movable(frame)), frame_digest(frame)
+        measures.append(Measure(frame.name, frame.number, frame.mass, densest, digest, moves, names, others, place))
     counts = Counter(measure.name for measure in measures)
     for name in counts:
         if not is_file_name(name):
@@ -154,15 +158,42 @@ def require_same_masks(
                 )
 
 
+def shot_record(measures: Sequence[Measure], shots: Sequence[ShotView]) -> dict[str, Any]:
+    """What the record of a run says of its camera: by the name of each frame, the view of it; nothing without one."""
+    views = {measure.name: list(shot.view) for measure, shot in zip(measures, shots, strict=True)} if shots else {}
+    return {"shots": views} if views else {}
+
+
+def require_same_shots(now: dict[str, Any], run: dict[str, Any], out: Path) -> None:
+    """Check that the camera of a run to be resumed saw the smoke from the same places.
+
+    The smoke may have been moved in its scene, which changes no digest of its arrays.
+
+    Args:
+        now: the record as it would be now, see `shot_record`.
+        run: the record of the run.
+        out: its folder.
+
+    Raises:
+        InputError: it did not.
+    """
+    if run.get("shots") != now.get("shots"):
+        raise InputError(
+            f"{out}: its run saw the smoke from elsewhere than its camera is now; resume with the smoke and the camera "
+            "where they were, or use --overwrite"
+        )
+
+
 def digests(measures: Sequence[Measure]) -> dict[str, str]:
     """The SHA-256 of the frames, with the other grids that move with their smoke, by their names."""
     return {measure.name: measure.identity for measure in measures}
 
 
 def file_digests(recipe: Recipe) -> dict[str, str]:
-    """The SHA-256 of the pictures, the maps, the masks and the light that a recipe names, by their paths."""
+    """The SHA-256 of the pictures, maps, masks, light and cameras that a recipe names, by their paths."""
     paths = [*recipe.style, *recipe.content, *(str(file) for _, file in recipe.maps), recipe.light]
     paths += mask_files(recipe)
+    paths += [] if recipe.camera is None else [str(file_and_name(recipe.camera)[0])]
     for target in targets_of(recipe):
         paths += [*target.recipe.style, *target.recipe.content, *(str(file) for _, file in target.recipe.maps)]
     return {path: file_hash(Path(path), "sha256") for path in dict.fromkeys(paths) if Path(path).is_file()}

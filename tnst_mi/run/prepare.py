@@ -31,8 +31,9 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
 from tnst_mi.regions.measured_masks import measured_masks
 from tnst_mi.regions.regions import regions_of
+from tnst_mi.rendering.cameras.shots import ShotView, shot_views, with_shots
 from tnst_mi.rendering.exposure import Brightness, brightness
-from tnst_mi.rendering.levels import by_cell, levels_of, levels_seen
+from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import chosen, require_there
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
@@ -44,6 +45,8 @@ from tnst_mi.run.measure import (
     require_coherent,
     require_same_input,
     require_same_masks,
+    require_same_shots,
+    shot_record,
 )
 from tnst_mi.run.memory import Need, cache_bytes, free_bytes, require_memory, working_bytes
 from tnst_mi.run.readable import Readable
@@ -84,6 +87,7 @@ class Prepared:
         measures: measurements of each frame.
         brightness: likewise, rendered.
         network: judges the images.
+        shots: where the shot's camera sees each frame from; empty without one.
         plan: of the optimisation.
         reading: lines that say how the frames were read.
         memory: a line that says how much of it the run takes.
@@ -101,6 +105,7 @@ class Prepared:
     measures: Sequence[Measure]
     brightness: Sequence[Brightness]
     network: Network
+    shots: Sequence[ShotView]
     plan: Plan
     reading: Sequence[str]
     memory: str
@@ -176,6 +181,8 @@ def prepare(
     # Reading the first frame finds most bad inputs before the network is loaded.
     first = next(iter(Readable(sequence, recipe.skip_bad)))
     shape = first.density.shape
+    # A file of cameras that cannot be used is found as early; the other frames follow once they are measured.
+    recipe = with_shots(recipe, shot_views(recipe, [first], shape))
     require_indexable(3 * math.prod(shape), f"{first.name}: its velocity is an array")
     rows, columns = levels_of(recipe, shape)[-1].size
     if recipe.views * rows * columns >= LARGEST_COUNT:
@@ -203,6 +210,7 @@ def prepare(
         require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)
     numbers = [measure.number for measure in measures]
+    recipe = with_shots(recipe, shots := shot_views(recipe, measures, shape))
     step = frame_step(numbers)
     unchanged = UnchangedFrames(sequence, [measure.sha256 for measure in measures])
     regions = regions_of(recipe, unchanged, numbers, sequence)
@@ -210,7 +218,7 @@ def prepare(
     if regions is not None:
         masks = measured_masks(regions, targets, _watched(unchanged, "masking", progress))
         target_records = [target_record(target, mask) for target, mask in zip(targets, masks, strict=True)]
-    recipes = [by_cell(recipe.at(number), shape) for number in numbers]
+    recipes = by_frame(recipe, numbers, shape)
     density_scale = reference.scale(recipe.density_scale)
     densest = max(measure.densest for measure in measures)
     if densest * density_scale > _DENSEST:
@@ -254,12 +262,12 @@ def prepare(
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
-    if target_records is not None:
-        record["targets"] = target_records
+    record |= ({} if target_records is None else {"targets": target_records}) | shot_record(measures, shots)
     earlier = resumable_run(out, recipe, record["weights"], suffix) if resume and out is not None else None
     if earlier is not None and out is not None:
         require_same_input(measures, recipe, earlier, out)
         require_same_masks(targets, target_records or [], earlier, out)
+        require_same_shots(record, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe))
@@ -283,6 +291,7 @@ def prepare(
         measures,
         bright,
         network,
+        shots,
         plan,
         said,
         memory,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tnst_mi.machine.gate import opening
 _COLOURS = 4
 
 
-def write_exr(path: Path, image: np.ndarray, attributes: dict[str, float | str | tuple[float, float]]) -> None:
+def write_exr(path: Path, image: np.ndarray, attributes: Mapping[str, float | str | tuple[float, ...]]) -> None:
     """Write a picture losslessly.
 
     Args:

@@ -40,7 +40,7 @@ class OrthographicRays:
 
     def __init__(self, width: int, height: int, spacing: float, distance: float, views: Sequence[View]) -> None:
         self.width, self.height, self.spacing, self.distance = width, height, spacing, distance
-        self.views = [(float(azimuth), float(elevation)) for azimuth, elevation in views]
+        self.views = [(float(view[0]), float(view[1])) for view in views]
         #: right, up and towards-the-camera vectors of every view: 9 numbers each.
         self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
 
@@ -71,7 +71,7 @@ class OrthographicRays:
         y = (mi.Float(row) + 0.5) / opaque(len(self.views) * self.height)
         return self.through(mi.Point2f(x, y))
 
-    def parallel(self, first: int, count: int) -> ParallelRays | None:
+    def together(self, first: int, count: int) -> ParallelRays | None:
         """What the rays of `through_pixels(first, count)` have in common; None if a view's form a single line."""
         if min(self.width, self.height) < 2:
             return None

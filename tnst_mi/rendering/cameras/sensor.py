@@ -1,4 +1,4 @@
-"""The `orthographic_views` sensor plugin: several centred orthographic views of one grid in one image.
+"""The `camera_views` sensor plugin: several viewpoints of one grid in one image; `orthographic_views` is its old name.
 
 Importing this module registers the plugin for the active variant; `rendering.plugins` does so for every variant.
 """
@@ -9,14 +9,14 @@ from collections.abc import Sequence
 
 import mitsuba as mi
 
-from tnst_mi.rendering.cameras.orthographic import OrthographicRays
-from tnst_mi.rendering.cameras.views import View
+from tnst_mi.rendering.cameras.camera import Viewpoint
+from tnst_mi.rendering.cameras.perspective import ViewpointRays, rays_of
 
 
-class OrthographicViews(mi.Sensor):
+class CameraViews(mi.Sensor):
     r"""
-    Stack of orthographic views (:monosp:`orthographic_views`)
-    ----------------------------------------------------------
+    Stack of viewpoints (:monosp:`camera_views`)
+    --------------------------------------------
 
     .. pluginparameters::
 
@@ -26,13 +26,15 @@ class OrthographicViews(mi.Sensor):
          (Default: 1)
      * - spacing
        - |float|
-       - Distance between pixels in world units. (Default: 1)
+       - Distance between pixels of views in world units, in the plane through the centre. (Default: 1)
      * - distance
        - |float|
-       - Distance of the sensor plane from the centre, in world units; it must lie outside the scene. (Default: 1000)
+       - Distance from the centre at which rays start, in world units, unless they start at an eye nearer than that; it
+         must lie outside the scene. (Default: 1000)
 
-    All views look at the origin, which is the centre of their images. Rendering them in one launch costs one kernel
-    instead of V, and moving them needs no new kernel.
+    Views look at the origin, which is the centre of their images; :py:class:`tnst_mi.Camera` may be anywhere. Rendering
+    them in one launch costs one kernel instead of V, and moving them needs no new kernel, but for a second one when not
+    all are centred orthographic views any more. At first, all look along -z.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -43,16 +45,16 @@ class OrthographicViews(mi.Sensor):
         width, height = self.film().size()
         if self.view_count < 1 or height % self.view_count:
             raise ValueError(
-                f'orthographic_views: a film of height {height} cannot show "view_count" = {self.view_count} views'
+                f'camera_views: a film of height {height} cannot show "view_count" = {self.view_count} views'
             )
         self._width, self._height = int(width), int(height) // self.view_count
         self.set_views([(0.0, 0.0)] * self.view_count)
 
-    def set_views(self, views: Sequence[View]) -> None:
-        """Set the views to new (azimuth, elevation) angles in degrees, `view_count` of them."""
+    def set_views(self, views: Sequence[Viewpoint]) -> None:
+        """Set new views, in degrees and with or without a distance, or cameras, `view_count` of them."""
         if len(views) != self.view_count:
-            raise ValueError(f"orthographic_views: {len(views)} views given, expected {self.view_count}")
-        self.rays = OrthographicRays(self._width, self._height, self.spacing, self.distance, views)
+            raise ValueError(f"camera_views: {len(views)} views given, expected {self.view_count}")
+        self.rays = rays_of(views, self._width, self._height, self.spacing, self.distance)
 
     def sample_ray(
         self,
@@ -67,6 +69,10 @@ class OrthographicViews(mi.Sensor):
         ray.time = time
         return ray, mi.Spectrum(1)
 
+    def axis(self, position: mi.Point2f) -> mi.Vector3f | None:
+        """Where the cameras of the rays through such positions look; None if all are centred orthographic views."""
+        return self.rays.axis(position) if isinstance(self.rays, ViewpointRays) else None
+
     def sample_ray_differential(self, *arguments: object, **named: object) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
         """Like `sample_ray`; no textures are filtered in these scenes, so the differentials are omitted."""
         ray, weight = self.sample_ray(*arguments, **named)
@@ -74,7 +80,8 @@ class OrthographicViews(mi.Sensor):
 
     def to_string(self) -> str:
         """One line for Mitsuba's log."""
-        return f"OrthographicViews[view_count = {self.view_count}, spacing = {self.spacing}]"
+        return f"CameraViews[view_count = {self.view_count}, spacing = {self.spacing}]"
 
 
-mi.register_sensor("orthographic_views", OrthographicViews)
+for _name in ("camera_views", "orthographic_views"):
+    mi.register_sensor(_name, CameraViews)

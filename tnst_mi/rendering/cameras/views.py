@@ -1,7 +1,9 @@
 """Camera placement: Poisson-disc sets of views, and the camera's axes for one view.
 
-A view is (azimuth, elevation) in degrees. (0, 0) looks along -z from +z with x to the right and y up;
-+azimuth moves the camera towards +x, +elevation moves it up.
+A view looks at the centre of the grid. It is (azimuth, elevation) in degrees: (0, 0) looks along -z from +z with x to
+the right and y up; +azimuth moves the camera towards +x, +elevation moves it up. Such a view is orthographic. One of
+(azimuth, elevation, distance) is in perspective, from a point at that distance, in full-resolution cells; pixels are as
+far apart as in the orthographic view in the plane through the centre that faces the camera.
 """
 
 from __future__ import annotations
@@ -14,8 +16,8 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import smoke_box
 
-#: (azimuth, elevation) in degrees.
-View = tuple[float, float]
+#: (azimuth, elevation) in degrees, or (azimuth, elevation, distance): see the top of this file.
+View = tuple[float, float] | tuple[float, float, float]
 
 # Darts thrown at one radius before it shrinks; the first radius relative to the densest packing; the factor by which it
 # shrinks; and the fraction of the first radius below which points may coincide, so that the search ends even in ranges
@@ -82,6 +84,24 @@ def sample_views(
     return views
 
 
+def distance_of(view: View) -> float | None:
+    """The distance of the eye of a view in perspective, above 0; None if it is orthographic.
+
+    Raises:
+        InputError: there is one that is not above 0.
+    """
+    if len(view) == 2:
+        return None
+    if not 0 < view[2] < math.inf:
+        raise InputError(f"view: a distance of {view[2]} given, expected a number of full-resolution cells above 0")
+    return float(view[2])
+
+
+def text_of(view: View, between: str = ",") -> str:
+    """A view as text, such as "-10,5", or "-10,5,60" with its distance."""
+    return between.join(f"{number:g}" for number in view)
+
+
 def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the camera's right, up and towards-the-camera axes for a view given in degrees.
 
@@ -98,27 +118,61 @@ def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarr
 
 
 def fitted_size(
-    shape: tuple[int, int, int], azimuth: tuple[float, float], elevation: tuple[float, float]
+    shape: tuple[int, int, int],
+    azimuth: tuple[float, float],
+    elevation: tuple[float, float],
+    distance: float | None = None,
 ) -> tuple[int, int]:
     """Rows and columns of an image that shows all of a grid (D, H, W) in every view of these ranges, in degrees.
 
-    They are even where those of the grid are, so that pixel centres stay on cell centres in the front view.
+    They are even where those of the grid are, so that pixel centres stay on cell centres in the front view. In
+    perspective, the distance of the eye is in cells of the grid.
+
+    Raises:
+        InputError: the eye is in the grid, or so near that no image shows all of it.
     """
     a, e = np.radians(
         np.meshgrid(*(np.linspace(*ends, 181 if ends[1] > ends[0] else 1) for ends in (azimuth, elevation)))
     )
     sizes = np.array(shape[::-1], float)
     # By how much a pixel's row and column change along x, y and z, see `camera_frame`.
-    right = np.abs([np.cos(a), 0 * a, np.sin(a)])
-    up = np.abs([np.sin(a) * np.sin(e), np.cos(e), np.cos(a) * np.sin(e)])
-    rows, columns = (float((np.moveaxis(axes, 0, -1) @ sizes).max()) for axes in (up, right))
+    right = np.array([np.cos(a), 0 * a, -np.sin(a)])
+    up = np.array([-np.sin(a) * np.sin(e), np.cos(e), -np.cos(a) * np.sin(e)])
+    if distance is None:
+        rows, columns = (float((np.moveaxis(abs(axes), 0, -1) @ sizes).max()) for axes in (up, right))
+    else:
+        towards = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+        rows, columns = _corners_seen(sizes, up, right, towards, distance)
     # Rounding must not add a pixel.
     return _as_even_as(shape[1], math.ceil(rows - 1e-6)), _as_even_as(shape[2], math.ceil(columns - 1e-6))
 
 
-def common_size(shape: tuple[int, int, int], views: Sequence[View]) -> tuple[int, int]:
-    """Rows and columns of an image that shows all of a grid (D, H, W) in each of some views; see `fitted_size`."""
-    sizes = [fitted_size(shape, (azimuth, azimuth), (elevation, elevation)) for azimuth, elevation in views]
+def _corners_seen(
+    sizes: np.ndarray, up: np.ndarray, right: np.ndarray, towards: np.ndarray, distance: float
+) -> tuple[float, float]:
+    """Height and width of the images in which the eyes of some views, (3, …) axes each, see the corners of a box."""
+    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
+    y, x, nearer = (np.tensordot(signs * sizes, axes, 1) for axes in (up, right, towards))
+    before = 1 - nearer / distance
+    # So near, a corner is beside or behind the eye, or its image so large that it were no longer one.
+    if before.min() < 1e-2:
+        raise InputError(
+            f"view: from a distance of {distance:g} cells no image shows all of a grid whose corners are up to "
+            f"{np.linalg.norm(sizes) / 2:.1f} cells from its centre; move the camera away, or leave fit out"
+        )
+    return 2 * float((abs(y) / before).max()), 2 * float((abs(x) / before).max())
+
+
+def common_size(shape: tuple[int, int, int], views: Sequence[View], h: float = 1.0) -> tuple[int, int]:
+    """Rows and columns of an image that shows all of a grid (D, H, W) in each of some views; see `fitted_size`.
+
+    Cells are of size h in the unit of the views' distances.
+    """
+    sizes = []
+    for view in views:
+        distance = distance_of(view)
+        ranges = (view[0], view[0]), (view[1], view[1])
+        sizes.append(fitted_size(shape, *ranges, None if distance is None else distance / h))
     rows, columns = zip(*sizes, strict=True)
     return max(rows), max(columns)
 
@@ -134,17 +188,31 @@ def share_cut_off(density: np.ndarray, views: Sequence[View], size: tuple[int, i
     smoke, places = density[box], [(np.arange(n) - (n - 1) / 2)[s] for n, s in zip(density.shape, box, strict=True)]
 
     def lost(view: View) -> float:
-        right, up, _ = camera_frame(*view)
+        distance = distance_of(view)
+        x, y, nearer = (
+            [part * place for part, place in zip(axis[::-1], places, strict=True)] for axis in camera_frame(*view[:2])
+        )
+        # In perspective the image shows less of what is nearer, and nothing of what is behind the eye.
+        least = 1.0 if distance is None else max(1 - _farthest(nearer) / distance, 0.0)
         outside: np.ndarray | bool = False
-        for axis, half in ((right, size[1] / 2), (up, size[0] / 2)):
-            along = [part * place for part, place in zip(axis[::-1], places, strict=True)]
+        for along, half in ((x, size[1] / 2), (y, size[0] / 2)):
             # Most boxes are inside as a whole.
-            if sum(np.abs(part).max() for part in along) > half:
-                distance = along[0][:, None, None] + along[1][:, None] + along[2]
-                outside = outside | (np.abs(distance) > half + 1e-6)
+            if _farthest(along) >= half * least:
+                shown = half if distance is None else half * (1 - _summed(nearer) / distance)
+                outside = outside | (np.abs(_summed(along)) > shown + 1e-6)
         return 0.0 if outside is False else float(smoke[outside].sum(dtype=np.float64))
 
     return max(map(lost, views)) / float(smoke.sum(dtype=np.float64))
+
+
+def _summed(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """The sum of values that each belong to a coordinate, z, y and x, at all cells of a box."""
+    return parts[0][:, None, None] + parts[1][:, None] + parts[2]
+
+
+def _farthest(parts: Sequence[np.ndarray]) -> float:
+    """The largest magnitude of such sums."""
+    return float(sum(np.abs(part).max() for part in parts))
 
 
 def _as_even_as(parity: int, size: int) -> int:

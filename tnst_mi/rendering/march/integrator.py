@@ -15,7 +15,9 @@ import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.choices import QUADRATURES
-from tnst_mi.rendering.cameras.orthographic import ParallelRays
+from tnst_mi.rendering.cameras.perspective import ConvergingRays
+from tnst_mi.rendering.cameras.sensor import CameraViews
+from tnst_mi.rendering.march.back_projection import RaysTogether
 from tnst_mi.rendering.march.behind import NestedIntegrator, emitters_seen
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
@@ -26,15 +28,16 @@ from tnst_mi.rendering.march.segments import GridSegment, HomogeneousSegment, Se
 
 
 class SensorRays(mi.RayDifferential3f):
-    """Rays of a sensor that names a medium: what Mitsuba passes from `sample_rays` to `sample` is the rays alone.
+    """Rays with what is known of their sensor: Mitsuba passes from `sample_rays` to `sample` the rays alone.
 
     Attributes:
-        medium: the medium in which they start.
+        medium: the medium in which they start, if the sensor names one.
+        axis: of each ray, the direction in which its camera looks; None if the sensor does not tell.
     """
 
-    def __init__(self, rays: mi.RayDifferential3f, medium: mi.Medium) -> None:
+    def __init__(self, rays: mi.RayDifferential3f, medium: mi.Medium | None, axis: mi.Vector3f | None) -> None:
         super().__init__(rays)
-        self.medium = medium
+        self.medium, self.axis = medium, axis
 
 
 class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
@@ -76,15 +79,15 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     surfaces nearer than ``near_clip`` or beyond ``far_clip`` do not count. (Mitsuba's path tracers forget the far plane
     once a ray has entered a medium.)
 
-    A ``heterogeneous`` medium is sampled at positions that are the same in every view of a grid: see
-    :py:class:`tnst_mi.rendering.march.lattice.Lattice`. A ``homogeneous`` one is integrated exactly, the limit of each
-    quadrature for small steps.
+    A ``heterogeneous`` medium is sampled at positions that are the same in every view of a grid, with the sensor
+    ``camera_views`` in planes across the optical axis: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`. A
+    ``homogeneous`` one is integrated exactly, the limit of each quadrature for small steps.
 
     Derivatives are with respect to the ``sigma_t`` of every medium; what lies behind counts as constant. Mitsuba keeps
     ``scale`` as a plain number, without a derivative: multiply ``sigma_t.data`` by a differentiable number instead. The
-    reverse-mode pass replays the march. For parallel rays it stores the adjoint of every sample, and each voxel gathers
-    its own; for others it scatters them and stores nothing per step. The derivatives of grids are bit-identical in
-    every run. With one extinction channel the march is scalar, with three it is done per channel.
+    reverse-mode pass replays the march. For rays of whole viewpoints it stores the adjoint of every sample, and each
+    voxel gathers its own; for others it scatters them and stores nothing per step. The derivatives of grids are
+    bit-identical in every run. With one extinction channel the march is scalar, with three it is done per channel.
 
     Errors, of one line each:
 
@@ -132,10 +135,15 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     def sample_rays(
         self, scene: mi.Scene, sensor: mi.Sensor, sampler: mi.Sampler
     ) -> tuple[mi.RayDifferential3f, mi.Spectrum, mi.Vector2f]:
-        """Rays of the sensor, with the medium that it names; their weights and positions. See `RBIntegrator`."""
+        """Rays of the sensor, with what is known of it; their weights and positions. See `RBIntegrator`."""
         rays, weight, position = super().sample_rays(scene, sensor, sampler)
-        medium = sensor.get_medium()
-        return rays if medium is None else SensorRays(rays, medium), weight, position
+        axis = None
+        if isinstance(sensor, CameraViews):
+            film = sensor.film()
+            # Of the pixel's middle, which is in the image of the same viewpoint.
+            middle = dr.floor(position) - mi.Vector2f(film.crop_offset()) + 0.5
+            axis = sensor.axis(mi.Point2f(middle / mi.Vector2f(film.crop_size())))
+        return SensorRays(rays, sensor.get_medium(), axis), weight, position
 
     def sample(
         self,
@@ -146,27 +154,29 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         δL: mi.Spectrum | None,
         state_in: Any,
         active: mi.Bool,
-        parallel: ParallelRays | None = None,
+        together: RaysTogether | None = None,
         **kwargs: Any,  # Absorbs unused arguments
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
         """Radiance along rays (primal), its tangent (forward), or its adjoint (backward); see `RBIntegrator`.
 
         A `GridMedium` instead of a scene is marched alone, in front of black: no rays are traced, and on a GPU no OptiX
-        is needed. Declaring the rays `parallel` makes the adjoint faster.
+        is needed. What the rays of whole viewpoints have `together` makes the adjoint faster, and aligns the samples
+        of a camera.
         """
         if isinstance(scene, mi.Scene):
-            named = ray.medium if isinstance(ray, SensorRays) else None
+            named, axis = (ray.medium, ray.axis) if isinstance(ray, SensorRays) else (None, None)
             media = self.resolve(scene, named)
-            segments, end = self._segments(scene, media, ray, named, active)
+            segments, end = self._segments(scene, media, ray, axis, named, active)
             behind, on_surface = self._behind(scene, media, sampler, ray, end, active), end.surface.is_valid()
         else:
-            lattice = Lattice(scene, ray, self._sample_distance(scene))
+            axis = together.axis if isinstance(together, ConvergingRays) else None
+            lattice = Lattice(scene, ray, self._sample_distance(scene), axis=axis)
             segments, behind, on_surface = [GridSegment(scene, lattice, self._quadrature)], None, False
         if mode == dr.ADMode.Primal:
             L = self._radiance(segments, behind)
         elif mode == dr.ADMode.Backward:
             L = state_in
-            self._scatter_adjoint(segments, behind, L, δL, parallel)
+            self._scatter_adjoint(segments, behind, L, δL, together)
         else:
             L = self._tangent(segments, behind)
         valid = active & (functools.reduce(operator.or_, [segment.crossed for segment in segments], on_surface))
@@ -180,28 +190,39 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         return self.step if self.step > 0 else float(medium.transform.voxel_edges(medium.grid_shape).min())
 
     def _segments(
-        self, scene: mi.Scene, media: SceneMedia, ray: mi.Ray3f, named: mi.Medium | None, active: mi.Bool
+        self,
+        scene: mi.Scene,
+        media: SceneMedia,
+        ray: mi.Ray3f,
+        axis: mi.Vector3f | None,
+        named: mi.Medium | None,
+        active: mi.Bool,
     ) -> tuple[Sequence[Segment], RayEnd]:
         """The segments of the rays in media, nearest first, and the ends of the rays."""
         box = media.box if named is None or (media.box is not None and media.box.medium is named) else None
         if box is not None and (media.only_boundaries or self._nested is None):
             end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
-            lattice = Lattice(box, ray, self._sample_distance(box), (mi.Float(0), end.distance))
+            lattice = Lattice(box, ray, self._sample_distance(box), (mi.Float(0), end.distance), axis)
             return [GridSegment(box, lattice, self._quadrature)], end
         stretches, end = trace(scene, ray, active, named)
         return [
-            self._segment(medium, ray, *bounds)
+            self._segment(medium, ray, axis, *bounds)
             for stretch in stretches
             for medium in media.media
             if (bounds := stretch.inside(medium.medium)) is not None
         ], end
 
     def _segment(
-        self, medium: GridMedium | HomogeneousMedium, ray: mi.Ray3f, entry: mi.Float, exit: mi.Float
+        self,
+        medium: GridMedium | HomogeneousMedium,
+        ray: mi.Ray3f,
+        axis: mi.Vector3f | None,
+        entry: mi.Float,
+        exit: mi.Float,
     ) -> Segment:
         if isinstance(medium, HomogeneousMedium):
             return HomogeneousSegment(medium, entry, exit, self._quadrature)
-        lattice = Lattice(medium, ray, self._sample_distance(medium), (entry, exit))
+        lattice = Lattice(medium, ray, self._sample_distance(medium), (entry, exit), axis)
         return GridSegment(medium, lattice, self._quadrature)
 
     def _behind(
@@ -236,11 +257,11 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         behind: mi.Spectrum | None,
         L: Any,
         δL: mi.Spectrum,
-        parallel: ParallelRays | None,
+        together: RaysTogether | None,
     ) -> None:
         """Accumulate δL · ∂L/∂p into the gradients of all media's parameters p."""
         if len(segments) == 1:
-            segments[0].scatter_adjoint(L, δL, behind, parallel)
+            segments[0].scatter_adjoint(L, δL, behind, together)
             return
         # What each segment and everything behind it show, and its transmittance: from the back to the front.
         shown, transmittances = [behind], []
@@ -250,7 +271,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             transmittances.append(T)
         dr.eval(shown, transmittances)
         for i, segment in enumerate(segments):
-            segment.scatter_adjoint(shown[-1 - i], δL, shown[-2 - i], parallel)
+            segment.scatter_adjoint(shown[-1 - i], δL, shown[-2 - i], together)
             δL = δL * transmittances[-1 - i]
 
     def _tangent(self, segments: Sequence[Segment], behind: mi.Spectrum | None) -> Any:

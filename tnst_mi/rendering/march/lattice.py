@@ -11,6 +11,9 @@ from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.stencil import ClampedStencil
 from tnst_mi.rendering.march.medium import GridMedium
 
+#: Planes of samples nearer to the eye than this, in parts of their distance, count as being at the eye.
+AT_EYE = 1e-3
+
 
 class Lattice:
     """The sample positions of a set of rays: multiples of `step` from the point nearest the grid's centre.
@@ -19,21 +22,32 @@ class Lattice:
     grid of cubic cells, with the cell size as step, samples exactly the cell centres. Only samples inside the grid's
     box are visited, and of these only those in front of the ray's origin and inside the shape around the medium.
 
+    Where rays share the `axis` of a camera, samples lie in planes across it instead, `step` apart, one of which, or the
+    middle between two, passes through the grid's centre. They are farther apart along rays oblique to the axis, and
+    those of an orthographic camera are the same as without an axis.
+
     Args:
         medium: the grid and its place in the world.
         ray: the rays; their directions are unit vectors.
         step: distance between samples in world units.
         crossing: distances at which the rays enter and leave that shape; None if it is the grid's box.
+        axis: for each ray, the direction in which its camera looks, a unit vector; None for rays without a camera.
 
     Attributes:
         entry, exit: distances along the rays, ≥ 0, between which there are samples; empty where entry > exit.
         count: number of samples of each ray.
-        spacing, step: distance between samples in world units, on the host and on the device.
+        spacing: distance between samples, or between their planes, in world units.
+        step: distance between samples on the device: one number, or one for each ray if there is an axis.
         first: for each ray, the value of k − (n − 1)/2 (rounded down) at its first sample.
     """
 
     def __init__(
-        self, medium: GridMedium, ray: mi.Ray3f, step: float, crossing: tuple[mi.Float, mi.Float] | None = None
+        self,
+        medium: GridMedium,
+        ray: mi.Ray3f,
+        step: float,
+        crossing: tuple[mi.Float, mi.Float] | None = None,
+        axis: mi.Vector3f | None = None,
     ) -> None:
         d, h, w = medium.grid_shape
         size = mi.Vector3f(*(opaque(n) for n in (w, h, d)))
@@ -43,6 +57,10 @@ class Lattice:
         phase = opaque(0.0 if d % 2 else 0.5)
 
         nearest = dr.dot(centre - ray.o, ray.d)
+        if axis is not None:
+            cosine = dr.dot(axis, ray.d)
+            self.step = self.step / cosine
+            nearest = dr.dot(centre - ray.o, axis) / cosine
         # Both in cells, with the centre of cell 0 as origin.
         origin = (matrix @ mi.Vector3f(ray.o + nearest * ray.d - centre)) * size + (size - 1) * 0.5
         direction = (matrix @ mi.Vector3f(ray.d)) * size
@@ -53,7 +71,8 @@ class Lattice:
         within = (origin >= -0.5) & (origin <= size - 0.5)
         low = dr.select(parallel, dr.select(within, -dr.inf, dr.inf), dr.minimum(to_low, to_high))
         high = dr.select(parallel, dr.select(within, dr.inf, -dr.inf), dr.maximum(to_low, to_high))
-        begin = dr.maximum(dr.max(low), -nearest)
+        # In planes across an axis, one at the eye itself has no samples: they would be the same for all rays.
+        begin = dr.maximum(dr.max(low), -nearest if axis is None else opaque(AT_EYE) * self.step - nearest)
         end = dr.min(high)
         if crossing is not None:
             begin = dr.maximum(begin, crossing[0] - nearest)

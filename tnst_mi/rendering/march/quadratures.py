@@ -225,7 +225,7 @@ class IntegratedTransmittance(Quadrature):
 
     def limit(self, lattice: Lattice) -> mi.Float:
         """The length of the longest ray inside the box."""
-        return opaque(lattice.longest * lattice.spacing)
+        return opaque(lattice.longest) * lattice.step
 
     def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
         """1, with or without smoke."""

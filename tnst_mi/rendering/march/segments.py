@@ -10,8 +10,8 @@ import mitsuba as mi
 
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.sums import RepeatableSum
-from tnst_mi.rendering.cameras.orthographic import ParallelRays
-from tnst_mi.rendering.march.back_projection import BackProjection
+from tnst_mi.rendering.march.back_projection import RaysTogether
+from tnst_mi.rendering.march.converging import back_projection
 from tnst_mi.rendering.march.grid_march import GridMarch
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
@@ -40,7 +40,7 @@ class Segment(ABC):
 
     @abstractmethod
     def scatter_adjoint(
-        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, parallel: ParallelRays | None
+        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, together: RaysTogether | None
     ) -> None:
         """Accumulate δL · ∂L/∂p into the gradients of the medium's parameters p.
 
@@ -48,7 +48,7 @@ class Segment(ABC):
             L: what the segment and everything behind it show.
             δL: adjoint of L.
             behind: what everything behind it shows, None if that is black.
-            parallel: what the rays have in common, if they are parallel.
+            together: what the rays have in common, if they are all those of some viewpoints.
         """
 
     def in_front_of(self, behind: mi.Spectrum | None) -> Any:
@@ -78,7 +78,7 @@ class GridSegment(Segment):
         return L_dot, T, -T * τ_dot
 
     def scatter_adjoint(
-        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, parallel: ParallelRays | None
+        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, together: RaysTogether | None
     ) -> None:
         """Accumulate δL · ∂L/∂σ_t into the gradient of the extinction tensor."""
         medium, lattice = self.medium, self.lattice
@@ -92,8 +92,8 @@ class GridSegment(Segment):
         else:
             A, B = mi.Color3f(δL), mi.Color3f(δL * L)
 
-        if parallel is not None and medium.channels == 1:
-            projection = BackProjection(medium, lattice, parallel)
+        if together is not None and medium.channels == 1:
+            projection = back_projection(medium, lattice, together)
             self.quadrature.adjoint(march, A, B, lambda k, _, adjoint: projection.store(k, adjoint))
             with dr.resume_grad():
                 # Removed from the AD graph, whose reference would make the in-place addition copy the array.
@@ -102,7 +102,7 @@ class GridSegment(Segment):
             projection.add_to(total)
         else:
             limit = self.quadrature.limit(lattice)
-            bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L)))) * lattice.step * dr.abs(opaque(medium.scale))
+            bound = dr.max(dr.sum(dr.abs(δL) * (limit + dr.abs(L))) * lattice.step) * dr.abs(opaque(medium.scale))
             size, addends = dr.width(medium.extinction.array), dr.width(lattice.count) * lattice.longest
             sums = RepeatableSum(size, bound, addends)
             self.quadrature.adjoint(march, A, B, lambda _, stencil, adjoint: stencil.splat(sums, adjoint))
@@ -145,7 +145,7 @@ class HomogeneousSegment(Segment):
             return L_dot, dr.detach(T), T_dot
 
     def scatter_adjoint(
-        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, parallel: ParallelRays | None
+        self, L: Any, δL: mi.Spectrum, behind: mi.Spectrum | None, together: RaysTogether | None
     ) -> None:
         """Accumulate δL · ∂L/∂σ_t into the gradient of what the extinction is computed from."""
         with dr.resume_grad():

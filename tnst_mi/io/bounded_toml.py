@@ -1,4 +1,4 @@
-"""TOML whose keys and values are only as deep as a recipe's.
+"""TOML whose keys and values are only as deep as those of a recipe or a file of cameras.
 
 Python's parser takes time and memory with the square of the parts of a key: minutes for the 200 kB of one.
 """

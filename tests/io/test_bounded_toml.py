@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tnst_mi.errors import InputError
-from tnst_mi.recipe.bounded_toml import toml_values
+from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.recipe.flag_values import value_of_flag
 from tnst_mi.recipe.recipe import Recipe
 
