@@ -59,7 +59,7 @@ def iterated(
 ) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
     """The iterations of one octave; if it is the finest, yields each frame after its last."""
     for group in turns.groups(items):
-        for k in range(plan.recipe.iterations):
+        for k in range(plan.iterations(items.level)):
             for f in turns.steps_due(group, items, k):
                 items.put_step(f.frame, k, own_step(plan, f, items.level, problem, k))
             for f in turns.fields_due(group, items, k):

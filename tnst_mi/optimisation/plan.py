@@ -21,6 +21,7 @@ from tnst_mi.optimisation.silhouette import displacement_allowed
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.combinations import require_averageable, require_one_transport
 from tnst_mi.recipe.lengths import in_cells
+from tnst_mi.recipe.quality import iterations_run
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.regions.regions import Regions
@@ -110,6 +111,10 @@ class Plan:
     def octaves(self) -> list[Level]:
         """The octaves, from coarse to fine."""
         return levels_of(self.recipe, self.shape)
+
+    def iterations(self, octave: int) -> int:
+        """How many iterations an octave has, counted from 0."""
+        return iterations_run(self.recipe, octave)
 
     @property
     def full(self) -> Level:

@@ -164,17 +164,17 @@ class SequenceOptimisation:
 
     def _report(self, items: Items) -> None:
         """Report the iterations whose losses have been read."""
-        plan, iterations = self._plan, self._plan.recipe.iterations
+        plan, iterations = self._plan, self._plan.iterations(items.level)
+        each = [plan.iterations(octave) for octave in range(len(plan.octaves))]
         for outcome in items.outcomes():
             if self._on_iteration is None:
                 continue
             frame, k, count = outcome.frame, outcome.iteration, len(self._position)
             position = self._position[frame.index]
             within = k * count + position if plan.window > 1 else position * iterations + k
-            octaves = len(plan.octaves)
-            done, total = items.level * count * iterations + within + 1, octaves * count * iterations
+            done, total = count * sum(each[: items.level]) + within + 1, count * sum(each)
             self._on_iteration(
-                Progress(frame.name, items.level, octaves, k, iterations, outcome.loss, outcome.terms, done, total)
+                Progress(frame.name, items.level, len(each), k, iterations, outcome.loss, outcome.terms, done, total)
             )
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
@@ -211,7 +211,7 @@ class SequenceOptimisation:
 
     def _note_what_is_missing(self, frame: FramePlan, result: Stylized) -> None:
         """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
-        count = len(self._plan.octaves) * self._plan.recipe.iterations
+        count = sum(self._plan.iterations(octave) for octave in range(len(self._plan.octaves)))
         missing = 0 if frame.still else count - len(result.history)
         if missing:
             self._store.note(

@@ -16,16 +16,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tnst_mi.fields.grid import Shape
+from tnst_mi.recipe.quality import iterations_run
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.levels import levels_of
 
 
 @dataclass(frozen=True)
 class OctaveSize:
-    """Number of cells of an octave's grid, and of pixels of its images."""
+    """Number of cells of an octave's grid, of pixels of its images, and of its iterations."""
 
     cells: int
     pixels: int
+    iterations: int
 
     @property
     def costs(self) -> tuple[float, float, float]:
@@ -35,7 +37,10 @@ class OctaveSize:
 
 def octave_sizes(recipe: Recipe, shape: Shape) -> list[OctaveSize]:
     """The sizes of a recipe's octaves for frames of a shape (D, H, W), from coarse to fine."""
-    return [OctaveSize(math.prod(level.shape), math.prod(level.size)) for level in levels_of(recipe, shape)]
+    return [
+        OctaveSize(math.prod(level.shape), math.prod(level.size), iterations_run(recipe, octave))
+        for octave, level in enumerate(levels_of(recipe, shape))
+    ]
 
 
 @dataclass
@@ -57,7 +62,7 @@ class TimeLeft:
     """Estimates the time left from the reports of a run's iterations.
 
     Args:
-        sizes: of the octaves, from coarse to fine; all have equally many iterations.
+        sizes: of the octaves, from coarse to fine.
         clock: seconds that pass; the time of construction counts as the beginning of the run.
     """
 
@@ -79,9 +84,11 @@ class TimeLeft:
             self._timed[octave].last = self._now, done
         else:
             self._timed[octave] = _Timed((self._now, done), (self._now, done), before)
-        each, later = total // len(self._octaves), range(octave + 1, len(self._octaves))
-        here = (each * (octave + 1) - done) * self._seconds(octave)
-        return here + sum(each * self._seconds(at) + self._entering() for at in later)
+        frames = total // sum(size.iterations for size in self._octaves)
+        each = [frames * size.iterations for size in self._octaves]
+        here = (sum(each[: octave + 1]) - done) * self._seconds(octave)
+        later = range(octave + 1, len(each))
+        return here + sum(each[at] * self._seconds(at) + self._entering() for at in later)
 
     def _seconds(self, octave: int) -> float:
         """What an iteration of an octave takes, as measured, or as expected from other octaves."""

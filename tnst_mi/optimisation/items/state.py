@@ -290,7 +290,7 @@ class Items:
         if not self._alone:
             self._write_fields(frame, done, fields)
             return
-        last = done == self.plan.recipe.iterations
+        last = done == self.plan.iterations(self.level)
         # A step that has been applied is no longer needed.
         self._fields, self.own_step = {frame.index: (done, fields)}, Fields()
         if last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
@@ -310,6 +310,6 @@ class Items:
     def _write_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         self.settle()
         # What an octave begins and ends with. In between, a window replaces its items too fast for a disk to follow.
-        checkpoint = self._alone or done in (0, self.plan.recipe.iterations)
+        checkpoint = self._alone or done in (0, self.plan.iterations(self.level))
         self._store.write(self._group("fields"), frame.index, done, fields, checkpoint)
         self._written = time.perf_counter()
