@@ -22,6 +22,7 @@ from tnst_mi.optimisation.items.store import DamagedItemError, Store
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
+from tnst_mi.optimisation.start import State
 
 #: Bytes of device memory for items where the caller does not know how much is free.
 CACHE_BYTES = 1 << 28
@@ -183,6 +184,10 @@ class SequenceOptimisation:
         # Memory blocks of the iterations are no longer needed.
         release_memory()
         result = stylized_frame(items, frame, source)
+        if items is not None and not frame.still and items.iterations_done(frame) >= 0:
+            scales = self._store.numbers(f"scales.{items.level}") or {}
+            fields = {name: field.numpy() for name, field in items.fields(frame).items()}
+            result.state = State(items.level, items.iterations_done(frame), fields, scales)
         result.history = self._history(frame.name)
         for entry in result.history:
             name = f"octave {entry['octave']}"
@@ -211,7 +216,7 @@ class SequenceOptimisation:
 
     def _note_what_is_missing(self, frame: FramePlan, result: Stylized) -> None:
         """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
-        count = sum(self._plan.iterations(octave) for octave in range(len(self._plan.octaves)))
+        count = self._plan.iterations_of(frame)
         missing = 0 if frame.still else count - len(result.history)
         if missing:
             self._store.note(

@@ -36,3 +36,13 @@ def iterations_run(recipe: Recipe, octave: int) -> int:
     if octave < recipe.octaves - 1 or recipe.quality == FINAL:
         return recipe.iterations
     return -(-recipe.iterations // (2 if recipe.quality == PREVIEW else 4))
+
+
+def following(recipe: Recipe) -> str:
+    """The quality after that of a recipe; final after final.
+
+    Example:
+        >>> following(Recipe(quality="draft"))
+        'preview'
+    """
+    return QUALITIES[min(QUALITIES.index(recipe.quality) + 1, len(QUALITIES) - 1)]

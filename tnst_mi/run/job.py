@@ -166,8 +166,8 @@ class Run(Iterator[StylizedFrame]):
                     self._write(folder, frame, carry, prepared.plan.frames[index])
                     folder.write_run(self._progressed(started))
                 yield frame
-                # Callers may keep every frame of a run; what moves its grids is not part of the result.
-                stylized.movement = None
+                # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
+                stylized.movement = stylized.state = None
         self.record["status"] = "interrupted" if optimisation.interrupted else "done"
         self._progressed(started)
         if folder is None:
@@ -192,6 +192,8 @@ class Run(Iterator[StylizedFrame]):
         folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity, carry)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
+        if frame.stylized.state is not None:
+            frame.record["state"] = folder.write_state(source.name, frame.stylized.state)
         frame.record.update(folder.recorded(source.name, carry.names, frame.stylized.history))
         # Callers may keep every frame of a run; its largest arrays are not part of the result.
         frame.stylized.potential = (None, None)

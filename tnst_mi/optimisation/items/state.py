@@ -126,16 +126,19 @@ class Items:
         return Fields({name: times(inside, field) for name, field in fields.items()})
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
-        """Carry the fields of a frame over from the previous octave; in the first one they are 0."""
+        """Carry a frame's fields over from the previous octave; in the first one they are 0, or an earlier run's."""
         if self.iterations_done(frame) >= 0:
             return
-        parameterisation = frame.parameterisation
-        if coarser is None:
+        parameterisation, start, done = frame.parameterisation, self.plan.start, 0
+        if coarser is None and start is not None:
+            done, stored = start.iterations[frame.name], start.fields(frame.name)
+            fields = Fields({name: mi.TensorXf(stored[name]) for name in parameterisation.channels})
+        elif coarser is None:
             fields = parameterisation.zeros(self.octave)
         else:
             fields = parameterisation.carried(coarser.fields(frame), coarser.octave, self.octave)
             fields = self._inside(frame, fields)
-        self._write_fields(frame, 0, fields)
+        self._write_fields(frame, done, fields)
 
     def enter_gain(self, frame: FramePlan) -> None:
         """Write the factor that turns the windowed sum of a frame into an average over smoke."""

@@ -1,0 +1,39 @@
+"""The states that a run leaves in its folder, state/NAME.safetensors, from which another run can go on.
+
+A file holds what is optimised of one frame, in the cells of the octave in which the run ended: never more than the
+velocities that it writes too, and with a motif size far less. The run does not need it any more.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import save
+
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.optimisation.start import State
+
+
+def state_file(out: Path, name: str) -> Path:
+    """The file with the state of a frame in the folder of a run."""
+    return out / "state" / f"{name}.safetensors"
+
+
+def write_state(path: Path, state: State) -> None:
+    """Write the state of a frame."""
+    words = {"octave": state.octave, "iterations": state.iterations, "scales": dict(state.scales)}
+    fields = {name: np.ascontiguousarray(field) for name, field in state.fields.items()}
+    with written_whole(path) as temporary:
+        temporary.write_bytes(save(fields, {name: json.dumps(word) for name, word in words.items()}))
+
+
+def read_state(path: Path) -> State:
+    """The state of a frame; whatever is raised means that the file is not what was written."""
+    with safe_open(path, framework="numpy") as file:
+        words: dict[str, Any] = {name: json.loads(word) for name, word in (file.metadata() or {}).items()}
+        fields = {name: file.get_tensor(name) for name in file.keys()}
+    return State(words["octave"], words["iterations"], fields, words["scales"])
