@@ -40,6 +40,10 @@ class Turns(Protocol):
         """The frames whose own step of iteration k is still to be computed."""
         ...
 
+    def octave_done(self, items: Items) -> None:
+        """All frames have done all iterations of an octave."""
+        ...
+
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose fields are still to be updated in iteration k."""
         ...
@@ -52,6 +56,7 @@ def algorithm_1(
     for level in levels_left(plan, store):
         items = entered(plan, level, frames, store, turns.each)
         yield from iterated(plan, items, calibrated(plan, items, network, store, turns.each), turns)
+        turns.octave_done(items)
 
 
 def iterated(

@@ -14,6 +14,7 @@ from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import T, algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
+from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.mending import Mending
@@ -48,6 +49,7 @@ class SequenceOptimisation:
         self._plan, self._frames, self._store, self._cache_bytes = plan, frames, store, cache_bytes
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
+        self._on_octave: Callable[[Glimpses], None] | None = None
         self._finished: frozenset[int] = frozenset()
         self._interrupt = Interrupt()
         #: Of the frames that are changed, among these, by their index.
@@ -57,7 +59,10 @@ class SequenceOptimisation:
         self.interrupted = False
 
     def run(
-        self, on_iteration: Callable[[Progress], None] | None = None, finished: Collection[int] = ()
+        self,
+        on_iteration: Callable[[Progress], None] | None = None,
+        finished: Collection[int] = (),
+        on_octave: Callable[[Glimpses], None] | None = None,
     ) -> Generator[tuple[int, Stylized], None, None]:
         """Stylize the frames, and yield each with its index once it is done.
 
@@ -67,6 +72,7 @@ class SequenceOptimisation:
         Args:
             on_iteration: called after every iteration of every frame.
             finished: indices of frames that need not be yielded any more.
+            on_octave: called after every octave but the last, once all frames are through it.
 
         Raises:
             InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame is damaged, or a
@@ -74,7 +80,8 @@ class SequenceOptimisation:
             DamagedItemError: items of the store are damaged again after they were made anew.
             OSError: the store cannot be written.
         """
-        plan, self._on_iteration, self._finished = self._plan, on_iteration, frozenset(finished)
+        plan, self._on_iteration, self._on_octave = self._plan, on_iteration, on_octave
+        self._finished = frozenset(finished)
         self._items, self.interrupted = None, False
         wanted = [frame for frame in plan.frames if frame.index not in self._finished]
         if not wanted:
@@ -155,6 +162,12 @@ class SequenceOptimisation:
             yield now
             self._report(items)
             self._stop_here()
+
+    def octave_done(self, items: Items) -> None:
+        """All frames have done all iterations of an octave."""
+        if self._on_octave is not None and items.octave is not self._plan.octaves[-1]:
+            self._stop_here()
+            self._on_octave(Glimpses(items))
 
     def _stop_here(self) -> None:
         """End the run here if Ctrl-C was pressed."""

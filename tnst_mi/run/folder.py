@@ -4,9 +4,8 @@
                          the grids carried with it
                          (.vol, .uni or .vdb instead of .npz if the results have that format)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
-    state/NAME.*         from which another run can go on: not needed otherwise
     recipe.toml          the recipe as run              run.json             the record of the run
-    metrics.jsonl        one line per iteration
+    metrics.jsonl        one line per iteration         state/NAME.*         from which another run can go on
 
 Every file is written atomically and durably, but for metrics.jsonl, which grows with each frame and is on the disk
 before run.json, which is written last, lists the frame as complete: then it counts as finished, as long as its files
@@ -19,7 +18,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -175,20 +174,25 @@ class RunFolder:
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, with equal exposure; `attributes` go into the EXR headers."""
-        self._may_write()
-        images = self.out / "images"
+        self.write_glimpse(name, before, after)
         for suffix, image in (("before", before), ("after", after)):
-            write_png(images / f"{name}_{suffix}.png", image)
-            write_exr(images / f"{name}_{suffix}.exr", image, attributes)
-        write_png(images / f"{name}_comparison.png", side_by_side(before, after))
+            write_exr(self.out / "images" / f"{name}_{suffix}.exr", image, attributes)
 
     def write_state(self, name: str, state: State) -> dict[str, Any]:
         """Write the state of a frame; returns what run.json holds of it."""
         self._may_write()
-        path = state_file(self.out, name)
-        write_state(path, state)
-        (of_file,) = written(self.out, [path]).values()
-        return {"octave": state.octave, "iterations": state.iterations, **of_file}
+        return write_state(self.out, name, state)
+
+    def write_glimpse(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
+        """Write the main view of a frame that may not be finished, before and as it stands, as PNG alone."""
+        self._may_write()
+        for suffix, image in (("before", before), ("after", after), ("comparison", side_by_side(before, after))):
+            write_png(self.out / "images" / f"{name}_{suffix}.png", image)
+
+    def write_contact_sheet(self, entries: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
+        """Write the main views of some frames, before and after, on one sheet."""
+        self._may_write()
+        report.write_contact_sheet(self.out / "images" / "contact_sheet.png", entries, len(entries))
 
     def recorded(self, name: str, carried: Iterable[str], history: list[dict[str, Any]]) -> dict[str, Any]:
         """What run.json holds of the files of a frame, with which some grids moved, and of its iterations.

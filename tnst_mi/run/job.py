@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
+
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
@@ -20,6 +22,7 @@ from tnst_mi.machine import environment
 from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
+from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
@@ -28,6 +31,7 @@ from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
 from tnst_mi.run.carry import Carried, carried
 from tnst_mi.run.folder import RunFolder
+from tnst_mi.run.live_pictures import LivePictures
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, run_identity, sequence_record
@@ -49,9 +53,12 @@ class Optimisation(Protocol):
     interrupted: bool
 
     def run(
-        self, on_iteration: Callable[[Progress], None] | None, finished: Collection[int]
+        self,
+        on_iteration: Callable[[Progress], None] | None,
+        finished: Collection[int],
+        on_octave: Callable[[Glimpses], None] | None,
     ) -> Generator[tuple[int, Stylized], None, None]:
-        """Stylize the frames that are not finished, and yield each with its index."""
+        """Stylize the frames that are not finished, and yield each with its index; see `SequenceOptimisation.run`."""
         ...
 
 
@@ -154,7 +161,10 @@ class Run(Iterator[StylizedFrame]):
             announce_fallback()
         optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
-        with closing(optimisation.run(self._bar.advance, done)) as results:
+        live = (
+            None if folder is None else LivePictures(folder, [measure.name for measure in prepared.measures], finished)
+        )
+        with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
             for index, stylized in results:
                 source, files = prepared.unchanged[index], None if folder is None else prepared.suffix
                 digests = prepared.measures[index].others
@@ -163,7 +173,9 @@ class Run(Iterator[StylizedFrame]):
                 frame = StylizedFrame(source, stylized, record)
                 self.record["frames"].append(record)
                 if folder is not None:
-                    self._write(folder, frame, carry, prepared.plan.frames[index])
+                    before, after = self._write(folder, frame, carry, prepared.plan.frames[index])
+                    if live is not None:
+                        live.frame_done(source.name, before, after)
                     folder.write_run(self._progressed(started))
                 yield frame
                 # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
@@ -177,7 +189,10 @@ class Run(Iterator[StylizedFrame]):
         else:
             self._conclude(folder)
 
-    def _write(self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan) -> None:
+    def _write(
+        self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Write what belongs to a frame; returns its main view before and after."""
         run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
         before, after = (
             exposure * main_view(scaled(density, run.density_scale), recipe, run.full.size)
@@ -197,6 +212,7 @@ class Run(Iterator[StylizedFrame]):
         frame.record.update(folder.recorded(source.name, carry.names, frame.stylized.history))
         # Callers may keep every frame of a run; its largest arrays are not part of the result.
         frame.stylized.potential = (None, None)
+        return before, after
 
     def _conclude(self, folder: RunFolder) -> None:
         """Write the results for all frames together, and clean up."""

@@ -16,6 +16,7 @@ from safetensors.numpy import save
 
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.optimisation.start import State
+from tnst_mi.run.written import written
 
 
 def state_file(out: Path, name: str) -> Path:
@@ -23,12 +24,15 @@ def state_file(out: Path, name: str) -> Path:
     return out / "state" / f"{name}.safetensors"
 
 
-def write_state(path: Path, state: State) -> None:
-    """Write the state of a frame."""
+def write_state(out: Path, name: str, state: State) -> dict[str, Any]:
+    """Write the state of a frame; returns what run.json holds of it."""
     words = {"octave": state.octave, "iterations": state.iterations, "scales": dict(state.scales)}
-    fields = {name: np.ascontiguousarray(field) for name, field in state.fields.items()}
+    fields = {key: np.ascontiguousarray(field) for key, field in state.fields.items()}
+    path = state_file(out, name)
     with written_whole(path) as temporary:
-        temporary.write_bytes(save(fields, {name: json.dumps(word) for name, word in words.items()}))
+        temporary.write_bytes(save(fields, {key: json.dumps(word) for key, word in words.items()}))
+    (of_file,) = written(out, [path]).values()
+    return {"octave": state.octave, "iterations": state.iterations, **of_file}
 
 
 def read_state(path: Path) -> State:
