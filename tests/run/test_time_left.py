@@ -9,7 +9,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.time_left import OctaveSize, TimeLeft, octave_sizes
 
 #: Three octaves of a grid of 64 x 96 x 64 cells, a factor of 1.8 apart.
-SIZES = [OctaveSize(d * h * w, h * w, 20) for d, h, w in ((19, 29, 19), (35, 53, 35), (64, 96, 64))]
+SIZES = [OctaveSize(d * h * w, 9 * h * w, 20) for d, h, w in ((19, 29, 19), (35, 53, 35), (64, 96, 64))]
 
 
 def test_the_sizes_of_a_recipe() -> None:

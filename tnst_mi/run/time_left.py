@@ -1,7 +1,8 @@
 """The time left of a run, whose octaves cost differently.
 
 An iteration costs something that is the same in all octaves, something per pixel of its images (the network), and
-something per cell of its grid. How much of each is not known beforehand, and depends on the machine. Once two octaves
+something per cell of its grid. How much of each depends on the machine. As long as one octave has been timed, it is
+taken to be in the proportions that were measured on one: on tiny grids nearly all is the first. Once two octaves
 have been timed, what an iteration of a later one costs is bounded: from below by the mixture of the three with the most
 of what grows slowly, from above by that with the most of what grows fast. Their harmonic mean has the smallest error in
 the worst case, less than a quarter for the octaves of a default run.
@@ -20,10 +21,14 @@ from tnst_mi.recipe.quality import iterations_run
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.levels import levels_of
 
+#: Seconds of an iteration on two CPU cores (docs/performance.md): in any octave, per pixel of all images, and per cell.
+#: Only their proportions count.
+_TYPICAL = (34e-3, 7.8e-6, 60e-9)
+
 
 @dataclass(frozen=True)
 class OctaveSize:
-    """Number of cells of an octave's grid, of pixels of its images, and of its iterations."""
+    """Number of cells of an octave's grid, of pixels of the images of an iteration, and of its iterations."""
 
     cells: int
     pixels: int
@@ -34,11 +39,16 @@ class OctaveSize:
         """What the costs of an iteration grow with."""
         return 1.0, float(self.pixels), float(self.cells)
 
+    @property
+    def typical(self) -> float:
+        """What an iteration costs where costs are in the typical proportions."""
+        return sum(seconds * count for seconds, count in zip(_TYPICAL, self.costs, strict=True))
+
 
 def octave_sizes(recipe: Recipe, shape: Shape) -> list[OctaveSize]:
     """The sizes of a recipe's octaves for frames of a shape (D, H, W), from coarse to fine."""
     return [
-        OctaveSize(math.prod(level.shape), math.prod(level.size), iterations_run(recipe, octave))
+        OctaveSize(math.prod(level.shape), recipe.views * math.prod(level.size), iterations_run(recipe, octave))
         for octave, level in enumerate(levels_of(recipe, shape))
     ]
 
@@ -97,13 +107,12 @@ class TimeLeft:
         if octave in measured:
             return dict(known)[octave]
         if not known:
-            timed = next(iter(self._timed.values()))
-            return timed.first[0] - timed.begin
+            (at, timed), *_ = self._timed.items()
+            return (timed.first[0] - timed.begin) * self._octaves[octave].typical / self._octaves[at].typical
         sizes = self._octaves
         if len(known) == 1:
-            # On the whole, costs grow with the pixels.
             ((at, seconds),) = known
-            return seconds * sizes[octave].pixels / sizes[at].pixels
+            return seconds * sizes[octave].typical / sizes[at].typical
         return _expected(sizes[octave], *((sizes[at], seconds) for at, seconds in known))
 
     def _entering(self) -> float:
