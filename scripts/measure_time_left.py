@@ -3,7 +3,8 @@
     python scripts/measure_time_left.py [--weights FILE|FOLDER]
 
 Five runs: a tiny grid, a small one and a large one of one frame, a sequence, and one with a window. The truth counts
-until the results are written. Prints the rows of a table of docs/performance.md.
+until the results are written. All is counted in seconds of the CPUs, which other work on the machine does not change.
+Prints the rows of a table of docs/performance.md.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,8 @@ import tnst_mi  # before mitsuba: it chooses the LLVM library
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames
-from tnst_mi.run.time_left import TimeLeft
+from tnst_mi.run import progress
+from tnst_mi.run.time_left import OctaveSize, TimeLeft
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 
@@ -62,20 +65,20 @@ def resampled(frames: list[Frame], shape: tuple[int, int, int]) -> list[Frame]:
 def run(frames: list[Frame], recipe: dict[str, Any]) -> tuple[Estimates, float]:
     """Stylize into a folder; the estimates, and when it had ended."""
     estimates: Estimates = []
-    after = TimeLeft.after
 
-    def noted(self: TimeLeft, octave: int, done: int, total: int) -> float:
-        left = after(self, octave, done, total)
-        estimates.append((octave, left, time.perf_counter()))
-        return left
+    class Noted(TimeLeft):
+        def __init__(self, sizes: Sequence[OctaveSize], cells: int, frames: int) -> None:
+            super().__init__(sizes, cells, frames, time.process_time)
 
-    TimeLeft.after = noted
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            tnst_mi.stylize(frames, recipe, Path(folder) / "out", progress=False)
-            return estimates, time.perf_counter()
-    finally:
-        TimeLeft.after = after
+        def after(self, octave: int, done: int, total: int) -> float:
+            left = super().after(octave, done, total)
+            estimates.append((octave, left, time.process_time()))
+            return left
+
+    progress.TimeLeft = Noted
+    with tempfile.TemporaryDirectory() as folder:
+        tnst_mi.stylize(frames, recipe, Path(folder) / "out", progress=False)
+        return estimates, time.process_time()
 
 
 def row(estimates: Estimates, end: float) -> str:

@@ -26,6 +26,8 @@ __all__ = ["run", "tiny_weights"]
 
 SHAPE = (10, 14, 12)
 
+GOAL = {"semantic": "inception_3a/3x3:2"}
+
 
 @pytest.fixture(scope="module")
 def keys(tiny_weights: Path) -> dict[str, Any]:
@@ -55,6 +57,7 @@ def same(one: tnst_mi.Result, other: tnst_mi.Result) -> bool:
         (3, {"window": 3, "step_order": "align_first", "window_average": "plain", "lam": 0.5}),
         (2, {"parameterisation": "density", "eta": 0.02}),
         (1, {"motif_size": 1.0, "reach": "5%", "keep_silhouette": "2%"}),
+        (1, {"semantic": [], "target": [GOAL | {"mask": {"height": [9, 4]}}, GOAL | {"mask": {"height": [4, 9]}}]}),
     ],
 )
 def test_draft_preview_and_final_are_one_run_in_three_parts(

@@ -23,7 +23,8 @@ from tnst_mi.run.prepare import prepare
 __all__ = ["tiny_weights"]
 
 SHAPE = (10, 14, 12)
-VIEW = np.zeros((4, 3), np.float32)
+SIZE = (8, 6)
+COARSE, VIEW = np.zeros((4, 3), np.float32), np.zeros(SIZE, np.float32)
 
 
 class Rendered:
@@ -35,7 +36,7 @@ class Rendered:
 
     def of(self, indices: Sequence[int]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         self.asked.append(list(indices))
-        return ((self._names[index], VIEW, VIEW) for index in indices)
+        return ((self._names[index], COARSE, COARSE) for index in indices)
 
 
 class Gallery:
@@ -49,6 +50,7 @@ class Gallery:
         self.written.append(name)
 
     def write_contact_sheet(self, entries: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
+        assert {image.shape for _, *images in entries for image in images} == {SIZE}
         self.sheets.append([name for name, _, _ in entries])
 
 
@@ -63,7 +65,7 @@ class Clock:
 
 def test_long_sequences_show_twelve_frames_at_most_every_thirty_seconds() -> None:
     names, gallery, clock = [f"f_{i:03d}" for i in range(100)], Gallery(), Clock()
-    live, rendered = LivePictures(gallery, names, clock=clock), Rendered(names)
+    live, rendered = LivePictures(gallery, names, SIZE, clock=clock), Rendered(names)
     live.octave_done(rendered)
     clock.now = PAUSE - 1
     live.octave_done(rendered)
@@ -77,7 +79,7 @@ def test_long_sequences_show_twelve_frames_at_most_every_thirty_seconds() -> Non
 
 def test_finished_frames_take_their_places_on_the_sheet() -> None:
     names, gallery, clock = ["a", "b", "c"], Gallery(), Clock()
-    live, rendered = LivePictures(gallery, names, finished=["a"], clock=clock), Rendered(names)
+    live, rendered = LivePictures(gallery, names, SIZE, finished=["a"], clock=clock), Rendered(names)
     live.octave_done(rendered)
     assert rendered.asked == [[1, 2]]
     live.frame_done("b", VIEW, VIEW)
@@ -87,9 +89,18 @@ def test_finished_frames_take_their_places_on_the_sheet() -> None:
     assert len(gallery.sheets) == 1, "all are finished: the results have a sheet of their own"
 
 
+def test_a_sheet_shows_finished_frames_beside_others() -> None:
+    names, gallery, clock = ["a", "b", "c"], Gallery(), Clock()
+    live = LivePictures(gallery, names, SIZE, clock=clock)
+    live.octave_done(Rendered(names))
+    clock.now = PAUSE
+    live.frame_done("b", VIEW, VIEW)
+    assert gallery.sheets == [["a", "b", "c"]] * 2
+
+
 def test_a_single_frame_is_shown_after_every_octave_and_has_no_sheet() -> None:
     gallery = Gallery()
-    live = LivePictures(gallery, ["a"], clock=Clock())
+    live = LivePictures(gallery, ["a"], SIZE, clock=Clock())
     for _ in range(3):
         live.octave_done(Rendered(["a"]))
     assert gallery.written == ["a"] * 3 and gallery.sheets == []

@@ -162,11 +162,20 @@ def _stored_state(run: Path, name: str, recorded: Any) -> _Found:
             f"{run}: the state of {name} is gone, so no run can go on from it; make it again with --overwrite, or "
             "leave out --from"
         )
-    digest = file_hash(path, "sha256")
-    if digest != recorded.get("sha256"):
+
+    def fields() -> Mapping[str, np.ndarray]:
+        # Once more when they are read: meanwhile, the earlier run may have been replaced by another.
+        _require_written(path, recorded)
+        return read_state(path).fields
+
+    _require_written(path, recorded)
+    state = read_state(path, fields=False)
+    return _Found(name, state.octave, state.iterations, state.scales, fields, recorded["sha256"])
+
+
+def _require_written(path: Path, recorded: Mapping[str, Any]) -> None:
+    if file_hash(path, "sha256") != recorded.get("sha256"):
         raise InputError(f"{path}: is not what the run wrote; make it again with --overwrite, or leave out --from")
-    state = read_state(path)
-    return _Found(name, state.octave, state.iterations, state.scales, lambda: read_state(path).fields, digest)
 
 
 def _left_behind(run: Path, recipe: Recipe, earlier: Mapping[str, Any], plan: Plan) -> list[_Found]:
@@ -222,7 +231,10 @@ def _start_of(run: Path, states: Sequence[_Found], plan: Plan) -> Start:
 def _fitting(run: Path, state: _Found, plan: Plan) -> Mapping[str, np.ndarray]:
     """The fields of a state; of another grid, they would not be those of the run."""
     frame = next(frame for frame in plan.alive if frame.name == state.name)
-    fields, shape = state.fields(), tuple(plan.octaves[state.octave].shape)
+    try:
+        fields, shape = state.fields(), tuple(plan.octaves[state.octave].shape)
+    except (*DAMAGE, DamagedItemError):
+        raise InputError(f"{run}: the state of {state.name} is not what it was when this run began") from None
     for name, channels in frame.parameterisation.channels.items():
         expected = shape if channels == 1 else (*shape, channels)
         if name not in fields or fields[name].shape != expected:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import errno
+import math
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
@@ -92,7 +93,8 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, prepared.plan.shape))
+        shape, left = prepared.plan.shape, len(prepared.measures) - len(self.record["frames"])
+        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, shape), math.prod(shape), left)
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:
@@ -161,9 +163,8 @@ class Run(Iterator[StylizedFrame]):
             announce_fallback()
         optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
-        live = (
-            None if folder is None else LivePictures(folder, [measure.name for measure in prepared.measures], finished)
-        )
+        names, size = [measure.name for measure in prepared.measures], prepared.plan.full.size
+        live = None if folder is None else LivePictures(folder, names, size, finished)
         with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
             for index, stylized in results:
                 source, files = prepared.unchanged[index], None if folder is None else prepared.suffix
@@ -177,6 +178,7 @@ class Run(Iterator[StylizedFrame]):
                     if live is not None:
                         live.frame_done(source.name, before, after)
                     folder.write_run(self._progressed(started))
+                self._bar.frame_done()
                 yield frame
                 # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
                 stylized.movement = stylized.state = None

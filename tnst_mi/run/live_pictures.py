@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from tnst_mi.losses.pictures import resized
 from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.report import on_sheet
@@ -24,6 +25,7 @@ class LivePictures:
     Args:
         folder: of the run.
         names: of all frames, in their order.
+        size: rows and columns of the pictures of results, to which those of coarser octaves are enlarged.
         finished: names of the frames that have been written already.
         clock: seconds that pass.
     """
@@ -32,10 +34,11 @@ class LivePictures:
         self,
         folder: RunFolder,
         names: Sequence[str],
+        size: tuple[int, int],
         finished: Collection[str] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._folder, self._names, self._clock = folder, names, clock
+        self._folder, self._names, self._size, self._clock = folder, names, size, clock
         self._chosen, self._finished = on_sheet(len(names)), set(finished)
         #: The pictures of the contact sheet so far.
         self._shown: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -46,7 +49,8 @@ class LivePictures:
         if not self._due:
             return
         left = [index for index in self._chosen if self._names[index] not in self._finished]
-        for name, before, after in glimpses.of(left):
+        for name, *views in glimpses.of(left):
+            before, after = (resized(view, *self._size) for view in views)
             self._folder.write_glimpse(name, before, after)
             self._shown[name] = before, after
         self._update()

@@ -264,7 +264,7 @@ def prepare(
         require_same_masks(target_records, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
-        require_space(out, working_bytes(shape, len(sequence), recipe))
+        require_space(out, working_bytes(shape, len(sequence), recipe, states=True))
     plan = plan_of(
         recipe,
         [measure.name for measure in measures],

@@ -35,9 +35,14 @@ def write_state(out: Path, name: str, state: State) -> dict[str, Any]:
     return {"octave": state.octave, "iterations": state.iterations, **of_file}
 
 
-def read_state(path: Path) -> State:
-    """The state of a frame; whatever is raised means that the file is not what was written."""
+def read_state(path: Path, fields: bool = True) -> State:
+    """The state of a frame; whatever is raised means that the file is not what was written.
+
+    Args:
+        path: the file.
+        fields: whether to read what is optimised too, rather than how far it has got alone.
+    """
     with safe_open(path, framework="numpy") as file:
         words: dict[str, Any] = {name: json.loads(word) for name, word in (file.metadata() or {}).items()}
-        fields = {name: file.get_tensor(name) for name in file.keys()}
-    return State(words["octave"], words["iterations"], fields, words["scales"])
+        found = {name: file.get_tensor(name) for name in file.keys()} if fields else {}
+    return State(words["octave"], words["iterations"], found, words["scales"])

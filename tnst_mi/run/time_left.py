@@ -5,7 +5,8 @@ something per cell of its grid. How much of each depends on the machine. As long
 taken to be in the proportions that were measured on one: on tiny grids nearly all is the first. Once two octaves
 have been timed, what an iteration of a later one costs is bounded: from below by the mixture of the three with the most
 of what grows slowly, from above by that with the most of what grows fast. Their harmonic mean has the smallest error in
-the worst case, less than a quarter for the octaves of a default run.
+the worst case, less than a quarter for the octaves of a default run. What is left after the iterations, the results of
+each frame, is counted in: of a fine grid it takes longer than many of them.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from tnst_mi.rendering.levels import levels_of
 #: Seconds of an iteration on two CPU cores (docs/performance.md): in any octave, per pixel of all images, and per cell.
 #: Only their proportions count.
 _TYPICAL = (34e-3, 7.8e-6, 60e-9)
+
+#: Likewise of the results of a frame: its transport, losses, pictures and files, and per cell of the input's grid.
+_TYPICAL_RESULTS = (0.35, 0.55e-6)
 
 
 @dataclass(frozen=True)
@@ -60,12 +64,14 @@ class _Timed:
     first: tuple[float, int]
     last: tuple[float, int]
     begin: float
+    #: Seconds in between that went to the results of frames.
+    results: float = 0.0
 
     @property
     def seconds(self) -> float | None:
         """Of an iteration; None before the second report, since the first also has kernels to compile."""
         (start, at_start), (end, at_end) = self.first, self.last
-        return (end - start) / (at_end - at_start) if at_end > at_start else None
+        return (end - start - self.results) / (at_end - at_start) if at_end > at_start else None
 
 
 class TimeLeft:
@@ -73,11 +79,17 @@ class TimeLeft:
 
     Args:
         sizes: of the octaves, from coarse to fine.
+        cells: of the input's grid.
+        frames: how many have results to be written.
         clock: seconds that pass; the time of construction counts as the beginning of the run.
     """
 
-    def __init__(self, sizes: Sequence[OctaveSize], clock: Callable[[], float] = time.perf_counter) -> None:
-        self._octaves, self._clock = sizes, clock
+    def __init__(
+        self, sizes: Sequence[OctaveSize], cells: int, frames: int, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._octaves, self._cells, self._frames, self._clock = sizes, cells, frames, clock
+        #: Seconds that went to the results of frames.
+        self._results: list[float] = []
         self._timed: dict[int, _Timed] = {}
         self._now = clock()
 
@@ -98,7 +110,24 @@ class TimeLeft:
         each = [frames * size.iterations for size in self._octaves]
         here = (sum(each[: octave + 1]) - done) * self._seconds(octave)
         later = range(octave + 1, len(each))
-        return here + sum(each[at] * self._seconds(at) + self._entering() for at in later)
+        iterations = here + sum(each[at] * self._seconds(at) + self._entering(frames) for at in later)
+        return iterations + self._frames * self._of_results(octave)
+
+    def frame_done(self) -> None:
+        """The results of a frame have been written."""
+        before, self._now = self._now, self._clock()
+        self._results.append(self._now - before)
+        self._frames = max(0, self._frames - 1)
+        if self._timed:
+            self._timed[max(self._timed)].results += self._now - before
+
+    def _of_results(self, octave: int) -> float:
+        """What the results of a frame take, as measured, or as expected from the iterations of an octave."""
+        if self._results:
+            return sum(self._results) / len(self._results)
+        once, by_cell = _TYPICAL_RESULTS
+        timed = self._timed[octave].seconds
+        return (once + by_cell * self._cells) * (1.0 if timed is None else timed / self._octaves[octave].typical)
 
     def _seconds(self, octave: int) -> float:
         """What an iteration of an octave takes, as measured, or as expected from other octaves."""
@@ -115,11 +144,17 @@ class TimeLeft:
             return seconds * sizes[octave].typical / sizes[at].typical
         return _expected(sizes[octave], *((sizes[at], seconds) for at, seconds in known))
 
-    def _entering(self) -> float:
-        """What the first iteration of an octave takes besides, as far as is known."""
-        latest = self._timed[max(self._timed)]
-        seconds = latest.seconds
-        return 0.0 if seconds is None else max(0.0, latest.first[0] - latest.begin - seconds)
+    def _entering(self, frames: int) -> float:
+        """What the first iteration of an octave takes besides, as far as is known.
+
+        The run's first one says nothing about it, since kernels are compiled there and the network is loaded; the loss
+        is scaled with an evaluation of it for each frame.
+        """
+        at = max(self._timed)
+        latest, seconds = self._timed[at], self._seconds(at)
+        if len(self._timed) == 1:
+            return frames * seconds
+        return max(0.0, latest.first[0] - latest.begin - seconds)
 
 
 def _expected(size: OctaveSize, *known: tuple[OctaveSize, float]) -> float:
