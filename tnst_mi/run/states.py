@@ -30,7 +30,8 @@ def write_state(out: Path, name: str, state: State) -> dict[str, Any]:
     fields = {key: np.ascontiguousarray(field) for key, field in state.fields.items()}
     path = state_file(out, name)
     with written_whole(path) as temporary:
-        temporary.write_bytes(save(fields, {key: json.dumps(word) for key, word in words.items()}))
+        # One entry: several are written in another order each time.
+        temporary.write_bytes(save(fields, {"state": json.dumps(words)}))
     (of_file,) = written(out, [path]).values()
     return {"octave": state.octave, "iterations": state.iterations, **of_file}
 
@@ -43,6 +44,6 @@ def read_state(path: Path, fields: bool = True) -> State:
         fields: whether to read what is optimised too, rather than how far it has got alone.
     """
     with safe_open(path, framework="numpy") as file:
-        words: dict[str, Any] = {name: json.loads(word) for name, word in (file.metadata() or {}).items()}
+        words: dict[str, Any] = json.loads(file.metadata()["state"])
         found = {name: file.get_tensor(name) for name in file.keys()} if fields else {}
     return State(words["octave"], words["iterations"], found, words["scales"])
