@@ -3,7 +3,8 @@
     python scripts/measure_time_left.py [--weights FILE|FOLDER]
 
 Five runs: a tiny grid, a small one and a large one of one frame, a sequence, and one with a window. The truth counts
-until the results are written. All is counted in seconds of the CPUs, which other work on the machine does not change.
+until the results are written, as long as a second is left: the bar shows whole ones. All is counted in seconds of the
+CPUs, which other work on the machine does not change.
 Prints the rows of a table of docs/performance.md.
 """
 
@@ -85,7 +86,7 @@ def row(estimates: Estimates, end: float) -> str:
     """The errors: in the middle of the first octave, and from the second iteration of the second on."""
     first = [entry for entry in estimates if entry[0] == 0]
     _, left, when = first[len(first) // 2]
-    later = [entry for entry in estimates if entry[0] > 0][1:]
+    later = [entry for entry in estimates if entry[0] > 0 and end - entry[2] >= 1][1:]
     errors = np.array([left / (end - when) - 1 for _, left, when in later])
     writing = end - estimates[-1][2]
     total = end - estimates[0][2]

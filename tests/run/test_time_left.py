@@ -118,6 +118,7 @@ def with_results(frames: int, window: bool, cells: int, results: float, speed: f
     for _ in range(frames if window else 0):
         clock.now += results
         estimator.frame_done()
+    clock.now += 0.6 + 0.1 * frames if frames > 1 else 0.0
     return [(octave, left, clock.now - now) for octave, left, now in found]
 
 

@@ -26,9 +26,12 @@ from tnst_mi.rendering.levels import levels_of
 #: Only their proportions count.
 _TYPICAL = (34e-3, 7.8e-6, 60e-9)
 
-#: Seconds of the results of a frame, there: for pictures and plots, and per cell of the input's grid for their transport
-#: and compression. They do not get faster with the iterations, as on a GPU.
+#: Seconds of the results of a frame, there: for pictures and plots, and per cell of the input's grid for transport and
+#: compression. They do not get faster with the iterations, as on a GPU.
 _TYPICAL_RESULTS = (0.35, 0.55e-6)
+
+#: Seconds in which a sequence is concluded, there: for its plots, and per frame for its flicker and its video.
+_TYPICAL_CONCLUSION = (0.6, 0.1)
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,8 @@ class TimeLeft:
         self, sizes: Sequence[OctaveSize], cells: int, frames: int, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self._octaves, self._cells, self._frames, self._clock = sizes, cells, frames, clock
+        once, by_frame = _TYPICAL_CONCLUSION
+        self._conclusion = once + by_frame * frames if frames > 1 else 0.0
         #: Seconds that went to the results of frames.
         self._results: list[float] = []
         self._timed: dict[int, _Timed] = {}
@@ -112,7 +117,7 @@ class TimeLeft:
         here = (sum(each[: octave + 1]) - done) * self._seconds(octave)
         later = range(octave + 1, len(each))
         iterations = here + sum(each[at] * self._seconds(at) + self._entering(frames) for at in later)
-        return iterations + self._frames * self._of_results()
+        return iterations + self._frames * self._of_results() + self._conclusion
 
     def frame_done(self) -> None:
         """The results of a frame have been written."""
