@@ -110,7 +110,7 @@ def compare(frame: Frame, recipe: Recipe) -> tuple[dict, dict[str, list[np.ndarr
     renderers = {name: Judge(frame, of_driver, network) for name, of_driver in recipes.items()}
     densities, drivers = {"before": frame.density}, {}
     for name, renderer in renderers.items():
-        bar = ProgressBar(True, octave_sizes(recipes[name], frame.density.shape))
+        bar = ProgressBar(True, octave_sizes(recipes[name], frame.density.shape), frame.density.size, 1)
         stylized = optimise(frame, recipes[name], network, renderer.exposure, bar.advance)
         bar.close()
         densities[name] = stylized.density

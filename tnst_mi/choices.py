@@ -26,5 +26,8 @@ TRACES = ("step", "flow")
 WINDOW_WEIGHTS = ("uniform", "triangle", "gaussian")
 """Shapes of the temporal window, see `tnst_mi.optimisation.temporal.window.window_weights`."""
 
+QUALITIES = ("draft", "preview", "final")
+"""How far a run goes on the way that its recipe describes, see `tnst_mi.recipe.quality`."""
+
 LOOKS = ("thin", "medium", "thick")
 """How dense the smoke appears in a beauty render; each is a Mitsuba scene in `scenes/looks`."""

@@ -52,7 +52,10 @@ class FakeOptimiser:
         return self
 
     def run(
-        self, on_iteration: Callable[[Progress], None], finished: Collection[int]
+        self,
+        on_iteration: Callable[[Progress], None],
+        finished: Collection[int],
+        on_octave: Callable[[Any], None] | None = None,
     ) -> Iterator[tuple[int, Stylized]]:
         recipe = self.recipe
         self.store.write("fields.0", 0, 0, {"phi": np.zeros(SHAPE, np.float32)})

@@ -91,7 +91,7 @@ def test_the_lines_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     begins, ends = "frame_0005 octave 1/1: 100%", "1/1 [00:00<00:00, iteration 1/1, loss 0.5]"
     for stream in (log := io.StringIO(), terminal := Terminal()):
         monkeypatch.setattr("sys.stderr", stream)
-        bar = ProgressBar(True, [OctaveSize(8, 4)])
+        bar = ProgressBar(True, [OctaveSize(8, 4, 1)], 8, 1)
         bar.advance(Progress("frame_0005", 0, 1, 0, 1, 0.5, {}, 1, 1))
         bar.close()
     assert log.getvalue() == f"{begins} {ends}\n"

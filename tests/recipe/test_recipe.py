@@ -38,6 +38,7 @@ CHANGED: dict[str, Any] = {
         {"tag": ("volcano",), "mask": ("heat", {"height": (2.0, 0.5), "strength": 0.5, "invert": True})},
     ),
     "preset": "paper",
+    "quality": "draft",
     "lam": 0.5,
     "gamma": 1e-3,
     "density_scale": 20.0,

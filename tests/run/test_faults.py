@@ -19,8 +19,8 @@ __all__ = ["begun", "quick", "run", "tiny_weights", "undisturbed"]
 
 ERRORS = [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EFBIG]
 
-#: Writes of the run below: 2 to begin, 13 for each octave, 10 for each frame, 4 to end.
-WRITES = 2 + 2 * 13 + 2 * 10 + 4
+#: Writes of the run below: 2 to begin, 13 for each octave, 7 pictures in between, 11 for each frame, 4 to end.
+WRITES = 2 + 2 * 13 + 7 + 2 * 11 + 4
 
 EVERY = bool(os.environ.get("TNST_MI_EVERY_FAULT"))
 FAULTS = (

@@ -61,6 +61,9 @@ class StylizeArguments(Arguments):
     """New or empty folder for the results."""
     recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recipe file (TOML); its keys are the flags below."""
+    start_from: Annotated[Path | None, tyro.conf.arg(name="from", metavar="RUN")] = None
+    """Go on from what an earlier run of the same input and goals has found, a draft or a preview, of which nothing is
+    computed again: with its input and its recipe, and the next --quality, unless these are given (docs/preview.md)."""
     resume: bool = False
     """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False

@@ -24,8 +24,8 @@ from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.resources import expanded
 from tnst_mi.run.inputs import reference_density
 
-#: Earlier names of flags, which still work.
-OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",)}
+#: Other names of flags: earlier ones, which still work, and one whose own name is a word of Python.
+OTHER_FLAGS = {"units": ("--velocity-units",), "origin": ("--move",), "start_from": ("--from",)}
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

@@ -13,10 +13,11 @@ from tnst_mi.commands.arguments import StylizeArguments
 from tnst_mi.commands.base import given, say
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
+from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import input_of_run, recipe_of_run
 from tnst_mi.run.request import requested_frames
-from tnst_mi.run.resuming import require_begun
+from tnst_mi.run.resuming import require_begun, require_run
 
 if TYPE_CHECKING:
     from tnst_mi.run import job, prepare
@@ -41,10 +42,12 @@ def run(arguments: StylizeArguments) -> int:
     source, recipe = _input_and_recipe(arguments)
     for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
-    out, resume, overwrite = arguments.out, arguments.resume, arguments.overwrite
+    out, resume, overwrite, begin = arguments.out, arguments.resume, arguments.overwrite, arguments.start_from
     try:
-        requested_frames(source, recipe, out, resume=resume, overwrite=overwrite)
-        prepared = prepare.prepare(source, recipe, out, resume=resume, overwrite=overwrite, progress=True)
+        requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
+        prepared = prepare.prepare(
+            source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin, progress=True
+        )
     except KeyboardInterrupt:
         raise StoppedError(
             "interrupted before the run began: nothing has changed, the same command begins anew"
@@ -53,15 +56,17 @@ def run(arguments: StylizeArguments) -> int:
 
 
 def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
-    """What to stylize, and how before the flags; a run to be resumed has both in its folder.
+    """What to stylize, and how before the flags; a run to be resumed, or to go on from, has both in its folder.
 
     Raises:
         InputError: the recipe cannot be used, or there is no INPUT.
     """
     resumed = arguments.resume and not arguments.overwrite and require_begun(arguments.out)
-    source = arguments.input
-    if source is None and resumed:
-        source = input_of_run(arguments.out)
+    source, earlier = arguments.input, arguments.out if resumed else arguments.start_from
+    if arguments.start_from is not None:
+        require_run(arguments.start_from)
+    if source is None and earlier is not None:
+        source = input_of_run(earlier)
     if source is None and arguments.resume:
         raise InputError(f"{arguments.out}: its run was ended before it began; give its INPUT too to begin it")
     if arguments.resume and not resumed and not arguments.overwrite:
@@ -70,7 +75,10 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
         raise InputError("stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern")
     if arguments.recipe is not None:
         return source, Recipe.from_toml(arguments.recipe)
-    return source, recipe_of_run(arguments.out) if resumed else Recipe()
+    if earlier is None:
+        return source, Recipe()
+    recipe = recipe_of_run(earlier)
+    return source, recipe if resumed else recipe.updated({"quality": following(recipe)}, "--from: ", Path.cwd())
 
 
 def reported(frames: job.Run, remedy: str = "--resume continues the run in {out} where it stopped") -> int:

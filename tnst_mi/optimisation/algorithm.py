@@ -40,6 +40,10 @@ class Turns(Protocol):
         """The frames whose own step of iteration k is still to be computed."""
         ...
 
+    def octave_done(self, items: Items) -> None:
+        """All frames have done all iterations of an octave."""
+        ...
+
     def fields_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose fields are still to be updated in iteration k."""
         ...
@@ -52,6 +56,7 @@ def algorithm_1(
     for level in levels_left(plan, store):
         items = entered(plan, level, frames, store, turns.each)
         yield from iterated(plan, items, calibrated(plan, items, network, store, turns.each), turns)
+        turns.octave_done(items)
 
 
 def iterated(
@@ -59,7 +64,7 @@ def iterated(
 ) -> Iterator[tuple[FramePlan, Items, OctaveProblem]]:
     """The iterations of one octave; if it is the finest, yields each frame after its last."""
     for group in turns.groups(items):
-        for k in range(plan.recipe.iterations):
+        for k in range(plan.iterations(items.level)):
             for f in turns.steps_due(group, items, k):
                 items.put_step(f.frame, k, own_step(plan, f, items.level, problem, k))
             for f in turns.fields_due(group, items, k):

@@ -20,11 +20,11 @@ Each = Callable[[Iterable[FramePlan]], Iterator[FramePlan]]
 
 def reached(plan: Plan, store: DeviceStore) -> int:
     """The octave that a run has reached: the last one that all frames have entered."""
-    for level in reversed(range(len(plan.octaves))):
+    for level in reversed(range(plan.first_octave, len(plan.octaves))):
         items = Items(plan, level, store)
         if all(items.iterations_done(frame) >= 0 for frame in plan.alive):
             return level
-    return 0
+    return plan.first_octave
 
 
 def levels_left(plan: Plan, store: DeviceStore) -> range:
@@ -38,7 +38,7 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore,
     # Memory blocks of the previous octave are too small for this one.
     release_memory()
     items, windowed = Items(plan, level, store), plan.window > 1
-    earlier = [Items(plan, before, store) for before in range(level)]
+    earlier = [Items(plan, before, store) for before in range(plan.first_octave, level)]
     # Neighbours are transported through unchanged frames too.
     for frame in each(plan.frames if windowed else plan.alive):
         items.enter_inputs(frame, frames[frame.index])
@@ -64,6 +64,9 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore,
     """
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
     scales = store.backing.numbers(name)
+    if scales is None and plan.start is not None and items.level == plan.start.octave and plan.start.scales:
+        scales = dict(plan.start.scales)
+        store.backing.write_numbers(name, scales)
     if scales is None and any(items.iterations_done(frame) > 0 for frame in plan.alive):
         raise DamagedItemError(name, "they have got lost")
     if scales is None and plan.recipe.loss_scaling == "none":

@@ -18,9 +18,11 @@ from tnst_mi.losses.objective import Objective
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
 from tnst_mi.optimisation.silhouette import displacement_allowed
+from tnst_mi.optimisation.start import Start
 from tnst_mi.optimisation.temporal.window import window_weights
 from tnst_mi.recipe.combinations import require_averageable, require_one_transport
 from tnst_mi.recipe.lengths import in_cells
+from tnst_mi.recipe.quality import iterations_run
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.regions.regions import Regions
@@ -97,6 +99,7 @@ class Plan:
         density_scale: factor of the frames' densities, see `fields.density_unit`.
         objectives: what to minimise, for each target.
         regions: the masks of the targets; None if there is one target, which applies everywhere.
+        start: where the fields begin; None if that is at 0 in the first octave.
     """
 
     recipe: Recipe
@@ -105,11 +108,26 @@ class Plan:
     density_scale: float
     objectives: tuple[Objective, ...]
     regions: Regions | None = None
+    start: Start | None = None
 
     @cached_property
     def octaves(self) -> list[Level]:
         """The octaves, from coarse to fine."""
         return levels_of(self.recipe, self.shape)
+
+    def iterations(self, octave: int) -> int:
+        """How many iterations an octave has, counted from 0."""
+        return iterations_run(self.recipe, octave)
+
+    @property
+    def first_octave(self) -> int:
+        """The octave in which the fields begin."""
+        return 0 if self.start is None else self.start.octave
+
+    def iterations_of(self, frame: FramePlan) -> int:
+        """How many iterations a run has for a frame, without those that an earlier run has done for it."""
+        each = sum(self.iterations(octave) for octave in range(self.first_octave, len(self.octaves)))
+        return each if self.start is None else each - self.start.iterations[frame.name]
 
     @property
     def full(self) -> Level:

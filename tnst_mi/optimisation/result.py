@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tnst_mi.optimisation.movement import Movement
+from tnst_mi.optimisation.start import State
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Stylized:
         loss_before, loss_after: loss of the unstylized and the stylized density, the mean over the same three views;
             None if nothing was stylized.
         terms_before, terms_after: likewise the terms of the loss, unscaled and so comparable between runs.
+        state: from which another run can go on; None for a frame that is left unchanged.
         movement: what moves the frame's other grids likewise; None where nothing moves.
     """
 
@@ -53,4 +55,5 @@ class Stylized:
     loss_after: float | None = None
     terms_before: dict[str, float] = field(default_factory=dict)
     terms_after: dict[str, float] = field(default_factory=dict)
+    state: State | None = None
     movement: Movement | None = None

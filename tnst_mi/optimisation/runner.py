@@ -14,6 +14,7 @@ from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import T, algorithm_1
 from tnst_mi.optimisation.finish import stylized_frame
+from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.mending import Mending
@@ -22,6 +23,7 @@ from tnst_mi.optimisation.items.store import DamagedItemError, Store
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
+from tnst_mi.optimisation.start import State
 
 #: Bytes of device memory for items where the caller does not know how much is free.
 CACHE_BYTES = 1 << 28
@@ -47,6 +49,7 @@ class SequenceOptimisation:
         self._plan, self._frames, self._store, self._cache_bytes = plan, frames, store, cache_bytes
         self._network = network.to(torch_device())
         self._on_iteration: Callable[[Progress], None] | None = None
+        self._on_octave: Callable[[Glimpses], None] | None = None
         self._finished: frozenset[int] = frozenset()
         self._interrupt = Interrupt()
         #: Of the frames that are changed, among these, by their index.
@@ -56,7 +59,10 @@ class SequenceOptimisation:
         self.interrupted = False
 
     def run(
-        self, on_iteration: Callable[[Progress], None] | None = None, finished: Collection[int] = ()
+        self,
+        on_iteration: Callable[[Progress], None] | None = None,
+        finished: Collection[int] = (),
+        on_octave: Callable[[Glimpses], None] | None = None,
     ) -> Generator[tuple[int, Stylized], None, None]:
         """Stylize the frames, and yield each with its index once it is done.
 
@@ -66,6 +72,7 @@ class SequenceOptimisation:
         Args:
             on_iteration: called after every iteration of every frame.
             finished: indices of frames that need not be yielded any more.
+            on_octave: called after every octave but the last, once all frames are through it.
 
         Raises:
             InputError: the network lacks a layer, channel or class, a picture cannot be used, a frame is damaged, or a
@@ -73,7 +80,8 @@ class SequenceOptimisation:
             DamagedItemError: items of the store are damaged again after they were made anew.
             OSError: the store cannot be written.
         """
-        plan, self._on_iteration, self._finished = self._plan, on_iteration, frozenset(finished)
+        plan, self._on_iteration, self._on_octave = self._plan, on_iteration, on_octave
+        self._finished = frozenset(finished)
         self._items, self.interrupted = None, False
         wanted = [frame for frame in plan.frames if frame.index not in self._finished]
         if not wanted:
@@ -155,6 +163,12 @@ class SequenceOptimisation:
             self._report(items)
             self._stop_here()
 
+    def octave_done(self, items: Items) -> None:
+        """All frames have done all iterations of an octave."""
+        if self._on_octave is not None and items.octave is not self._plan.octaves[-1]:
+            self._stop_here()
+            self._on_octave(Glimpses(items))
+
     def _stop_here(self) -> None:
         """End the run here if Ctrl-C was pressed."""
         if self._interrupt.requested:
@@ -164,17 +178,17 @@ class SequenceOptimisation:
 
     def _report(self, items: Items) -> None:
         """Report the iterations whose losses have been read."""
-        plan, iterations = self._plan, self._plan.recipe.iterations
+        plan, iterations = self._plan, self._plan.iterations(items.level)
+        each = [plan.iterations(octave) for octave in range(len(plan.octaves))]
         for outcome in items.outcomes():
             if self._on_iteration is None:
                 continue
             frame, k, count = outcome.frame, outcome.iteration, len(self._position)
             position = self._position[frame.index]
             within = k * count + position if plan.window > 1 else position * iterations + k
-            octaves = len(plan.octaves)
-            done, total = items.level * count * iterations + within + 1, octaves * count * iterations
+            done, total = count * sum(each[: items.level]) + within + 1, count * sum(each)
             self._on_iteration(
-                Progress(frame.name, items.level, octaves, k, iterations, outcome.loss, outcome.terms, done, total)
+                Progress(frame.name, items.level, len(each), k, iterations, outcome.loss, outcome.terms, done, total)
             )
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
@@ -183,6 +197,10 @@ class SequenceOptimisation:
         # Memory blocks of the iterations are no longer needed.
         release_memory()
         result = stylized_frame(items, frame, source)
+        if items is not None and not frame.still and items.iterations_done(frame) >= 0:
+            scales = self._store.numbers(f"scales.{items.level}") or {}
+            fields = {name: field.numpy() for name, field in items.fields(frame).items()}
+            result.state = State(items.level, items.iterations_done(frame), fields, scales)
         result.history = self._history(frame.name)
         for entry in result.history:
             name = f"octave {entry['octave']}"
@@ -211,7 +229,7 @@ class SequenceOptimisation:
 
     def _note_what_is_missing(self, frame: FramePlan, result: Stylized) -> None:
         """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
-        count = len(self._plan.octaves) * self._plan.recipe.iterations
+        count = self._plan.iterations_of(frame)
         missing = 0 if frame.still else count - len(result.history)
         if missing:
             self._store.note(

@@ -9,7 +9,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, Any, get_type_hints
 
-from tnst_mi.choices import QUADRATURES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
+from tnst_mi.choices import QUADRATURES, QUALITIES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
@@ -88,6 +88,10 @@ class Method:
     preset: Annotated[str | None, Unset(Choice(("paper",)))] = None
     """Other defaults: paper takes the formulas of the paper where ours differ (docs/paper.md). Keys that are given, in
     the recipe or as flags, stay as they are given."""
+    quality: Annotated[str, Choice(QUALITIES)] = "final"
+    """How much of the work is done, for how good a picture: final is all of it; draft ends before the finest octave,
+    and preview half-way through it. Both show where the motifs of the final will be, and --from goes on from them
+    (docs/preview.md)."""
     lam: Annotated[float, Number(0.0, 1.0)] = 0.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 0 is divergence-free, so that smoke is kept, 1 lets it expand and
     contract."""

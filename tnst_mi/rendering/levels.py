@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tnst_mi.fields.grid import Octave, Shape, octaves
+from tnst_mi.recipe.quality import octaves_run
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 
@@ -45,7 +46,12 @@ def finest_rows(recipe: Recipe, shape: Shape) -> int:
 
 
 def levels_of(recipe: Recipe, shape: Shape) -> list[Level]:
-    """The octaves of a recipe for frames (D, H, W), from coarse to fine."""
+    """The octaves that a run goes through with frames (D, H, W), from coarse to fine: a draft leaves out the finest."""
+    return all_levels(recipe, shape)[: octaves_run(recipe)]
+
+
+def all_levels(recipe: Recipe, shape: Shape) -> list[Level]:
+    """The octaves that a recipe describes for frames (D, H, W), from coarse to fine, whatever its quality."""
     rows = finest_rows(recipe, shape)
     finest = [n if n == 1 or rows == shape[1] else max(1, round(n * rows / shape[1])) for n in shape]
     levels = []
@@ -64,8 +70,11 @@ def full_level(recipe: Recipe, shape: Shape) -> Level:
 
 
 def levels_seen(recipe: Recipe, shape: Shape) -> list[Level]:
-    """All grids of which a run renders images: its octaves, and last the input's own."""
-    levels, full = levels_of(recipe, shape), full_level(recipe, shape)
+    """All grids of which images are rendered: the octaves, and last the input's own.
+
+    Those that a draft leaves out count: what follows from them, such as the exposure, must not depend on the quality.
+    """
+    levels, full = all_levels(recipe, shape), full_level(recipe, shape)
     return levels if levels[-1] == full else [*levels, full]
 
 

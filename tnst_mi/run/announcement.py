@@ -10,6 +10,7 @@ from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
 from tnst_mi.machine.terminal import some_of
 from tnst_mi.recipe.presets import PRESETS
+from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
 from tnst_mi.run.carry import VELOCITY, chosen
@@ -34,6 +35,7 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield from _of_masks(prepared)
     yield from _of_other_grids(prepared)
     yield prepared.memory
+    yield from _of_quality(prepared)
     if prepared.step != 1:
         yield f"note: frames are {prepared.step} apart, so their velocities, in cells per frame, are taken times that"
     for path in dict.fromkeys(path for target in targets_of(recipe) for path in _pictures(target)):
@@ -47,6 +49,20 @@ def announcement(prepared: Prepared) -> Iterator[str]:
     yield from _of_camera(prepared)
     yield from _of_density(prepared)
     yield from _of_images(prepared)
+
+
+def _of_quality(prepared: Prepared) -> Iterator[str]:
+    """How far the run goes, and from where."""
+    recipe, plan, begun = prepared.recipe, prepared.plan, prepared.record.get("from")
+    octaves = len(plan.octaves)
+    if recipe.quality != FINAL:
+        last = (
+            f"iteration {plan.iterations(octaves - 1)} of {recipe.iterations} in octave {octaves} of {recipe.octaves}"
+        )
+        yield f"quality: {recipe.quality}, which ends after {last}"
+    if begun is not None:
+        done = f"{begun['iterations']} iterations in octave {begun['octave'] + 1}"
+        yield f"from: {begun['run']} ({begun['quality']}), after {done}"
 
 
 def _pictures(target: Target) -> tuple[str, ...]:

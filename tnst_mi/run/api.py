@@ -52,6 +52,7 @@ def stylize(
     recipe: Recipe | str | Path | Mapping[str, Any],
     out: str | Path | None = None,
     progress: bool = True,
+    start_from: str | Path | None = None,
 ) -> Result:
     """Stylize one frame or a sequence.
 
@@ -64,10 +65,12 @@ def stylize(
         recipe: a recipe, the path of a recipe file, or a dict of recipe keys.
         out: an empty or new folder for the results; None to write nothing.
         progress: show a progress bar on stderr.
+        start_from: the folder of an earlier run of the same frames and goals, such as a draft, to go on from
+            (docs/preview.md); None to begin anew.
 
     Raises:
-        InputError: the frames, the recipe, the weights or `out` cannot be used, and nothing is written; or a frame has
-            changed since the run began.
+        InputError: the frames, the recipe, the weights, `out` or `start_from` cannot be used, and nothing is written;
+            or a frame has changed since the run began.
         StoppedError: nothing more can be written to `out`; the run can be resumed there.
 
     Example:
@@ -88,11 +91,13 @@ def stylize(
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
     with own_variant():
-        return _stylized(frames, recipe, out, progress)
+        return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from))
 
 
-def _stylized(frames: Frames, recipe: Recipe, out: str | Path | None, progress: bool) -> Result:
-    frames_done = Run(prepare(frames, recipe, out, progress=progress), progress)
+def _stylized(
+    frames: Frames, recipe: Recipe, out: str | Path | None, progress: bool, start_from: Path | None
+) -> Result:
+    frames_done = Run(prepare(frames, recipe, out, progress=progress, start_from=start_from), progress)
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []
     grids: Sequence[Mapping[str, np.ndarray]] = []

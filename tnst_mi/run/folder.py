@@ -5,7 +5,7 @@
                          (.vol, .uni or .vdb instead of .npz if the results have that format)
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
     recipe.toml          the recipe as run              run.json             the record of the run
-    metrics.jsonl        one line per iteration
+    metrics.jsonl        one line per iteration         state/NAME.*         from which another run can go on
 
 Every file is written atomically and durably, but for metrics.jsonl, which grows with each frame and is on the disk
 before run.json, which is written last, lists the frame as complete: then it counts as finished, as long as its files
@@ -18,7 +18,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,9 +37,11 @@ from tnst_mi.machine.lock import LOCK
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.before_after import side_by_side
+from tnst_mi.run.states import state_file, write_state
 from tnst_mi.run.written import Written, lines_by_frame, lines_written, recipe_digest, written
 
 if TYPE_CHECKING:
+    from tnst_mi.optimisation.start import State
     from tnst_mi.run import report
     from tnst_mi.run.carry import Carried
 else:
@@ -59,10 +61,10 @@ _RUN_FILES = (*PICTURES, "metrics.jsonl")
 #: Files that mark a folder as that of a run: removed last, in this order, so that an interrupted removal can be redone.
 _MARKS = ("run.json", "recipe.toml")
 
-_FOLDERS = ("density", "velocity", "images")
+_FOLDERS = ("density", "velocity", "images", "state")
 
 #: Folder of the working state.
-_WORK = ".work"
+WORK = ".work"
 
 #: What a damaged run.json makes those raise who read it.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -150,7 +152,7 @@ class RunFolder:
         finished: Collection[str] = (),
         may_write: Callable[[], None] = lambda: None,
     ) -> None:
-        self.out, self.work, self._suffix, self._may_write = out, out / _WORK, suffix, may_write
+        self.out, self.work, self._suffix, self._may_write = out, out / WORK, suffix, may_write
         self._metrics = out / "metrics.jsonl"
         if overwrite:
             _remove_results(out, frame_names(out))
@@ -172,12 +174,25 @@ class RunFolder:
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
         """Write the main view before and after, with equal exposure; `attributes` go into the EXR headers."""
-        self._may_write()
-        images = self.out / "images"
+        self.write_glimpse(name, before, after)
         for suffix, image in (("before", before), ("after", after)):
-            write_png(images / f"{name}_{suffix}.png", image)
-            write_exr(images / f"{name}_{suffix}.exr", image, attributes)
-        write_png(images / f"{name}_comparison.png", side_by_side(before, after))
+            write_exr(self.out / "images" / f"{name}_{suffix}.exr", image, attributes)
+
+    def write_state(self, name: str, state: State) -> dict[str, Any]:
+        """Write the state of a frame; returns what run.json holds of it."""
+        self._may_write()
+        return write_state(self.out, name, state)
+
+    def write_glimpse(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
+        """Write the main view of a frame that may not be finished, before and as it stands, as PNG alone."""
+        self._may_write()
+        for suffix, image in (("before", before), ("after", after), ("comparison", side_by_side(before, after))):
+            write_png(self.out / "images" / f"{name}_{suffix}.png", image)
+
+    def write_contact_sheet(self, entries: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
+        """Write the main views of some frames, before and after, on one sheet."""
+        self._may_write()
+        report.write_contact_sheet(self.out / "images" / "contact_sheet.png", entries, len(entries))
 
     def recorded(self, name: str, carried: Iterable[str], history: list[dict[str, Any]]) -> dict[str, Any]:
         """What run.json holds of the files of a frame, with which some grids moved, and of its iterations.
@@ -270,9 +285,9 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
         # A symlinked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
-    if (out / _WORK).is_dir() and not (out / _WORK).is_symlink():
+    if (out / WORK).is_dir() and not (out / WORK).is_symlink():
         # An error here must end the run: the state left behind would be that of another run.
-        remove_folder(out / _WORK)
+        remove_folder(out / WORK)
     for name in _MARKS:
         (out / name).unlink(missing_ok=True)
     for folder in _FOLDERS:
@@ -292,6 +307,7 @@ def _carried_by_run(out: Path) -> list[str]:
 def _result_files(out: Path, names: Iterable[str], carried: Iterable[str]) -> Iterator[Path]:
     for name in names:
         yield from frame_files(out, name, carried)
+        yield state_file(out, name)
     yield from (out / name for name in _RUN_FILES)
 
 

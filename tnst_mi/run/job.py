@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import errno
+import math
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import closing
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
 
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.fields.density_unit import scaled
@@ -21,6 +24,7 @@ from tnst_mi.machine import environment
 from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
+from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
@@ -29,6 +33,7 @@ from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
 from tnst_mi.run.carry import Carried, carried
 from tnst_mi.run.folder import RunFolder
+from tnst_mi.run.live_pictures import LivePictures
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import frame_record, run_identity, sequence_record
@@ -50,9 +55,12 @@ class Optimisation(Protocol):
     interrupted: bool
 
     def run(
-        self, on_iteration: Callable[[Progress], None] | None, finished: Collection[int]
+        self,
+        on_iteration: Callable[[Progress], None] | None,
+        finished: Collection[int],
+        on_octave: Callable[[Glimpses], None] | None,
     ) -> Generator[tuple[int, Stylized], None, None]:
-        """Stylize the frames that are not finished, and yield each with its index."""
+        """Stylize the frames that are not finished, and yield each with its index; see `SequenceOptimisation.run`."""
         ...
 
 
@@ -86,7 +94,8 @@ class Run(Iterator[StylizedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, prepared.plan.shape))
+        shape, left = prepared.plan.shape, len(prepared.measures) - len(self.record["frames"])
+        self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, shape), math.prod(shape), left)
         self._frames = self._stylized()
 
     def __next__(self) -> StylizedFrame:
@@ -156,7 +165,9 @@ class Run(Iterator[StylizedFrame]):
             announce_fallback()
         optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
         done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
-        with closing(optimisation.run(self._bar.advance, done)) as results:
+        names, size = [measure.name for measure in prepared.measures], prepared.plan.full.size
+        live = None if folder is None else LivePictures(folder, names, size, finished)
+        with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
             for index, stylized in results:
                 source, files = prepared.unchanged[index], None if folder is None else prepared.suffix
                 digests = prepared.measures[index].others
@@ -165,11 +176,14 @@ class Run(Iterator[StylizedFrame]):
                 frame = StylizedFrame(source, stylized, record)
                 self.record["frames"].append(record)
                 if folder is not None:
-                    self._write(folder, frame, carry, prepared.plan.frames[index])
+                    before, after = self._write(folder, frame, carry, prepared.plan.frames[index])
+                    if live is not None:
+                        live.frame_done(source.name, before, after)
                     folder.write_run(self._progressed(started))
+                self._bar.frame_done()
                 yield frame
-                # Callers may keep every frame of a run; what moves its grids is not part of the result.
-                stylized.movement = None
+                # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
+                stylized.movement = stylized.state = None
         self.record["status"] = "interrupted" if optimisation.interrupted else "done"
         self._progressed(started)
         if folder is None:
@@ -179,7 +193,10 @@ class Run(Iterator[StylizedFrame]):
         else:
             self._conclude(folder)
 
-    def _write(self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan) -> None:
+    def _write(
+        self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Write what belongs to a frame; returns its main view before and after."""
         run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
         before, after = (
             exposure * main_view(scaled(density, run.density_scale), recipe, run.full.size)
@@ -194,9 +211,12 @@ class Run(Iterator[StylizedFrame]):
         folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity, carry)
         folder.write_images(source.name, before, after, attributes)
         folder.write_history(source.name, frame.stylized.history)
+        if frame.stylized.state is not None:
+            frame.record["state"] = folder.write_state(source.name, frame.stylized.state)
         frame.record.update(folder.recorded(source.name, carry.names, frame.stylized.history))
         # Callers may keep every frame of a run; its largest arrays are not part of the result.
         frame.stylized.potential = (None, None)
+        return before, after
 
     def _conclude(self, folder: RunFolder) -> None:
         """Write the results for all frames together, and clean up."""

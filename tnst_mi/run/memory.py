@@ -129,18 +129,20 @@ class Need:
         return None
 
 
-def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe) -> int:
+def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe, states: bool = False) -> int:
     """Upper bound of the bytes that a run of `count` frames (D, H, W) keeps or writes, including results.
 
     Per cell: the density (4 bytes) and the mask (2) of a frame, the masks of its regions (2 each, and 2 for their
     support), its fields (4 per component); with a window also the velocity (6), the gain (2), the step (2 per
     component, 4 if it is a gradient) and the change (2); as results a density (4) and a velocity (12), assuming no
-    compression. Coarser octaves add less than a quarter, which leaves room for an obstacle.
+    compression; and with `states`, the fields once more, for a run that goes on from there. Coarser octaves add less
+    than a quarter, which leaves room for an obstacle.
     """
     components = recipe.components
     step = components * (4 if recipe.step_order == "align_first" else 2)
     masks = sum(bool(target.mask) for target in targets_of(recipe))
     by_cell = 6 + 2 * (masks + (masks > 0)) + 4 * components + 16 + (10 + step if recipe.window > 1 else 0)
+    by_cell += 4 * components * states
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 

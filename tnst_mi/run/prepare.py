@@ -36,6 +36,7 @@ from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import chosen, require_there
+from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
 from tnst_mi.run.measure import (
     Measure,
@@ -155,6 +156,7 @@ def prepare(
     *,
     resume: bool = False,
     overwrite: bool = False,
+    start_from: Path | None = None,
     network: Network | None = None,
     progress: bool = False,
 ) -> Prepared:
@@ -166,6 +168,7 @@ def prepare(
         out: the folder of the results, or None.
         resume: continue the run in `out` where it stopped.
         overwrite: replace the run in `out`.
+        start_from: the folder of an earlier run to go on from, or None.
         network: judges the images; None loads the one that the recipe names.
         progress: show a progress bar on stderr while frames are read.
 
@@ -177,7 +180,7 @@ def prepare(
     source = Path(frames) if isinstance(frames, str | Path) else None
     out = None if out is None else expanded(Path(out))
     found = None if out is None else record_in(out)
-    sequence = requested_frames(frames, recipe, out, resume=resume, overwrite=overwrite)
+    sequence = requested_frames(frames, recipe, out, resume=resume, overwrite=overwrite, start_from=start_from)
     # Reading the first frame finds most bad inputs before the network is loaded.
     first = next(iter(Readable(sequence, recipe.skip_bad)))
     shape = first.density.shape
@@ -270,7 +273,7 @@ def prepare(
         require_same_shots(record, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
     elif out is not None:
-        require_space(out, working_bytes(shape, len(sequence), recipe))
+        require_space(out, working_bytes(shape, len(sequence), recipe, states=True))
     plan = plan_of(
         recipe,
         [measure.name for measure in measures],
@@ -281,6 +284,7 @@ def prepare(
         density_scale,
         regions=regions,
     )
+    plan, record = going_on(plan, record, start_from, earlier)
     said = [*readable.lines(), *(f"note: {note}" for note in (regions.notes if regions is not None else ()))]
     if earlier is not None:
         said += earlier["notes"]

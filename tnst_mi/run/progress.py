@@ -24,9 +24,9 @@ _REDRAWN = 0.1
 class ProgressBar:
     """Frame, octave, iteration and loss on stderr, with the time left; appears at the first iteration."""
 
-    def __init__(self, shown: bool, octaves: Sequence[OctaveSize]) -> None:
-        """Prepare the bar of one run, with octaves of some sizes."""
-        self._shown, self._time_left = shown, TimeLeft(octaves)
+    def __init__(self, shown: bool, octaves: Sequence[OctaveSize], cells: int, frames: int) -> None:
+        """Prepare the bar of one run; what is known of its work is that of `TimeLeft`."""
+        self._shown, self._time_left = shown, TimeLeft(octaves, cells, frames)
         self._bar: tqdm | None = None
         self._begun = self._drawn = time.perf_counter()
 
@@ -54,6 +54,10 @@ class ProgressBar:
         if now - self._drawn >= _REDRAWN or progress.done == progress.total:
             self._bar.refresh()
             self._drawn = now
+
+    def frame_done(self) -> None:
+        """Take note that the results of a frame have been written."""
+        self._time_left.frame_done()
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""

@@ -57,8 +57,11 @@ def run_identity(recipe: Recipe, run: Mapping[str, Any]) -> str:
         recipe: the recipe of the run.
         run: the contents of run.json.
     """
-    masks = [target["mask_sha256"] for target in run.get("targets", ())]
-    decisive = replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"], masks
+    decisive = [replace(recipe, fps=None).to_toml(), run["weights"]["sha256"], run["inputs"], run["files"]]
+    if run.get("targets"):
+        decisive.append([target["mask_sha256"] for target in run["targets"]])
+    if run.get("from") is not None:
+        decisive.append(run["from"]["states"])
     return hashlib.sha256(json.dumps(decisive).encode("utf-8")).hexdigest()
 
 

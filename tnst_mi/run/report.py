@@ -63,7 +63,7 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
         entries: name and the two pictures (H, W) in [0, 1] of every frame; consumed one by one.
         count: number of entries, at least 1.
     """
-    chosen = set(_evenly_spread(count))
+    chosen = set(on_sheet(count))
     tiles = [(name, _tile(before, after)) for i, (name, before, after) in enumerate(entries) if i in chosen]
     height, width = tiles[0][1].shape
     row, column = height + _MARGIN + _CAPTION, max(width, _LEAST_COLUMN) + _MARGIN
@@ -162,8 +162,8 @@ def plot_sequence(
         FigureCanvasAgg(figure).print_png(str(temporary))
 
 
-def _evenly_spread(count: int) -> list[int]:
-    """Indices of the frames of `count` on a contact sheet: all, or evenly spread from the first to the last."""
+def on_sheet(count: int) -> list[int]:
+    """Indices of the frames of `count` on a contact sheet: up to 12, evenly spread from the first to the last."""
     chosen = min(count, _ON_SHEET)
     return [i * (count - 1) // max(chosen - 1, 1) for i in range(chosen)]
 

@@ -19,7 +19,13 @@ from tnst_mi.run.inputs import Frames, sequence_of
 
 
 def requested_frames(
-    frames: Frames, recipe: Recipe, out: Path | None, *, resume: bool = False, overwrite: bool = False
+    frames: Frames,
+    recipe: Recipe,
+    out: Path | None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    start_from: Path | None = None,
 ) -> Sequence[Frame]:
     """The frames of a run; those in files are not read yet.
 
@@ -29,6 +35,7 @@ def requested_frames(
         out: the folder of the results, or None.
         resume: continue the run in `out` where it stopped.
         overwrite: replace the run in `out`.
+        start_from: the folder of an earlier run to go on from, or None.
 
     Raises:
         InputError: the recipe has no goal, or keys that do not go together; results cannot be written to `out`, or
@@ -42,6 +49,10 @@ def requested_frames(
     require_one_transport(recipe)
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
+    if resume and start_from is not None:
+        raise InputError("--resume and --from: expected only one of them; a run that is resumed knows where it began")
+    if out is not None and start_from is not None and out.resolve() == start_from.resolve():
+        raise InputError(f"{out}: is --from and --out, expected another folder for the results")
     if out is not None:
         source = Path(frames) if isinstance(frames, str | Path) else None
         require_unlocked(out)

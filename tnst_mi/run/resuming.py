@@ -47,6 +47,18 @@ def require_begun(out: Path) -> bool:
     return True
 
 
+def require_run(folder: Path) -> None:
+    """Check that a folder holds a run, from which another one may go on.
+
+    Raises:
+        InputError: it does not.
+    """
+    if not holds_run(folder):
+        raise InputError(
+            one_line(f"{folder}: holds no run to go on from (run.json and recipe.toml are not both there)")
+        )
+
+
 def record_in(out: Path) -> bytes | None:
     """The bytes of the run.json in a folder, or None if there is none that can be read."""
     try:

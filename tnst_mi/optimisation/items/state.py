@@ -126,16 +126,19 @@ class Items:
         return Fields({name: times(inside, field) for name, field in fields.items()})
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
-        """Carry the fields of a frame over from the previous octave; in the first one they are 0."""
+        """Carry a frame's fields over from the previous octave; in the first one they are 0, or an earlier run's."""
         if self.iterations_done(frame) >= 0:
             return
-        parameterisation = frame.parameterisation
-        if coarser is None:
+        parameterisation, start, done = frame.parameterisation, self.plan.start, 0
+        if coarser is None and start is not None:
+            done, stored = start.iterations[frame.name], start.fields(frame.name)
+            fields = Fields({name: mi.TensorXf(stored[name]) for name in parameterisation.channels})
+        elif coarser is None:
             fields = parameterisation.zeros(self.octave)
         else:
             fields = parameterisation.carried(coarser.fields(frame), coarser.octave, self.octave)
             fields = self._inside(frame, fields)
-        self._write_fields(frame, 0, fields)
+        self._write_fields(frame, done, fields)
 
     def enter_gain(self, frame: FramePlan) -> None:
         """Write the factor that turns the windowed sum of a frame into an average over smoke."""
@@ -290,7 +293,7 @@ class Items:
         if not self._alone:
             self._write_fields(frame, done, fields)
             return
-        last = done == self.plan.recipe.iterations
+        last = done == self.plan.iterations(self.level)
         # A step that has been applied is no longer needed.
         self._fields, self.own_step = {frame.index: (done, fields)}, Fields()
         if last or time.perf_counter() - self._written > CHECKPOINT_SECONDS:
@@ -310,6 +313,6 @@ class Items:
     def _write_fields(self, frame: FramePlan, done: int, fields: Fields) -> None:
         self.settle()
         # What an octave begins and ends with. In between, a window replaces its items too fast for a disk to follow.
-        checkpoint = self._alone or done in (0, self.plan.recipe.iterations)
+        checkpoint = self._alone or done in (0, self.plan.iterations(self.level))
         self._store.write(self._group("fields"), frame.index, done, fields, checkpoint)
         self._written = time.perf_counter()

@@ -158,6 +158,7 @@ class FolderStore(Store):
         run: identifies the run that the state belongs to: items of another one count as damaged.
         may_write: called before anything is written or removed; raises if that must not happen any more.
         say: how to say something to the user.
+        read_only: leave everything as it is, what a killed run has left unfinished included.
     """
 
     def __init__(
@@ -166,20 +167,25 @@ class FolderStore(Store):
         run: str = "",
         may_write: Callable[[], None] = lambda: None,
         say: Callable[[str], None] = lambda remark: None,
+        read_only: bool = False,
     ) -> None:
         self.folder, self._run, self._may_write, self._say = folder, run, may_write, say
         self._generations: dict[tuple[str, int], int] = {}
         self._entries: Log | None = None
-        remove_unfinished(folder)
-        remove_misplaced(folder, (self._numbers, self._log))
+        if not read_only:
+            remove_unfinished(folder)
+            remove_misplaced(folder, (self._numbers, self._log))
         # A killed run may leave two generations of an item, both complete, and unfinished files.
         for path in sorted(folder.glob("*/*.safetensors")):
             match = _ITEM.fullmatch(path.name)
             if path.parent.is_symlink():
                 continue
-            if match:
+            if match and read_only:
+                # The later generation of an item comes last.
+                self._generations[path.parent.name, int(match[1])] = int(match[2])
+            elif match:
                 self._take(path.parent.name, int(match[1]), int(match[2]))
-            else:
+            elif not read_only:
                 path.unlink()
 
     def generation(self, group: str, frame: int) -> int:
