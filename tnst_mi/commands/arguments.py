@@ -146,6 +146,22 @@ class RenderArguments(Arguments):
 
 
 @dataclass(kw_only=True)
+class DiffArguments(Arguments):
+    """Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.
+
+    Numbers are of the frames that both have. Pictures show the main view of the first with one exposure for both: A, B
+    and their difference side by side, and a wipe; of a sequence also a video.
+    """
+
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="A B", help_behavior_hint="")]
+    """Two folders of runs; or density files, folders, or patterns such as 'smoke_####.vdb'."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none written)")] = None
+    """New or empty folder for diff.json and the pictures."""
+    overwrite: bool = False
+    """Write into a folder that is not empty, replacing files of the same names."""
+
+
+@dataclass(kw_only=True)
 class CompareArguments(Arguments):
     """Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.
 
@@ -262,6 +278,7 @@ ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
     "render": RenderArguments,
+    "diff": DiffArguments,
     "compare": CompareArguments,
     "convert": ConvertArguments,
     "atlas": AtlasArguments,
