@@ -121,7 +121,7 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
         ("--spp 4", "--spp: is of the path tracers.* add --look"),
         ("--resolution 4x18", "--resolution 4x18: expected at least 5x6, one pixel for each cell"),
         ("--fire none", "--fire: is of the path tracers.* add --look"),
-        ("--look thin --fire smoke", "--fire smoke: no frame has such a grid; there is no other grid"),
+        ("--look thin --fire smoke", "--fire smoke: no frame has such a grid; there is none beside the density"),
         ("--denoise", "--denoise: is of the path tracers"),
         ("--integrator emission_absorption --look thin --gamma 1", "--look thin and --gamma 1: both say how dense"),
         ("--look thin --spp 0", "--spp 0: expected an integer from 1 to 1000000"),

@@ -223,8 +223,8 @@ def test_what_burns(grids: dict[str, float], choice: str | None, taken: str | No
 @pytest.mark.parametrize(
     "grids, choice, message",
     [
-        ({"flame": 1.0}, "flames", "--fire flames: no frame has such a grid; the grids beside the density are 'flame'"),
-        ({}, "flame", "--fire flame: no frame has such a grid; there is no other grid"),
+        ({"flame": 1.0}, "flames", "--fire flames: no frame has such a grid; expected one of 'flame', or none"),
+        ({}, "flame", "--fire flame: no frame has such a grid; there is none beside the density"),
         ({"flame": 0.0}, "flame", "--fire flame: is not above 0 anywhere"),
     ],
 )

@@ -162,6 +162,36 @@ class DiffArguments(Arguments):
 
 
 @dataclass(kw_only=True)
+class ShowArguments(Arguments):
+    """Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.
+
+    Each run is shown beside its input, from its main view, in the studio of a look. The time that this will take is
+    measured and said first. Of densities that are no run's, only these are shown.
+    """
+
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN…", help_behavior_hint="")]
+    """Folders of runs, finished or not; or density files, folders, or patterns such as 'smoke_####.vdb'."""
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: tnst_mi-show.png or .mp4)")
+    ] = None
+    """File of the picture (.png), or of the film (.mp4) if there are several."""
+    frames: Annotated[
+        str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: the last that all have)")
+    ] = None
+    """Frame, or frames as a film, by their numbers."""
+    turntable: Annotated[str | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the main view)")] = None
+    """Make a film of one turn in N pictures, while the frames play once."""
+    look: Annotated[str, tyro.conf.arg(metavar=LOOK.placeholder)] = "medium"
+    """How dense the smoke appears."""
+    blender: bool = False
+    """Let Blender render the same scene, on the CPU (apt-get install blender)."""
+    overwrite: bool = False
+    """Replace the file if it is there."""
+    studio: StudioFlags = field(default_factory=StudioFlags)
+    """How each picture is rendered."""
+
+
+@dataclass(kw_only=True)
 class CompareArguments(Arguments):
     """Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.
 
@@ -278,6 +308,7 @@ ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
     "render": RenderArguments,
+    "show": ShowArguments,
     "diff": DiffArguments,
     "compare": CompareArguments,
     "convert": ConvertArguments,

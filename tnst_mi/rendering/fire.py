@@ -17,8 +17,8 @@ from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import listed, plain_name
 
-#: Largest emission, radiance per longest edge of the grid: a tenth of that edge is as bright as white.
-BRIGHTNESS = 10.0
+#: Largest emission, radiance per longest edge of the grid: a sixth of that edge is as bright as white.
+BRIGHTNESS = 6.0
 
 #: Words in the names of grids. Caches call them flame or flame_noise, temperature or heat.
 _FLAME = {"flame", "flames", "fire", "burn", "burning"}
@@ -125,8 +125,8 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
                     largest, boxes = max(largest, found[name].largest), [box, found[name].occupied]
                 found[name] = Fire(name, temperature and not flame, largest, hull(boxes))
     if choice is not None and choice not in names:
-        others = f"the grids beside the density are {listed(list(names))}" if names else "there is no other grid"
-        raise InputError(f"--fire {choice}: no frame has such a grid; {others}; expected one of them, or none")
+        others = f"expected one of {listed(list(names))}, or none" if names else "there is none beside the density"
+        raise InputError(f"--fire {choice}: no frame has such a grid; {others}")
     if choice is not None and not found:
         raise InputError(f"--fire {choice}: is not above 0 anywhere, so nothing burns; give another grid, or none")
     burning = [fire for fire in found.values() if not fire.temperature or choice is not None or fire.largest >= _GLOWS]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -159,7 +159,7 @@ class PathTracedPainter:
 
     def __init__(
         self,
-        frames: Sequence[Frame],
+        frames: Iterable[Frame],
         views: Sequence[View],
         look: str,
         integrator: str,

@@ -43,7 +43,7 @@ _OTHER_STREAM = 0x5BD1E995
 _MARGIN = 1.05
 
 #: Distance of the ground below the grid, so that no ray starts on both.
-_GAP = 2e-3
+GROUND_GAP = 2e-3
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Studio:
                     f"view {azimuth:g},{elevation:g}: the camera would be below the ground; "
                     f"expected an elevation above {lowest:.1f}"
                 )
-        self.parameters[_ZOOM] = dr.opaque(mi.Float, _horizontal_field_of_view(edges, views, distance, size))
+        self.parameters[_ZOOM] = dr.opaque(mi.Float, horizontal_field_of_view(edges, views, distance, size))
 
     def _box(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest corner (x, y, z) of the occupied cells of a grid of the given edges."""
@@ -149,7 +149,7 @@ class Studio:
                 integrator=integrator,
                 columns=self.size[0],
                 rows=self.size[1],
-                floor=-edges[1] / 2 - _GAP,
+                floor=-edges[1] / 2 - GROUND_GAP,
                 volume=str(volume),
                 largest=_SLACK * self.smoke.largest or 1.0,
                 **dict(zip(("width", "height", "depth"), (high - low).tolist(), strict=True)),
@@ -202,9 +202,7 @@ class Studio:
         return (total / samples).numpy()
 
 
-def _horizontal_field_of_view(
-    edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]
-) -> float:
+def horizontal_field_of_view(edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]) -> float:
     """The angle in degrees at which pictures of the given size show a whole box, plus a margin, in every view.
 
     The box has edges (x, y, z) and is centred on the origin, at which the camera looks from the given distance.

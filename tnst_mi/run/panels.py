@@ -23,16 +23,17 @@ _LINE = 2
 _BRIGHTER, _DARKER = np.array([1.0, 0.55, 0.1]), np.array([0.15, 0.5, 1.0])
 
 
-def row(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
+def row(panels: Sequence[tuple[str, np.ndarray]], least: int = _LEAST_HEIGHT) -> np.ndarray:
     """Pictures of one height side by side on black, each below its name; small ones are enlarged.
 
     Args:
         panels: names with pictures (H, W) or (H, W, 3) in [0, 1], one or more.
+        least: rows of the pictures, to which smaller ones are enlarged by an integer factor.
 
     Returns:
         (rows, columns, 3) in [0, 1].
     """
-    factor = _factor(panels[0][1].shape[0], sum(picture.shape[1] for _, picture in panels))
+    factor = _factor(panels[0][1].shape[0], sum(picture.shape[1] for _, picture in panels), least)
     pictures = [_enlarged(picture, factor) for _, picture in panels]
     height = pictures[0].shape[0]
     caption, gap = max(14, round(_CAPTION * height)), max(2, round(_GAP * height))
@@ -48,7 +49,7 @@ def row(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
 
 def wipe(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The left half of one picture (H, W), the right half of another, and a white line between them, enlarged."""
-    a, b = (_enlarged(picture, _factor(*picture.shape)) for picture in (a, b))
+    a, b = (_enlarged(picture, _factor(picture.shape[0], picture.shape[1], _LEAST_HEIGHT)) for picture in (a, b))
     middle = a.shape[1] // 2
     return np.concatenate([a[:, :middle], np.ones((a.shape[0], _LINE, 3)), b[:, middle:]], axis=1)
 
@@ -66,9 +67,9 @@ def on_canvas(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:
     return np.pad(picture, ((above, below), (left, right)))
 
 
-def _factor(rows: int, columns: int) -> int:
+def _factor(rows: int, columns: int, least: int) -> int:
     """By which pictures are enlarged that have so many rows, and columns in a row of them."""
-    return max(1, min(-(-_LEAST_HEIGHT // rows), _WIDEST // columns))
+    return max(1, min(-(-least // rows), _WIDEST // columns))
 
 
 def _enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
