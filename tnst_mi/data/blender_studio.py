@@ -134,7 +134,6 @@ def render(settings: dict[str, Any], samples: int) -> float:
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
     scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.max_bounces = scene.cycles.volume_bounces = settings["bounces"]
-    scene.cycles.volume_step_rate, scene.cycles.volume_max_steps = settings["step_rate"], 65536
     scene.cycles.filter_width = 1.0
     scene.cycles.pixel_filter_type = "BOX"
     scene.render.resolution_x, scene.render.resolution_y = settings["size"]

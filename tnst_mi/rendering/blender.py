@@ -40,11 +40,6 @@ _FEW = (1, 4)
 _BOUNCES = 48
 
 
-#: Largest optical thickness of a step. Cycles marches through volumes, by default in steps of a voxel; smoke that is
-#: opaque within one of them becomes too large and too bright.
-_STEP = 0.25
-
-
 @dataclass(frozen=True)
 class BlenderPainter:
     """Pictures (height, width, 3) of frames in the studio of a look, by Blender.
@@ -100,7 +95,7 @@ class BlenderPainter:
             folder = Path(name)
             self._write(folder / "smoke.vdb", frame)
             settings = {
-                **self._scene(frame.density, view),
+                **self._scene(view),
                 "volume": str(folder / "smoke.vdb"),
                 "out": str(folder / "picture.exr"),
                 "samples": list(samples),
@@ -119,21 +114,21 @@ class BlenderPainter:
         """Write the smoke and the emission of a frame, its longest edge as 1 and its centre as the origin."""
         d, h, w = self.shape
         cell = 1 / max(self.shape)
-        corner = tuple((1 - n) / 2 * cell for n in (w, d, h))
+        # Cycles takes the place of a voxel, which is its centre, as that of its lowest corner.
+        corner = tuple(-n / 2 * cell for n in (w, d, h))
         grids = {} if self.fire is None else {"emission_color": self.fire.emission(frame)}
         save_frame(
             file, Frame(frame.density, placement=Placement(cell, (corner[0], corner[1], corner[2])), grids=grids)
         )
 
-    def _scene(self, density: np.ndarray, view: View) -> dict[str, Any]:
-        """The settings that come from the files of the look, from the density and from the view."""
+    def _scene(self, view: View) -> dict[str, Any]:
+        """The settings that come from the files of the look and from the view."""
         studio, look = (
             ElementTree.parse(file).getroot() for file in (scene_file("looks/studio.xml"), look_file(self.look))
         )
         edges = np.array(self.shape[::-1]) / max(self.shape)
         distance = _numbers(_found(studio, "sensor/transform/lookat").attrib["origin"])[2]
         lamps = [_lamp(_found(studio, f"shape[@id='{name}']")) for name in ("key", "rim")]
-        thickness = extinction(self.look) * float(density.max()) / max(self.shape)
         return {
             "azimuth": view[0],
             "elevation": view[1],
@@ -141,7 +136,6 @@ class BlenderPainter:
             "field_of_view": horizontal_field_of_view(edges, self.views, distance, self.size),
             "size": self.size,
             "bounces": _BOUNCES,
-            "step_rate": min(1.0, _STEP / thickness) if thickness > 0 else 1.0,
             "extinction": extinction(self.look),
             "albedo": float(_found(look, "default[@name='albedo']").attrib["value"]),
             "lamps": lamps,
