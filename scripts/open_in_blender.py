@@ -8,22 +8,27 @@ Ends with exit code 1 if Blender cannot read one of them. With --render, the fir
 from the front (along +Y), side by side and at the same scale, each in the box that all of them fill together: smoke
 that has moved, turned or grown between two folders shows at once.
 
+Lit smoke and fire as they will be seen are what `tnst-mi show --blender` draws; this draws where it is.
+
 Runs in Blender, which it starts (`apt-get install blender`, or --blender PROGRAM), or with the Python package bpy.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 try:
     import bpy
 except ImportError:
+    # Outside of Blender, whose Python does not have this package.
+    from tnst_mi.machine.blender import run_in_blender
+
     bpy = None
 
 #: Height of the picture in pixels.
@@ -39,7 +44,6 @@ DENSITIES = ("density", "density_noise")
 FLAMES = ("flame", "flame_noise")
 #: What it sends out, where it says 1.
 BRIGHTNESS = 2.0
-LONGEST_LINE = 1000
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -237,15 +241,6 @@ def inside_blender(paths: Sequence[Path], picture: Path | None) -> int:
     return int(failed)
 
 
-def show(output: TextIO) -> None:
-    """Print what Blender says, less its progress; of lines without an end (broken files bring them), the beginning."""
-    fresh = True
-    for piece in iter(lambda: output.readline(LONGEST_LINE), ""):
-        if fresh and not piece.startswith("Fra:"):
-            print(piece.rstrip(), flush=True)
-        fresh = piece.endswith("\n")
-
-
 def main() -> int:
     """Read the arguments, those after `--` in Blender, and open the files here or in Blender."""
     parser = argparse.ArgumentParser(
@@ -262,13 +257,9 @@ def main() -> int:
         vdb_files(path)
     if shutil.which(given.blender) is None:
         refuse(f"no program {given.blender}: install Blender (apt-get install blender), or name it with --blender")
-    command = [given.blender, "--background", "--factory-startup", "--python", str(Path(__file__).resolve())]
-    with subprocess.Popen(
-        [*command, "--", *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
-    ) as process:
-        show(process.stdout)
+    code = run_in_blender(Path(__file__).resolve(), arguments, functools.partial(print, flush=True), given.blender)
     # A file that is cut short can bring Blender down.
-    return 1 if process.returncode else 0
+    return 1 if code else 0
 
 
 if __name__ == "__main__":

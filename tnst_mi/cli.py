@@ -38,6 +38,8 @@ COMMANDS = {
     "demo": "Stylize the bundled frame with the bundled recipe; needs nothing else.",
     "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
     "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
+    "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",
+    "diff": "Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.",
     "compare": "Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.",
     "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb "
     "(OpenVDB).",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from figures.figure import Claim, Figure, Made, Panel
@@ -48,7 +50,9 @@ def make(setting: Setting) -> Made:
     for look in LOOKS:
         painter = PathTracedPainter([frame], [FRONT], look, "volpath", size, samples, 0, False)
         for row, (name, density) in zip(rows, densities.items(), strict=True):
-            row.append(Panel(painter.shown(painter.paint(density, FRONT, 0)), f"{name}, {look}"))
+            row.append(
+                Panel(painter.shown(painter.paint(replace(frame, density=density), FRONT, 0)), f"{name}, {look}")
+            )
     return Made(
         rows,
         [

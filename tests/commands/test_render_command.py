@@ -89,12 +89,17 @@ def test_emission_absorption_takes_gamma_from_the_look(run: Run, smoke: Path, tm
     ran = run("render", smoke / "f_08.npz", "--out", out, *arguments)
     assert ran.code == 0, ran.errors
     channels, header = exr(out / "f_08_turntable_1.exr")
+    # By default, turntables of small grids are enlarged: f_08 is 6 cells high.
+    assert channels["Y"].shape == (384, 320)
+    about = next(imageio_ffmpeg.read_frames(str(out / "f_08_turntable.mp4")))
+    assert about["size"] == (320, 384)
+    # With three pixels a cell, the middle one of each cell is that of one pixel a cell.
+    assert run("render", smoke / "f_08.npz", "--out", out, *arguments, "--resolution", "15x18", "--overwrite").code == 0
+    channels, header = exr(out / "f_08_turntable_1.exr")
     density = tnst_mi.load_frames(smoke / "f_08.npz")[0].density
     assert header["gamma"] == pytest.approx(gamma("thick", density.shape))
     expected = tnst_mi.render(density, (120.0, 0.0), gamma("thick", density.shape)) * header["exposure"]
-    np.testing.assert_allclose(channels["Y"], expected, rtol=1e-5, atol=1e-6)
-    about = next(imageio_ffmpeg.read_frames(str(out / "f_08_turntable.mp4")))
-    assert about["size"] == (6, 6)  # of grids 5 cells wide and 6 high
+    np.testing.assert_allclose(channels["Y"][1::3, 1::3], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_sequence_plays_once_during_the_turn() -> None:
@@ -114,6 +119,9 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
         ("--look medium --gamma 0.5", "--gamma: is of emission_absorption; for a path tracer use --look"),
         ("--integrator volpath --quadrature exact", "--quadrature: is of emission_absorption"),
         ("--spp 4", "--spp: is of the path tracers.* add --look"),
+        ("--resolution 4x18", "--resolution 4x18: expected at least 5x6, one pixel for each cell"),
+        ("--fire none", "--fire: is of the path tracers.* add --look"),
+        ("--look thin --fire smoke", "--fire smoke: no frame has such a grid; there is none beside the density"),
         ("--denoise", "--denoise: is of the path tracers"),
         ("--integrator emission_absorption --look thin --gamma 1", "--look thin and --gamma 1: both say how dense"),
         ("--look thin --spp 0", "--spp 0: expected an integer from 1 to 1000000"),
@@ -177,3 +185,26 @@ def test_the_unit_of_density_can_be_chosen(run: Run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(*units)
     ran = run("render", tmp_path / "thin.npz", "--density-scale", "0", "--out", tmp_path / "other")
     assert (ran.code, ran.errors) == (2, ["tnst-mi: --density-scale 0: expected a number above 0 or auto"])
+
+
+def test_fire_is_taken_from_the_grids_unless_it_is_put_out(run: Run, tmp_path: Path) -> None:
+    """Which grid burns is said and in the header; the time that pictures will take is said before them."""
+    density = np.full((5, 6, 7), 0.5, np.float32)
+    flame = np.zeros_like(density)
+    flame[2, 1, 3] = 1.0
+    save_frames(tmp_path / "f.npz", Frame(density, name="f", grids={"flame": flame}))
+    images = {}
+    for choice in ((), ("--fire", "none")):
+        out = tmp_path / f"out{len(choice)}"
+        ran = run("render", tmp_path / "f.npz", "--out", out, "--look", "thin", *STUDIO, *choice)
+        assert ran.code == 0, ran.errors
+        channels, header = exr(out / "f_view_0_0.exr")
+        images[header["fire"]] = channels["RGB"]
+        said = [line for line in ran.errors if line.startswith("fire:")]
+        assert said == ([] if choice else ["fire: grid flame as a flame, up to 1"])
+        (time,) = (line for line in ran.errors if line.startswith("1 picture in about "))
+        assert time.endswith(f" s, written to {out}")
+    assert set(images) == {"flame", "none"}
+    added = images["flame"] - images["none"]
+    # The light of the fire is added to the same picture, and is red rather than blue.
+    assert added.min() >= 0.0 and added[..., 0].sum() > 3 * added[..., 2].sum() > 0.0

@@ -87,9 +87,17 @@ class StudioFlags:
     seed: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint="(default: 0)")] = None
     """Seed of the noise; the same seed gives the same pictures."""
     resolution: Annotated[
-        str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 288x384)")
+        str | None,
+        tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 288x384; grey: see below)"),
     ] = None
-    """Size of the pictures in pixels."""
+    """Size of the pictures in pixels. Grey ones have a pixel per cell or more: by default one, and in turntables of
+    small grids as many as make 384 rows."""
+    fire: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: the flame, or a temperature in kelvin)"),
+    ] = None
+    """Grid that shines as fire, and lights smoke and ground: a flame, or a temperature as a black body; see
+    docs/looks.md."""
     denoise: bool = False
     """Remove the noise with OptiX, on an NVIDIA GPU that has it; elsewhere pictures keep their noise."""
 
@@ -144,6 +152,52 @@ class RenderArguments(Arguments):
     """How emission_absorption renders the smoke, and on which device."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
     """How to read the input."""
+
+
+@dataclass(kw_only=True)
+class DiffArguments(Arguments):
+    """Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.
+
+    Numbers are of the frames that both have. Pictures show the main view of the first with one exposure for both: A, B
+    and their difference side by side, and a wipe; of a sequence also a video.
+    """
+
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="A B", help_behavior_hint="")]
+    """Two folders of runs; or density files, folders, or patterns such as 'smoke_####.vdb'."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none written)")] = None
+    """New or empty folder for diff.json and the pictures."""
+    overwrite: bool = False
+    """Write into a folder that is not empty, replacing files of the same names."""
+
+
+@dataclass(kw_only=True)
+class ShowArguments(Arguments):
+    """Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.
+
+    Each run is shown beside its input, from its main view, in the studio of a look. The time that this will take is
+    measured and said first. Of densities that are no run's, only these are shown.
+    """
+
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN…", help_behavior_hint="")]
+    """Folders of runs, finished or not; or density files, folders, or patterns such as 'smoke_####.vdb'."""
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: tnst_mi-show.png or .mp4)")
+    ] = None
+    """File of the picture (.png), or of the film (.mp4) if there are several."""
+    frames: Annotated[
+        str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: the last that all have)")
+    ] = None
+    """Frame, or frames as a film, by their numbers."""
+    turntable: Annotated[str | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the main view)")] = None
+    """Make a film of one turn in N pictures, while the frames play once."""
+    look: Annotated[str, tyro.conf.arg(metavar=LOOK.placeholder)] = "medium"
+    """How dense the smoke appears."""
+    blender: bool = False
+    """Let Blender render the same scene, on the CPU (apt-get install blender)."""
+    overwrite: bool = False
+    """Replace the file if it is there."""
+    studio: StudioFlags = field(default_factory=StudioFlags)
+    """How each picture is rendered."""
 
 
 @dataclass(kw_only=True)
@@ -265,6 +319,8 @@ ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
     "render": RenderArguments,
+    "show": ShowArguments,
+    "diff": DiffArguments,
     "compare": CompareArguments,
     "convert": ConvertArguments,
     "atlas": AtlasArguments,

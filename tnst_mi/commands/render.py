@@ -13,6 +13,7 @@ from tqdm import tqdm
 from tnst_mi.commands.arguments import INTEGRATOR, LOOK, RENDER_VIEWS, RenderArguments
 from tnst_mi.commands.base import cameras_of, checked, given, say, unit_of, view_of
 from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.cameras.reading import Cameras
@@ -22,10 +23,13 @@ from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.machine.terminal import duration
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
 from tnst_mi.rendering.cameras.shots import camera_of
+from tnst_mi.rendering.cameras.views import common_size
+from tnst_mi.rendering.fire import find_fire
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Painter, Shot
 from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
@@ -34,6 +38,9 @@ from tnst_mi.run.readable import Readable
 
 #: Longest edge of a picture in pixels, the maximum of the video standard.
 _LARGEST_SIDE = 8192
+
+#: (width, height) of path-traced pictures.
+DEFAULT_SIZE = (288, 384)
 
 
 def run(arguments: RenderArguments) -> int:
@@ -51,7 +58,7 @@ def run(arguments: RenderArguments) -> int:
     views = [view_of(text) for text in arguments.views]
     shot = arguments.camera
     cameras = None if shot is None else cameras_of(shot, arguments.views, RENDER_VIEWS, recipe.flip)
-    size = _size(studio.resolution or "288x384")
+    size = None if studio.resolution is None else size_of(studio.resolution)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
     stored = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
@@ -63,39 +70,48 @@ def run(arguments: RenderArguments) -> int:
     if cameras is not None:
         say(readable.lines())
         unit.note()
-        width, height = size
-        _write_shot(arguments, frames, cameras, recipe, (height, width) if studio.resolution else None)
+        _write_shot(arguments, frames, cameras, recipe, None if size is None else (size[1], size[0]))
         return 0
     if turntable is None:
         shots = pictures.shots_of_views(len(frames), views)
     else:
         shots = pictures.shots_of_turn(len(frames), views[0], turntable)
+    fire = None
     if path_traced:
+        fire = find_fire(frames, studio.fire)
         painter = pictures.PathTracedPainter(
             frames,
             [shot.view for shot in shots],
             look=look or "medium",
             integrator=integrator,
-            size=size,
+            size=size or DEFAULT_SIZE,
             samples=samples,
             seed=seed,
             denoise=studio.denoise,
+            fire=fire,
         )
         if studio.denoise and not painter.denoised:
             print("warning: --denoise: OptiX is not at hand, the pictures keep their noise", file=sys.stderr)
     else:
         shape = frames[0].density.shape
+        if turntable and size is None:
+            size = _turntable_size(shape, shots, arguments.fit)
         painter = pictures.EmissionAbsorptionPainter(
             frames,
             [shot.view for shot in shots],
             gamma(look, shape) if look else recipe.gamma,
             recipe.quadrature,
             arguments.fit,
+            size,
         )
     film = arguments.out / f"{stored.title}_turntable.mp4"
     with open_video(film, recipe.fps or FRAMES_PER_SECOND) if turntable else nullcontext() as video:
         say(readable.lines())
         unit.note()
+        say([] if fire is None else [fire.in_words])
+        seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].view)
+        what = "1 picture" if len(shots) == 1 else f"{len(shots)} pictures"
+        say([f"{what} in about {duration(seconds)}, written to {arguments.out}"])
         _write(arguments, frames, shots, painter, video)
     if turntable:
         print(f"video     {film}")
@@ -109,7 +125,7 @@ def _write(
     out = arguments.out
     with progress_bar(total=len(shots), unit="picture", desc="rendering") as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
-            image = painter.paint(frame.density, shot.view, number)
+            image = painter.paint(frame, shot.view, number)
             picture = painter.shown(image)
             name = f"{frame.name}_{shot.suffix}"
             write_png(out / f"{name}.png", picture)
@@ -158,6 +174,8 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
         others = {"fit": arguments.fit, "turntable": arguments.turntable is not None}
         if beside := [flag for flag, there in others.items() if there]:
             raise InputError(f"--camera and --{beside[0]}: a shot has its own framing; give one of them")
+    if studio.fire is not None and not path_traced:
+        raise InputError("--fire: is of the path tracers, where fire lights the smoke; add --look")
     if path_traced and arguments.fit:
         raise InputError("--fit: is of emission_absorption; a path tracer's camera always shows all of the grid")
     if path_traced:
@@ -165,10 +183,8 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
         remedy = "is of emission_absorption; for a path tracer use --look"
     else:
         others = {"spp": studio.spp, "seed": studio.seed}
-        if arguments.camera is None:
-            others["resolution"] = studio.resolution
         others["denoise"] = "on" if studio.denoise else None
-        remedy = "is of the path tracers, and emission_absorption has no noise and one pixel per cell; add --look"
+        remedy = "is of the path tracers, and emission_absorption has no noise; add --look"
         if arguments.look is not None and renderer.gamma is not None:
             raise InputError(f"--look {arguments.look} and --gamma {renderer.gamma}: both say how dense; give one")
     for flag, value in others.items():
@@ -176,7 +192,18 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
             raise InputError(f"--{flag}: {remedy}")
 
 
-def _size(text: str) -> tuple[int, int]:
+def _turntable_size(shape: Shape, shots: Sequence[Shot], fit: bool) -> tuple[int, int]:
+    """(width, height) of the pictures of a turntable of a grid (D, H, W), which may be small."""
+    rows, columns = common_size(shape, [shot.view for shot in shots]) if fit else shape[1:]
+    return pictures.enlarged(columns, rows)
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """(width, height) from the text of --resolution.
+
+    Raises:
+        InputError: it is not such a pair, or out of range.
+    """
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     size = (int(match[1]), int(match[2])) if match else (0, 0)
     if not all(2 <= side <= _LARGEST_SIDE for side in size):

@@ -93,3 +93,16 @@ def one_line(message: str) -> str:
         kept = (LONGEST - 1) // 2
         line = f"{line[:kept]}…{line[-kept:]}"
     return line
+
+
+def duration(seconds: float) -> str:
+    """A time in the units that suit it, to the second above a minute.
+
+    Example:
+        >>> duration(0.32), duration(42.4), duration(135), duration(7300)
+        ('0.3 s', '42 s', '2 min 15 s', '2 h 1 min')
+    """
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import mitsuba as mi
 import numpy as np
 
+from tnst_mi.errors import InputError
+from tnst_mi.fields.bounds import hull
 from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.png import srgb
 from tnst_mi.rendering.cameras.views import View, common_size, text_of
+from tnst_mi.rendering.fire import Fire
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
+
+#: Rows of a video of a small grid, at least.
+LEAST_HEIGHT = 384
 
 Attributes = dict[str, float | str | View]
 
@@ -32,6 +39,12 @@ def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot]:
     return [Shot(frame, view, f"view_{text_of(view, '_')}") for frame in range(frames) for view in views]
 
 
+def enlarged(columns: int, rows: int) -> tuple[int, int]:
+    """(width, height) of pictures of a grid, enlarged by an integer factor to at least `LEAST_HEIGHT` rows."""
+    factor = max(1, -(-LEAST_HEIGHT // rows))
+    return factor * columns, factor * rows
+
+
 def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
     """A full turn of the azimuth in `count` steps, ending one step before the start so that the video loops.
 
@@ -48,7 +61,7 @@ def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
 class Painter(Protocol):
     """Interface of the two ways to render pictures."""
 
-    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
         """Linear values of picture `number`, (H, W) or (H, W, 3)."""
         ...
 
@@ -60,6 +73,10 @@ class Painter(Protocol):
         """Entries common to the EXR headers of all pictures."""
         ...
 
+    def seconds(self, frame: Frame, view: View) -> float:
+        """What a picture will take, from a part of one that is painted for it once all is compiled."""
+        ...
+
 
 class EmissionAbsorptionPainter:
     """Grey pictures by the emission–absorption integrator, with one exposure: 1 / the largest value in the first view.
@@ -69,22 +86,42 @@ class EmissionAbsorptionPainter:
         views: all views that will be rendered, in degrees.
         gamma: extinction γ for density 1, per cell.
         quadrature: of the integral along a ray.
-        fit: make room for all of the grid in every view; otherwise pictures have its rows and columns.
+        fit: make room for all of the grid in every view; otherwise pictures show its rows and columns.
+        size: (width, height) in pixels, at least one per cell; None for one per cell. What is shown is centred.
+
+    Raises:
+        InputError: the size is too small.
     """
 
     def __init__(
-        self, frames: Sequence[Frame], views: Sequence[View], gamma: float, quadrature: str, fit: bool = False
+        self,
+        frames: Sequence[Frame],
+        views: Sequence[View],
+        gamma: float,
+        quadrature: str,
+        fit: bool = False,
+        size: tuple[int, int] | None = None,
     ) -> None:
         self.gamma, self.quadrature, self.exposure = gamma, quadrature, 1.0
         shape = frames[0].density.shape
-        self._size = common_size(shape, views) if fit else shape[1:]
-        brightest = max(float(self.paint(frame.density, views[0], 0).max()) for frame in frames)
+        rows, columns = common_size(shape, views) if fit else shape[1:]
+        width, height = size or (columns, rows)
+        self._size, self._pixel = (height, width), max(rows / height, columns / width)
+        if self._pixel > 1.0:
+            raise InputError(
+                f"--resolution {width}x{height}: expected at least {columns}x{rows}, one pixel for each cell; without "
+                "noise, smaller pictures are as good as those that are reduced"
+            )
+        brightest = max(float(self.paint(frame, views[0], 0).max()) for frame in frames)
         if brightest > 0.0:
             self.exposure = 1.0 / brightest
 
-    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
         """The exposed image (rows, columns)."""
-        renderer = EmissionAbsorptionRenderer(density.shape, self.gamma, self.quadrature, 1.0, size=self._size)
+        density = frame.density
+        renderer = EmissionAbsorptionRenderer(
+            density.shape, self.gamma, self.quadrature, 1.0, size=self._size, pixel=self._pixel
+        )
         return self.exposure * renderer.render(mi.TensorXf(density), [view]).numpy()[0]
 
     def shown(self, image: np.ndarray) -> np.ndarray:
@@ -94,6 +131,12 @@ class EmissionAbsorptionPainter:
     def attributes(self) -> Attributes:
         """γ, quadrature and exposure."""
         return {"gamma": self.gamma, "quadrature": self.quadrature, "exposure": self.exposure}
+
+    def seconds(self, frame: Frame, view: View) -> float:
+        """A whole picture; one has been painted for the exposure, so that all is compiled."""
+        start = time.perf_counter()
+        self.paint(frame, view, 0)
+        return time.perf_counter() - start
 
 
 class PathTracedPainter:
@@ -108,6 +151,7 @@ class PathTracedPainter:
         samples: paths per pixel.
         seed: not negative.
         denoise: denoise with OptiX where available; `denoised` records whether it is.
+        fire: what burns in the frames, if anything.
 
     Raises:
         InputError: frames differ in shape, or a view is from below the ground.
@@ -115,7 +159,7 @@ class PathTracedPainter:
 
     def __init__(
         self,
-        frames: Sequence[Frame],
+        frames: Iterable[Frame],
         views: Sequence[View],
         look: str,
         integrator: str,
@@ -123,16 +167,31 @@ class PathTracedPainter:
         samples: int,
         seed: int,
         denoise: bool,
+        fire: Fire | None = None,
     ) -> None:
-        self.look, self.integrator, self.samples, self.seed = look, integrator, samples, seed
-        self.studio = Studio(look, integrator, Smoke.of(frame.density for frame in frames), views, size)
+        self.look, self.integrator, self.samples, self.seed, self.fire = look, integrator, samples, seed, fire
+        smoke = Smoke.of(frame.density for frame in frames)
+        if fire is not None:
+            smoke = replace(smoke, occupied=hull([smoke.occupied, fire.occupied]))
+        self.studio = Studio(look, integrator, smoke, views, size, burns=fire is not None)
         self.denoiser = find_denoiser(size) if denoise else None
         self.denoised = self.denoiser is not None
 
-    def paint(self, density: np.ndarray, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
         """Radiance; 1 is white."""
-        image = self.studio.render(density, view, self.samples, (self.seed, number))
+        image = self.studio.render(frame.density, view, self.samples, (self.seed, number), self._emission(frame))
         return image if self.denoiser is None else self.denoiser(image)
+
+    def seconds(self, frame: Frame, view: View) -> float:
+        """Measured with one path per pixel."""
+        emission = self._emission(frame)
+        self.studio.render(frame.density, view, 1, 0, emission)
+        start = time.perf_counter()
+        self.studio.render(frame.density, view, 1, 0, emission)
+        return self.samples * (time.perf_counter() - start)
+
+    def _emission(self, frame: Frame) -> np.ndarray | None:
+        return None if self.fire is None else self.fire.emission(frame)
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image after the sRGB curve."""
@@ -146,4 +205,5 @@ class PathTracedPainter:
             "samples_per_pixel": float(self.samples),
             "seed": str(self.seed),
             "denoised": "yes" if self.denoised else "no",
+            "fire": "none" if self.fire is None else self.fire.grid,
         }

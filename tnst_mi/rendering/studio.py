@@ -26,6 +26,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.views import View, camera_frame
+from tnst_mi.rendering.fire_light import FireLight
 from tnst_mi.rendering.looks import look_file
 
 _DENSITY = "smoke.interior_medium.sigma_t.data"
@@ -35,11 +36,14 @@ _ZOOM = "camera.x_fov"
 #: Majorant of the density, relative to the largest density. Derivatives of `prbvolpath` need the slack.
 _SLACK = 1.1
 
+#: What turns the seed of the lights' paths into that of the fire's.
+_OTHER_STREAM = 0x5BD1E995
+
 #: Margin around the grid's box in the picture, as a factor.
 _MARGIN = 1.05
 
 #: Distance of the ground below the grid, so that no ray starts on both.
-_GAP = 2e-3
+GROUND_GAP = 2e-3
 
 
 @dataclass(frozen=True)
@@ -87,16 +91,27 @@ class Studio:
         smoke: what the frames have in common.
         views: all views that will be rendered, (azimuth, elevation) in degrees; one zoom shows the whole grid in each.
         size: (width, height) of the pictures in pixels.
+        burns: whether frames have an emission, see `tnst_mi.rendering.fire`; then `smoke.occupied` contains it.
 
     Raises:
         InputError: a view is from below the ground, or a GPU lacks OptiX.
     """
 
-    def __init__(self, look: str, integrator: str, smoke: Smoke, views: Sequence[View], size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        look: str,
+        integrator: str,
+        smoke: Smoke,
+        views: Sequence[View],
+        size: tuple[int, int],
+        burns: bool = False,
+    ) -> None:
         require_optix("render --look")
         self.smoke, self.size = smoke, size
         edges = np.array(smoke.shape[::-1]) / max(smoke.shape)
-        self._load(look, integrator, edges)
+        low, high = self._box(edges)
+        self._fire = FireLight(low.tolist(), high.tolist()) if burns else None
+        self._load(look, integrator, edges, low, high)
         self.parameters = mi.traverse(self.scene)
         #: Transforms of the camera, and of all that turns with it, for the view (0, 0). Copies: the dictionary returns
         #: references, in which the rotations of successive views would accumulate.
@@ -113,15 +128,19 @@ class Studio:
                     f"view {azimuth:g},{elevation:g}: the camera would be below the ground; "
                     f"expected an elevation above {lowest:.1f}"
                 )
-        self.parameters[_ZOOM] = dr.opaque(mi.Float, _horizontal_field_of_view(edges, views, distance, size))
+        self.parameters[_ZOOM] = dr.opaque(mi.Float, horizontal_field_of_view(edges, views, distance, size))
 
-    def _load(self, look: str, integrator: str, edges: np.ndarray) -> None:
-        """Load the look's scene around a grid of the given edges (x, y, z), without smoke."""
+    def _box(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest corner (x, y, z) of the occupied cells of a grid of the given edges."""
         low, high = (
             np.array([getattr(cells, end) for cells in reversed(self.smoke.occupied)]) / max(self.smoke.shape)
             - edges / 2
             for end in ("start", "stop")
         )
+        return low, high
+
+    def _load(self, look: str, integrator: str, edges: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Load the look's scene around a grid of the given edges (x, y, z), smoke in it between two corners."""
         with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
             volume = Path(folder) / "empty.vol"
             mi.VolumeGrid(np.zeros((2, 2, 2, 1), np.float32)).write(str(volume))
@@ -130,15 +149,17 @@ class Studio:
                 integrator=integrator,
                 columns=self.size[0],
                 rows=self.size[1],
-                floor=-edges[1] / 2 - _GAP,
+                floor=-edges[1] / 2 - GROUND_GAP,
                 volume=str(volume),
                 largest=_SLACK * self.smoke.largest or 1.0,
                 **dict(zip(("width", "height", "depth"), (high - low).tolist(), strict=True)),
                 **dict(zip("xyz", ((low + high) / 2).tolist(), strict=True)),
             )
 
-    def show(self, density: np.ndarray, view: View) -> None:
-        """Set the density (D, H, W) of a frame, and turn the camera to a view."""
+    def show(self, density: np.ndarray, view: View, emission: np.ndarray | None = None) -> None:
+        """Set the density (D, H, W) and the emission (D, H, W, 3) of a frame, and turn the camera to a view."""
+        if self._fire is not None and emission is not None:
+            self._fire.set(emission[self.smoke.occupied])
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
         azimuth, elevation, *_ = view
@@ -149,7 +170,14 @@ class Studio:
             self.parameters[key] = mi.Transform4f(placed.matrix) @ front
         self.parameters.update()
 
-    def render(self, density: np.ndarray, view: View, samples: int = 64, seed: int | Sequence[int] = 0) -> np.ndarray:
+    def render(
+        self,
+        density: np.ndarray,
+        view: View,
+        samples: int = 64,
+        seed: int | Sequence[int] = 0,
+        emission: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Render a density from a view.
 
         Args:
@@ -157,22 +185,24 @@ class Studio:
             view: (azimuth, elevation) in degrees, one of the views.
             samples: paths per pixel; the noise falls with their square root.
             seed: the same seed gives the same bits on the same machine and variant.
+            emission: of the frame (D, H, W, 3), linear RGB radiance per longest edge of the grid, if any frame burns.
 
         Returns:
             Linear radiance (height, width, 3), row 0 at the top; the lights are set so that 1 is white.
         """
-        self.show(density, view)
+        self.show(density, view, emission)
         total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
         # One path per pixel and launch: more would be summed in the order in which threads arrive.
         for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
             total += mi.render(self.scene, spp=1, seed=pass_seed)
+            if self._fire is not None:
+                # Another stream than that of the lights' paths.
+                total += self._fire.render(self.scene, pass_seed ^ _OTHER_STREAM)
             dr.eval(total)
         return (total / samples).numpy()
 
 
-def _horizontal_field_of_view(
-    edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]
-) -> float:
+def horizontal_field_of_view(edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]) -> float:
     """The angle in degrees at which pictures of the given size show a whole box, plus a margin, in every view.
 
     The box has edges (x, y, z) and is centred on the origin, at which the camera looks from the given distance.

@@ -1,0 +1,123 @@
+"""`tnst-mi show`: which panels are shown, where they are written, and what is said before."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from command_line import Run as RunCommand
+from command_line import refused, run, smoke
+from jobs import optimiser
+from PIL import Image
+
+import tnst_mi
+from tnst_mi.frame import Frame
+from tnst_mi.io import save_frames
+from tnst_mi.machine import blender
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.job import Run
+from tnst_mi.run.prepare import prepare
+
+__all__ = ["optimiser", "run", "smoke"]
+
+QUICK = ("--spp", "2", "--resolution", "40x40", "--look", "thick")
+RECIPE = Recipe(style=("spirals",), gamma=0.3, octaves=1, iterations=1)
+
+
+def stylized(source: Path, out: Path) -> Path:
+    """A run that doubles densities."""
+    list(Run(prepare(source, RECIPE, out), progress=False))
+    return out
+
+
+def panels(file: Path, count: int) -> list[np.ndarray]:
+    """The pictures of 40 × 40 pixels in a row."""
+    with Image.open(file) as opened:
+        sheet = np.asarray(opened, np.float32) / 255
+    assert sheet.shape == (40 + 14, count * 40 + (count - 1) * 2, 3)
+    return [sheet[14:, 42 * i : 42 * i + 40] for i in range(count)]
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_a_run_is_shown_before_and_after(run: RunCommand, smoke: Path, tmp_path: Path) -> None:
+    runs, out = [stylized(smoke, tmp_path / name) for name in "ab"], tmp_path / "shown.png"
+    # The second run has taken the smoke away.
+    for frame in tnst_mi.load_frames(smoke):
+        save_frames(runs[1] / "density", replace(frame, density=0 * frame.density, velocity=None))
+    ran = run("show", *runs, "--out", out, *QUICK)
+    assert ran.code == 0, ran.errors
+    assert ran.out == f"picture   {out}\n"
+    (time,) = (line for line in ran.errors if line.startswith("3 × 40x40 in about "))
+    assert time.endswith(f" s, written to {out}") and ran.errors.index(time) < len(ran.errors) - 1
+    # One input before two runs; the last frame of all, which is the densest.
+    before, after, empty = panels(out, 3)
+    assert before[:, 20].std() > 1.2 * empty[:, 20].std()
+    assert abs(after - empty).mean() > abs(before - empty).mean() > 0.01
+    refused(run, tmp_path, ["show", *runs, "--out", out, *QUICK], "shown.png: is there already; .* --overwrite")
+    assert run("show", runs[0], "--out", out, "--overwrite", *QUICK).code == 0
+    panels(out, 2)
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_frames_and_turntables_are_films(run: RunCommand, smoke: Path, tmp_path: Path) -> None:
+    out = stylized(smoke, tmp_path / "a")
+    for flags, count in ((("--frames", "7:8"), 2), (("--turntable", "3", "--frames", "7:9"), 3)):
+        film = tmp_path / f"film{count}.mp4"
+        ran = run("show", out, "--out", film, *QUICK, *flags)
+        assert ran.code == 0, ran.errors
+        assert ran.out == f"video   {film}\n"
+        assert any(line.startswith(f"2 × 40x40, {count} pictures in about ") for line in ran.errors)
+        reader = imageio_ffmpeg.read_frames(str(film))
+        assert next(reader)["size"] == (82, 54) and len(list(reader)) == count
+    refused(run, tmp_path, ["show", out, "--frames", "7:8", "--out", "x.png"], r"x\.png: expected .* \.mp4, for 2 pict")
+    refused(run, tmp_path, ["show", out, "--out", "x.mp4"], r"x\.mp4: expected a name that ends in \.png, for one pic")
+    refused(run, tmp_path, ["show", out, "--frames", "20:30"], "--frames 20:30: selects none; .* are 7, 8, 9")
+
+
+def test_fire_is_shown_unless_it_is_put_out(run: RunCommand, tmp_path: Path) -> None:
+    flame = np.zeros((5, 6, 5), np.float32)
+    flame[2, 2, 2] = 1.0
+    save_frames(tmp_path / "f.npz", Frame(np.full(flame.shape, 0.1), grids={"flame": flame}))
+    shown = []
+    for choice in ((), ("--fire", "none")):
+        ran = run(
+            "show", tmp_path / "f.npz", "--out", tmp_path / f"{len(choice)}.png", *QUICK, "--look", "thin", *choice
+        )
+        assert ran.code == 0, ran.errors
+        assert ("fire: grid flame as a flame, up to 1" in ran.errors) == (not choice)
+        shown += panels(tmp_path / f"{len(choice)}.png", 1)
+    assert (shown[0] - shown[1])[..., 0].max() > 0.1
+
+
+def test_what_cannot_be_shown(run: RunCommand, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_frames(tmp_path / "flat.npz", Frame(np.ones((1, 6, 5)), name="f_09"))
+    for arguments, message in (
+        ([], "show: expected one or more runs or densities"),
+        (["nowhere"], "nowhere: no such file"),
+        ([smoke / "f_09.npz", "flat.npz"], r"flat: has grids of \(1, 6, 5\) cells .* beside it \(4, 6, 5\): show them"),
+        ([smoke, "--look", "sooty"], "--look sooty: expected"),
+        ([smoke, "--resolution", "9"], "--resolution 9: expected WIDTHxHEIGHT"),
+        ([smoke, "--fire", "flame"], "--fire flame: no frame has such a grid"),
+    ):
+        refused(run, tmp_path, ["show", *arguments], message)
+    monkeypatch.setattr(blender.shutil, "which", lambda program: None)
+    refused(run, tmp_path, ["show", smoke, "--blender"], "no program blender: install Blender")
+
+
+@pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")
+def test_blender_shows_the_same_panels(run: RunCommand, tmp_path: Path) -> None:
+    density = np.zeros((8, 9, 8), np.float32)
+    density[2:6, 3:7, 2:5] = 1.0
+    save_frames(tmp_path / "f.npz", Frame(density))
+    shown = []
+    for name, flags in (("studio", ()), ("blender", ("--blender",))):
+        out = tmp_path / f"{name}.png"
+        ran = run("show", tmp_path / "f.npz", "--out", out, *QUICK, "--look", "thin", "--spp", "32", *flags)
+        assert ran.code == 0, ran.errors
+        shown += panels(out, 1)
+    np.testing.assert_allclose(shown[0].mean((0, 1)), shown[1].mean((0, 1)), rtol=0.05)

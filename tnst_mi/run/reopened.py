@@ -1,0 +1,150 @@
+"""Results, opened again: the frames that a run has finished, beside those of its input; or other densities."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io import open_frames
+from tnst_mi.io.files.frame_numbers import Number
+from tnst_mi.io.interpretation.conventions import Conventions
+from tnst_mi.io.sequence import FrameFiles
+from tnst_mi.machine.terminal import displayable, one_line
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name, recipe_of_run
+from tnst_mi.run.inputs import conventions_of
+
+
+@dataclass(frozen=True)
+class Reopened:
+    """What a path holds.
+
+    Attributes:
+        path: as it was given.
+        frames: the stylized frames of a run with what it carried, or other densities; each access reads a file.
+        names: of the frames.
+        numbers: of the frames; None for a single file without one.
+        record: the contents of run.json; None for densities.
+        recipe: of the run; None likewise.
+        inputs: the frames that were stylized, in the same order; None where they cannot be read.
+        notes: what is to be said.
+    """
+
+    path: Path
+    frames: Sequence[Frame]
+    names: tuple[str, ...]
+    numbers: tuple[Number | None, ...]
+    record: Mapping[str, Any] | None = None
+    recipe: Recipe | None = None
+    inputs: Sequence[Frame] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """A short name."""
+        path = self.path.resolve()
+        return displayable(path.name if path.is_dir() else path.stem)
+
+    def recorded(self, name: str) -> Mapping[str, Any]:
+        """The record of a frame of a run; empty for densities."""
+        frames = () if self.record is None else self.record["frames"]
+        return next((frame for frame in frames if frame["name"] == name), {})
+
+
+def reopened(path: Path) -> Reopened:
+    """Open the folder of a run, finished or not, or densities in a file, a folder or a pattern.
+
+    Raises:
+        InputError: nothing is there, the record of the run is damaged, or it has not finished a frame.
+    """
+    if not holds_run(path):
+        files = open_frames(path)
+        return Reopened(path, files, tuple(displayable(file.stem) for file in files.files), tuple(files.numbers))
+    recipe = recipe_of_run(path)
+    try:
+        record = json.loads((path / "run.json").read_text("utf-8"))
+        suffix = f".{record.get('format', 'npz')}"
+        finished = {str(frame["name"]): frame["number"] for frame in record["frames"] if frame["complete"]}
+        source = record.get("input")
+    except DAMAGE:
+        raise InputError(f"{path / 'run.json'}: damaged, so it does not tell what its run has finished") from None
+    names = [name for name in finished if is_file_name(name) and (path / "density" / f"{name}{suffix}").is_file()]
+    if not names:
+        raise InputError(f"{path}: its run has not finished a frame; go on with it, or wait for the first")
+    inputs, notes = _inputs(path, source, recipe, names)
+    results = _results(path, names, suffix, inputs)
+    numbers = tuple(finished[name] for name in names)
+    return Reopened(path, results, tuple(names), numbers, record, recipe, inputs, notes)
+
+
+def shared_frames(parts: Sequence[Reopened]) -> list[tuple[int, ...]]:
+    """Which frames go together: for each, its index in every part.
+
+    They are those of one number, or of one name where there are none; a single frame goes with any other single one.
+
+    Raises:
+        InputError: there are none.
+    """
+    if all(len(part.frames) == 1 for part in parts):
+        return [(0,) * len(parts)]
+    keys = [part.numbers if None not in part.numbers else part.names for part in parts]
+    together = [tuple(part.index(key) for part in keys) for key in keys[0] if all(key in part for part in keys)]
+    if not together:
+        ranges = "; ".join(f"{part.path} has {_range(key)}" for part, key in zip(parts, keys, strict=True))
+        raise InputError(one_line(f"no frame is in all of them: {ranges}"))
+    return together
+
+
+class _Results(Sequence[Frame]):
+    """The stylized frames of a run, on the grid of its input."""
+
+    def __init__(self, files: Sequence[Path], inputs: FrameFiles) -> None:
+        self._files, self._inputs = files, inputs
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        if isinstance(index, slice):
+            chosen = range(len(self))[index]
+            return _Results([self._files[i] for i in chosen], self._inputs.only(chosen))
+        file = self._files[index]
+        stored = self._inputs.result(file, simulated=True)
+        return stored.frame(Conventions(), displayable(file.stem), self._inputs.numbers[index])
+
+
+def _inputs(
+    path: Path, source: object, recipe: Recipe, names: Sequence[str]
+) -> tuple[FrameFiles | None, tuple[str, ...]]:
+    """The frames of the given names in the input of a run, or a note that there are none."""
+    if not isinstance(source, str):
+        return None, (f"note: {path}: its input was no file, so what was before is not known",)
+    try:
+        files = open_frames(source, recipe.frame_range, conventions_of(recipe))
+    except InputError as error:
+        return None, (one_line(f"note: {path}: its input cannot be read again ({error})"),)
+    places = {displayable(file.stem): index for index, file in enumerate(files.files)}
+    if not set(names) <= set(places):
+        return None, (one_line(f"note: {path}: its input {source} does not have all of its frames any more"),)
+    return files.only(places[name] for name in names), ()
+
+
+def _results(path: Path, names: Sequence[str], suffix: str, inputs: FrameFiles | None) -> Sequence[Frame]:
+    if inputs is not None:
+        return _Results([path / "density" / f"{name}{suffix}" for name in names], inputs)
+    files = open_frames(path / "density")
+    places = {displayable(file.stem): index for index, file in enumerate(files.files)}
+    return files.only(places[name] for name in names)
+
+
+def _range(keys: Sequence[object]) -> str:
+    return f"{keys[0]}" if len(keys) == 1 else f"{keys[0]} to {keys[-1]}"
