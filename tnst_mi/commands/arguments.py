@@ -13,6 +13,7 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
+from tnst_mi.commands.studio_flags import StudioFlags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
 from tnst_mi.recipe.keys import Choice
 from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
@@ -76,30 +77,6 @@ class StylizeArguments(Arguments):
     """What to read, compute with and write."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
     """How to read the input."""
-
-
-@dataclass(kw_only=True)
-class StudioFlags:
-    """Options of the path tracers."""
-
-    spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint="(default: 64)")] = None
-    """Paths per pixel; four times as many halve the noise and take four times as long."""
-    seed: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint="(default: 0)")] = None
-    """Seed of the noise; the same seed gives the same pictures."""
-    resolution: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 288x384; grey: see below)"),
-    ] = None
-    """Size of the pictures in pixels. Grey ones have a pixel per cell or more: by default one, and in turntables of
-    small grids as many as make 384 rows."""
-    fire: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: the flame, or a temperature in kelvin)"),
-    ] = None
-    """Grid that shines as fire, and lights smoke and ground: a flame, or a temperature as a black body; see
-    docs/looks.md."""
-    denoise: bool = False
-    """Remove the noise with OptiX, on an NVIDIA GPU that has it; elsewhere pictures keep their noise."""
 
 
 @dataclass(kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -22,7 +22,6 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_names, require_space
-from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
@@ -50,7 +49,7 @@ from tnst_mi.run.measure import (
     shot_record,
 )
 from tnst_mi.run.memory import Need, cache_bytes, free_bytes, require_memory, working_bytes
-from tnst_mi.run.readable import Readable
+from tnst_mi.run.readable import Readable, watched
 from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import record_in, resumable_run
@@ -205,7 +204,7 @@ def prepare(
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
     readable = Readable(sequence, recipe.skip_bad, recipe.window)
-    measures, reference = measured(_watched(readable, "reading", progress), recipe.carry)
+    measures, reference = measured(watched(readable, "reading", progress), recipe.carry)
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     require_there(recipe.carry, movable)
     sequence = readable.frames()
@@ -219,7 +218,7 @@ def prepare(
     regions = regions_of(recipe, unchanged, numbers, sequence)
     target_records = None
     if regions is not None:
-        masks = measured_masks(regions, targets, _watched(unchanged, "masking", progress))
+        masks = measured_masks(regions, targets, watched(unchanged, "masking", progress))
         target_records = [target_record(target, mask) for target, mask in zip(targets, masks, strict=True)]
     recipes = by_frame(recipe, numbers, shape)
     density_scale = reference.scale(recipe.density_scale)
@@ -311,12 +310,6 @@ def prepare(
 def _moving(frames: Sequence[Frame], step: int | float) -> Sequence[Frame]:
     """Frames that are `step` apart, with velocities that lead from each to the next."""
     return frames if step == 1 else ScaledFrames(frames, velocity_factor=step)
-
-
-def _watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
-    """The frames, with a progress bar on stderr while they are read; a single one needs none."""
-    shown = shown and len(frames) > 1
-    return progress_bar(frames, doing, unit="frame", disable=not shown, leave=False, delay=1.0)
 
 
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:

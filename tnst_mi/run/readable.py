@@ -9,6 +9,7 @@ from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.frame import Frame
 from tnst_mi.io.files.frame_numbers import first_gap
 from tnst_mi.io.sequence import FrameFiles
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.machine.terminal import LONGEST, some_of
 
 # Bounds of a message: frames that it names, and characters of a cause.
@@ -170,3 +171,9 @@ def _fitting(text: str, most: int) -> str:
     body, separator, remedy = text.rpartition("; ")
     room = most - len(separator) - len(remedy) - 1
     return f"{body[:room]}…{separator}{remedy}" if separator and room > 0 else f"{text[: most - 1]}…"
+
+
+def watched(frames: Sequence[Frame] | Readable, doing: str, shown: bool) -> Iterable[Frame]:
+    """The frames, with a progress bar on stderr while they are read; a single one needs none."""
+    shown = shown and len(frames) > 1
+    return progress_bar(frames, doing, unit="frame", disable=not shown, leave=False, delay=1.0)
