@@ -230,7 +230,7 @@ def prepare(
         )
     if progress and recipe.integrator != "emission_absorption":
         tqdm.write("measuring how bright the frames are path traced …", file=sys.stderr)
-    watch = partial(_watched, doing="measuring", shown=progress)
+    watch = partial(watched, doing="measuring", shown=progress)
     bright = brightness(unchanged, recipes, levels_seen(recipe, shape), density_scale, watch)
     exposures = [of_frame.exposure for of_frame in bright]
     suffix = _suffix(recipe, sequence)
