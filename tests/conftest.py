@@ -21,7 +21,50 @@ hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.register_profile("search")
 hypothesis.settings.load_profile("repeatable")
 
+#: Tests that take long to show in more ways what others show too, by the beginnings of their names: of a run of some
+#: minutes they are a third. `pytest --slow` runs them as well.
+SLOW = (
+    "commands/test_show.py::test_blender_shows_the_same_panels",
+    "compare/test_compare.py::test_a_broken_integrator_is_found[samples",
+    "compare/test_compare.py::test_a_fault_of_the_quadrature_that_drives_a_stylization_is_found[steps",
+    "optimisation/test_host.py::test_a_run_whose_disk_was_full_goes_on_to_the_same_bits[3]",
+    "optimisation/test_kill.py::test_killed_runs_end_with_the_same_bits[3-",
+    "optimisation/test_mending.py::test_whatever_item_is_damaged_the_bits_are_the_same[3-11-",
+    "optimisation/test_mending.py::test_whatever_item_is_damaged_the_bits_are_the_same[3-5-",
+    "optimisation/test_regions.py::test_a_run_is_reproduced_and_resumed[3]",
+    "optimisation/test_single_frame.py::test_semantic_transfer_with_compression",
+    "optimisation/test_single_frame.py::test_style_distance_falls",
+    "rendering/test_behind.py::test_an_object_inside_the_smoke_is_lit_through_it",
+    "rendering/test_blender.py::test_blender_and_mitsuba_show_the_same",
+    "rendering/test_fit.py::test_a_run_says_what_is_cut_off_and_fits_if_asked[prbvolpath]",
+    "rendering/test_fog.py::test_all_in_fog_that_the_sensor_names_is_what_volpath_shows[a lit wall]",
+    "rendering/test_scattering.py::test_it_drives_a_stylization",
+    "run/test_carry.py::test_a_copy_of_the_density_comes_back_as_the_result_bit_for_bit[3-",
+    "run/test_going_on.py::test_draft_preview_and_final_are_one_run_in_three_parts[3-",
+    "run/test_memory.py::test_a_run_takes_about_what_was_said",
+    "run/test_proportions.py::test_random_proportions",
+    "run/test_repeatability.py::test_ten_runs_of_a_small_grid_give_the_same_bits[shape0]",
+    "run/test_shot_runs.py::test_compare_takes_the_view_of_a_stylization",
+    "run/test_units.py::test_a_power_of_two_in_the_density_gives_the_same_bits[transport-3]",
+    "scripts/test_measure_gpu.py::test_the_cpu_agrees_with_itself_and_a_part_that_fails_is_told",
+    "scripts/test_train_patterns.py::test_an_interrupted_training_ends_as_an_uninterrupted_one",
+)
+
 ASSETS = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the flag --slow."""
+    parser.addoption("--slow", action="store_true", help="run the tests that take long too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave the tests that take long out, unless they are asked for: by --slow, or by their names."""
+    if config.getoption("--slow") or any("::" in argument for argument in config.args):
+        return
+    slow = [item for item in items if item.nodeid.removeprefix("tests/").startswith(SLOW)]
+    config.hook.pytest_deselected(items=slow)
+    items[:] = [item for item in items if item not in slow]
 
 
 @pytest.fixture(scope="session", autouse=True)

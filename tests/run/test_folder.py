@@ -438,7 +438,7 @@ def test_room_on_the_disk_is_checked_first(
     optimiser: FakeOptimiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=5000))
-    with pytest.raises(InputError, match=r"out: 0\.005 MB are free on its disk and the run needs up to 0\.0078 MB"):
+    with pytest.raises(InputError, match=r"out: 0\.005 MB are free on its disk and the run needs up to 0\.009 MB"):
         Run(prepare(frames(0.2, 0.3), dataclasses.replace(RECIPE, lam=1.0), tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 

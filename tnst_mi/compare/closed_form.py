@@ -7,10 +7,11 @@ to rounding, whatever its direction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tnst_mi.compare.rays import Interpolation, rays, visible_from
-from tnst_mi.rendering.cameras.views import View
 
 
 def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
@@ -18,7 +19,7 @@ def closed_form(columns: np.ndarray, gamma: float) -> np.ndarray:
     return -np.expm1(-gamma * columns) / gamma
 
 
-def column_density(density: np.ndarray, view: View) -> np.ndarray:
+def column_density(density: np.ndarray, view: Sequence[float]) -> np.ndarray:
     """∫ d along the ray through each pixel centre, in density × cells: (H, W) float64, row 0 at the top.
 
     Args:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tnst_mi.compare.rays import Interpolation, rays, visible_from
-from tnst_mi.rendering.cameras.views import View
 
 #: Error of a float32 position relative to the grid's diagonal: 2^-24 of each number on the way to it, of which the
 #: largest are the distance of the camera, twice the diagonal, and the rows of all images, stacked.
@@ -49,7 +48,7 @@ class InclusiveSums:
     tolerance: np.ndarray
 
 
-def inclusive_sums(density: np.ndarray, view: View, gammas: Sequence[float]) -> list[InclusiveSums]:
+def inclusive_sums(density: np.ndarray, view: Sequence[float], gammas: Sequence[float]) -> list[InclusiveSums]:
     """The images of a view at each γ.
 
     Args:
@@ -78,7 +77,7 @@ def inclusive_sums(density: np.ndarray, view: View, gammas: Sequence[float]) -> 
 
 
 def inclusive_gradients(
-    density: np.ndarray, view: View, gammas: Sequence[float], weights: np.ndarray
+    density: np.ndarray, view: Sequence[float], gammas: Sequence[float], weights: np.ndarray
 ) -> list[np.ndarray]:
     """For each γ, the derivative (D, H, W) of Σ weights · I with respect to the density.
 
@@ -109,7 +108,7 @@ def gradient_tolerance(density: np.ndarray, gamma: float) -> float:
     return _position_error(density.shape) * (1 + gamma * float(density.max())) + _SUM
 
 
-def undecided(shape: tuple[int, int, int], view: View) -> np.ndarray:
+def undecided(shape: tuple[int, int, int], view: Sequence[float]) -> np.ndarray:
     """(H, W) bool: the pixels whose ray has a sample on a wall of the grid's box, up to the error of float32."""
     return np.concatenate([on_wall.any(0) for *_, on_wall in _samples(shape, view)]).reshape(shape[1:])
 
@@ -135,7 +134,7 @@ def _sum_and_tolerance(values: np.ndarray, moved: np.ndarray, gamma: float) -> t
 
 
 def _samples(
-    shape: tuple[int, int, int], view: View
+    shape: tuple[int, int, int], view: Sequence[float]
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """The samples of some pixels at a time.
 

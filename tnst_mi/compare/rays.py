@@ -6,17 +6,15 @@ here. Positions are (x, y, z) in cells from the centre of cell 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-
-from tnst_mi.rendering.cameras.views import View
 
 #: Rays followed at once; bounds the memory.
 _RAYS = 2048
 
 
-def rays(shape: tuple[int, int, int], view: View) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def rays(shape: tuple[int, int, int], view: Sequence[float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The rays through the pixel centres of a view of a grid (D, H, W), row by row from the top, some at a time.
 
     Yields:
@@ -35,7 +33,7 @@ def rays(shape: tuple[int, int, int], view: View) -> Iterator[tuple[np.ndarray, 
         yield centre + across[part], directions[part]
 
 
-def visible_from(view: View) -> float:
+def visible_from(view: Sequence[float]) -> float:
     """How many directions of `rays` from the plane through the centre a ray begins: −distance; −∞ if orthographic."""
     return -np.inf if len(view) == 2 else -view[2]
 
