@@ -8,6 +8,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_smoke import under_a_sky
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import smoke_box
@@ -27,15 +28,7 @@ FRONT = (0.0, 0.0)
 def alone(density: np.ndarray, albedo: float, sky: float = 0.0) -> Studio:
     """A studio with fire, whose only other light is a sky of a radiance, and nothing else but the smoke."""
     smoke = replace(Smoke.of([density]), occupied=(slice(0, 8),) * 3)
-    scene = Studio("thin", "volpath", smoke, [FRONT], SIZE, burns=True)
-    parameters = scene.parameters
-    parameters["sky.data"] = mi.TensorXf(np.full(parameters["sky.data"].shape, sky, np.float32))
-    parameters["smoke.interior_medium.albedo.value.value"] = mi.Color3f(albedo)
-    for other in ("ground", "key", "rim"):
-        del scene._front[f"{other}.to_world"]
-        parameters[f"{other}.to_world"] = mi.Transform4f().translate([0, -1000, 0]) @ mi.Transform4f().scale(1e-3)
-    parameters.update()
-    return scene
+    return under_a_sky(Studio("thin", "volpath", smoke, [FRONT], SIZE, burns=True), albedo, sky)
 
 
 def uniform(colour: tuple[float, float, float], shape: tuple[int, int, int] = CUBE) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from fields import smooth_noise
+from lit_smoke import under_a_sky
 
 import tnst_mi
 from tnst_mi.choices import LOOKS
@@ -26,19 +27,6 @@ DISTANCE = 4.5
 
 def studio(density: np.ndarray, *views: tuple[float, float], look: str = "thin", integrator: str = "volpath") -> Studio:
     return Studio(look, integrator, Smoke.of([density]), views or [(0.0, 0.0)], SIZE)
-
-
-def under_a_white_sky(scene: Studio, albedo: float) -> Studio:
-    """Leave nothing but the smoke and an environment of radiance 1."""
-    parameters = scene.parameters
-    parameters["sky.data"] = mi.TensorXf(np.ones(parameters["sky.data"].shape, np.float32))
-    parameters["smoke.interior_medium.albedo.value.value"] = mi.Color3f(albedo)
-    # Lights are black to what falls on them.
-    for other in ("ground", "key", "rim"):
-        del scene._front[f"{other}.to_world"]
-        parameters[f"{other}.to_world"] = mi.Transform4f().translate([0, -1000, 0]) @ mi.Transform4f().scale(1e-3)
-    parameters.update()
-    return scene
 
 
 def estimate(scene: Studio, density: np.ndarray, view: tuple[float, float], samples: int = 64) -> np.ndarray:
@@ -70,7 +58,7 @@ def test_smoke_transmits_what_its_optical_thickness_says(look: str) -> None:
     samples, middle = 600, (slice(15, 17), slice(11, 13))
     for shape, thickness in ((CUBE, 1.0), ((10, 20, 12), 0.5)):
         density = np.full(shape, 1.0 / extinction(look), np.float32)
-        scene = under_a_white_sky(studio(density, look=look), albedo=0.0)
+        scene = under_a_sky(studio(density, look=look), albedo=0.0)
         found = 1.0 - opacity(scene, density, (0.0, 0.0), samples)[middle].mean()
         expected = math.exp(-thickness)
         assert found == pytest.approx(expected, abs=4 * math.sqrt(expected * (1 - expected) / (4 * samples)))
@@ -90,7 +78,7 @@ def test_smoke_that_absorbs_nothing_vanishes_in_a_white_environment(look: str, i
     density = noise(*CUBE)
     density *= 10.0 / extinction(look) / density.max()
     view = (20.0, 10.0)
-    scene = under_a_white_sky(studio(density, view, look=look, integrator=integrator), albedo=1.0)
+    scene = under_a_sky(studio(density, view, look=look, integrator=integrator), albedo=1.0)
     image = estimate(scene, density, view, 256)[..., 0]
     np.testing.assert_allclose(image, 1.0, atol=0.12)
     assert image.mean() == pytest.approx(1.0, abs=3e-3)
@@ -126,7 +114,7 @@ def test_views_show_the_smoke_where_emission_absorption_shows_it() -> None:
     density[10:13, 13:16, 11:14] = 1.0  # front, upper right
     position = np.array([12.5, 14.5, 11.5]) - np.array([8, 10, 7])
     views = [(0.0, 0.0), (90.0, 0.0), (-120.0, 6.0), (35.0, 40.0), (0.0, 90.0), (400.0, -3.0)]
-    scene = under_a_white_sky(studio(density, *views, look="thick"), albedo=0.0)
+    scene = under_a_sky(studio(density, *views, look="thick"), albedo=0.0)
     slope = math.tan(math.radians(float(scene.parameters["camera.x_fov"][0]) / 2)) / (SIZE[0] / 2)
 
     def centroid(image: np.ndarray) -> np.ndarray:
@@ -147,7 +135,7 @@ def test_the_zoom_shows_all_of_any_grid_from_all_views(shape: tuple[int, int, in
     density = np.full(shape, 5.0, np.float32)
     views = [(0.0, 0.0), (50.0, 10.0), (90.0, 0.0)]
     size = (72, 96)
-    scene = under_a_white_sky(Studio("thick", "volpath", Smoke.of([density]), views, size), albedo=0.0)
+    scene = under_a_sky(Studio("thick", "volpath", Smoke.of([density]), views, size), albedo=0.0)
     images = [opacity(scene, density, view, samples=8) for view in views]
     for image in images:
         assert abs(image[[0, -1]]).max() < 1e-4 and abs(image[:, [0, -1]]).max() < 1e-4
@@ -213,7 +201,7 @@ def test_leaving_out_the_empty_part_of_the_grid_changes_nothing() -> None:
     smoke = Smoke.of([density])
     whole = dataclasses.replace(smoke, occupied=tuple(slice(0, n) for n in density.shape))
     images = [
-        opacity(under_a_white_sky(Studio("medium", "volpath", s, [view], SIZE), 0.0), density, view, 256)
+        opacity(under_a_sky(Studio("medium", "volpath", s, [view], SIZE), 0.0), density, view, 256)
         for s in (smoke, whole)
     ]
     assert images[0].max() > 0.3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -62,7 +63,27 @@ def conventions_of(recipe: Recipe) -> Conventions:
     )
 
 
-class ScaledFrames(Sequence[Frame]):
+class FramesOnAccess(Sequence[Frame]):
+    """Frames that are made when they are asked for, and parts of them, which are made no earlier."""
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        """A frame, or several."""
+        return self._part(index) if isinstance(index, slice) else self._frame(index)
+
+    @abstractmethod
+    def _frame(self, index: int) -> Frame:
+        """The frame of an index."""
+
+    @abstractmethod
+    def _part(self, chosen: slice) -> Sequence[Frame]:
+        """The chosen frames, to be made on access."""
+
+
+class ScaledFrames(FramesOnAccess):
     """Frames with their densities, or their velocities, scaled, on access.
 
     Args:
@@ -78,21 +99,17 @@ class ScaledFrames(Sequence[Frame]):
         """Number of frames."""
         return len(self._frames)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        """A frame, or several."""
-        if isinstance(index, slice):
-            return ScaledFrames(self._frames[index], self._factor, self._velocity_factor)
+    def _part(self, chosen: slice) -> ScaledFrames:
+        return ScaledFrames(self._frames[chosen], self._factor, self._velocity_factor)
+
+    def _frame(self, index: int) -> Frame:
         frame, velocity = self._frames[index], None
         if frame.velocity is not None:
             velocity = scaled(frame.velocity, self._velocity_factor)
         return replace(frame, density=scaled(frame.density, self._factor), velocity=velocity)
 
 
-class UnchangedFrames(Sequence[Frame]):
+class UnchangedFrames(FramesOnAccess):
     """Frames that are checked on access to be those that were measured: files can change while a run reads them again.
 
     Their other grids are not read for that: they are checked when they are carried.
@@ -109,18 +126,11 @@ class UnchangedFrames(Sequence[Frame]):
         """Number of frames."""
         return len(self._frames)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        """A frame, or several.
+    def _part(self, chosen: slice) -> UnchangedFrames:
+        return UnchangedFrames(self._frames[chosen], self._digests[chosen])
 
-        Raises:
-            InputError: it is not what it was.
-        """
-        if isinstance(index, slice):
-            return UnchangedFrames(self._frames[index], self._digests[index])
+    def _frame(self, index: int) -> Frame:
+        """The frame; raises InputError if it is not what it was."""
         frame = self._frames[index]
         if frame_digest(frame) != self._digests[index]:
             raise InputError(changed(frame.name))

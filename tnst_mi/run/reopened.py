@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -17,7 +17,7 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name, recipe_of_run
-from tnst_mi.run.inputs import conventions_of
+from tnst_mi.run.inputs import FramesOnAccess, conventions_of
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def shared_frames(parts: Sequence[Reopened]) -> list[tuple[int, ...]]:
     return together
 
 
-class _Results(Sequence[Frame]):
+class _Results(FramesOnAccess):
     """The stylized frames of a run, on the grid of its input."""
 
     def __init__(self, files: Sequence[Path], inputs: FrameFiles) -> None:
@@ -109,14 +109,10 @@ class _Results(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self._files)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        if isinstance(index, slice):
-            chosen = range(len(self))[index]
-            return _Results([self._files[i] for i in chosen], self._inputs.only(chosen))
+    def _part(self, chosen: slice) -> _Results:
+        return _Results(self._files[chosen], self._inputs.only(range(len(self))[chosen]))
+
+    def _frame(self, index: int) -> Frame:
         file = self._files[index]
         stored = self._inputs.result(file, simulated=True)
         return stored.frame(Conventions(), displayable(file.stem), self._inputs.numbers[index])
