@@ -11,6 +11,7 @@ scaling    transport and rendering against the number of cells, views and thread
            against its window, with the fitted exponents
 sequence   an iteration of a frame of nine (64×96×64 cells, one view) with a window of 9, its state in a folder:
            seconds, and bytes read from there
+cameras    rendering nine views with parallel rays and the same in perspective, from near and from far
 floor      a lower bound for each part: bytes that must move, or operations that must be done, over this machine's
            bandwidth or rate
 frame      a whole frame of the paper's size: 200×300×200 cells, semantic recipe, 3 octaves × 20 iterations × 9 views
@@ -64,6 +65,8 @@ STYLE = ONE_STEP | {"style": ["flames"], "octaves": 1, "views": VIEWS}
 #: A whole frame of the paper's size (Table 2: semantic transfer).
 PAPER_SHAPE = (200, 300, 200)
 PAPER = ONE_STEP | {"semantic": ["inception_4b/pool_proj:16"], "octaves": 3, "iterations": 20, "views": VIEWS}
+
+SECTIONS = ("parts", "iteration", "flow", "cameras", "scaling", "sequence", "floor", "frame")
 
 Task = Callable[[], object]
 
@@ -145,6 +148,21 @@ def flow(size: int, weights: str | None, repeat: int) -> dict[str, dict[str, flo
         tasks: dict[str, Task] = {n: Iteration(density, r, network, exposure, speed) for n, r in recipes.items()}
         label = f"iteration, style, {VIEWS} views, {speed:g} cells"
         found[label] = medians(tasks, max(1, repeat // 3))
+        print_row(label, found[label])
+    return found
+
+
+def cameras(size: int, repeat: int) -> dict[str, dict[str, float]]:
+    """Seconds of rendering nine views with parallel rays ("ours"), and from distances of two and five heights."""
+    density = bundled_density(size)
+    angles = [tuple(view) for view in tnst_mi.sample_views(VIEWS)]
+    distances = {"2 heights": 2 * density.shape[1], "5 heights": 5 * density.shape[1]}
+    sides = {"ours": Ours(density, angles)}
+    sides |= {name: Ours(density, [(*view, distance) for view in angles]) for name, distance in distances.items()}
+    found: dict[str, dict[str, float]] = {}
+    for part in ("render_forward", "render_backward"):
+        label = f"{PARTS[part]}, {VIEWS} views"
+        found[label] = medians({name: getattr(side, part) for name, side in sides.items()}, repeat)
         print_row(label, found[label])
     return found
 
@@ -339,8 +357,8 @@ def draw_scaling(path: Path, found: dict[str, list[dict[str, float]]]) -> None:
 def chosen(only: str) -> Iterator[str]:
     """The requested sections."""
     for name in only.split(","):
-        if name not in ("parts", "iteration", "flow", "scaling", "sequence", "floor", "frame"):
-            raise SystemExit(f"--only {name!r}: expected parts, iteration, flow, scaling, sequence, floor or frame")
+        if name not in SECTIONS:
+            raise SystemExit(f"--only {name!r}: expected some of {', '.join(SECTIONS)}")
         yield name
 
 
@@ -350,7 +368,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128, help="cells along x; H is 3/2 of it (default 128)")
     parser.add_argument("--repeat", type=int, default=7, help="timed calls of each part (default 7)")
     parser.add_argument("--weights", help="GoogLeNet weights (default: searched for)")
-    parser.add_argument("--only", default="parts,iteration,flow,scaling,sequence,floor", help="default: all but frame")
+    parser.add_argument("--only", default=",".join(SECTIONS[:-1]), help="default: all but frame")
     parser.add_argument("--out", type=Path, help="folder for benchmark.json and scaling.png")
     arguments = parser.parse_args()
     variant = tnst_mi.activate()
@@ -362,6 +380,7 @@ def main() -> None:
             "parts": lambda: parts(arguments.size, arguments.repeat),
             "iteration": lambda: iteration(arguments.size, arguments.weights, max(1, arguments.repeat // 3)),
             "flow": lambda: flow(arguments.size, arguments.weights, arguments.repeat),
+            "cameras": lambda: cameras(arguments.size, arguments.repeat),
             "scaling": lambda: scaling(arguments.weights, arguments.repeat),
             "sequence": lambda: sequence(arguments.weights),
             "floor": lambda: floor(arguments.size, arguments.weights, arguments.repeat),

@@ -17,11 +17,13 @@ memory       peak bytes of both allocators for each parameterisation at three si
 large        a frame of 400×600×400 cells with one iteration in each octave
 precision    the network in float32, TF32 and bfloat16, with 1, 3 and 9 views at once: milliseconds, memory, and the
              cosine between the derivative and that of float32
-flow         transport, an iteration and a frame of the paper's size along the flow, beside one step
+flow         transport, an iteration and a frame of the paper's size along the flow, beside one step; then such a frame
+             with the package's defaults
+cameras      rendering with rays of perspective cameras, beside parallel ones
 peer         transport, rendering and a whole style iteration against plain PyTorch on the same card
 compare      `tnst-mi compare --quick`: our renderer against Mitsuba's path tracer (needs OptiX)
 beauty       `tnst-mi render --look medium`, with and without OptiX's denoiser
-tests        the test suite on the variant
+tests        the tests of what computes on the variant, in several processes where pytest-xdist is installed
 
 Each part runs in a separate process, which is killed when it takes too long, and its result is on disk before the next
 part begins, so that a run that is cut off still leaves results. Writes FOLDER/PART.json, FOLDER/PART.log, and gpu.json
@@ -33,6 +35,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
+import importlib.util
 import itertools
 import json
 import os
@@ -59,6 +62,10 @@ FRAME = ROOT / "scenes" / "suzanne" / "frame_0010.npz"
 #: How far a stage may deviate from the CPU's, given the same input. Potentials differ where a limiter switches.
 LIMITS = {
     "stylized": 1e-3,
+    "flow": 1e-3,
+    "flow_gradient": 1e-3,
+    "near": 1e-3,
+    "near_gradient": 1e-3,
     "images": 1e-3,
     "loss": 1e-3,
     "image_gradient_where_smoke_is_seen": 1e-2,
@@ -76,6 +83,7 @@ PARTS = {
     "sequence": 90,
     "memory": 100,
     "flow": 90,
+    "cameras": 40,
     "large": 90,
     "precision": 60,
     "peer": 90,
@@ -166,7 +174,34 @@ def first_iteration(
     gradient = Fields(phi=taken_over("potential_gradient", gradient["phi"]))
     size = 0.002 * transport.unit_step(density.shape[1], 1.0)
     taken_over("potential", (fields - normalised_step(gradient, mi.TensorXf(density), size, 3))["phi"])
-    return found
+    return found | alone(density, wave)
+
+
+def alone(density: np.ndarray, wave: np.ndarray) -> dict[str, np.ndarray]:
+    """Stages that the iteration above does not use, each from the same input: the flow, and views in perspective."""
+    import drjit as dr
+    import mitsuba as mi
+    from benchmark import GAMMA
+
+    from tnst_mi.optimisation.parameterisation import Fields, Transport
+    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+
+    potential = np.broadcast_to(np.float32(8 * wave)[:, None], (*density.shape, 3)).copy()
+    moved, pull_back = Transport(0.0, trace="flow").density_with_pullback(
+        Fields(psi=mi.TensorXf(potential)), mi.TensorXf(density), 1.0
+    )
+    views = [(*map(float, view), 1.5 * density.shape[1]) for view in tnst_mi.sample_views(3)]
+    leaf = mi.TensorXf(density)
+    dr.enable_grad(leaf)
+    images = EmissionAbsorptionRenderer(density.shape, GAMMA, "paper", 1.0).render(leaf, views)
+    dr.backward(dr.sum(dr.square(images.array)))
+    found = {
+        "flow": moved,
+        "flow_gradient": pull_back(mi.TensorXf(density))["psi"],
+        "near": dr.detach(images),
+        "near_gradient": dr.grad(leaf),
+    }
+    return {name: np.asarray(array.numpy(), np.float32) for name, array in found.items()}
 
 
 def weights_hash(weights: str | None) -> str:
@@ -185,7 +220,7 @@ def agreement(options: argparse.Namespace) -> Result:
         raise SystemExit("--reference was recorded with other weights: record it with --weights and the same file")
     size = reference["potential"].shape[2]
     stages = first_iteration(options.weights, size, reference)
-    alone, again = (first_iteration(options.weights, size) for _ in range(2))
+    found, again = (first_iteration(options.weights, size) for _ in range(2))
 
     def difference(found: np.ndarray, name: str, where: np.ndarray | bool = True) -> float:
         return float(np.linalg.norm((found - reference[name]) * where) / np.linalg.norm(reference[name] * where))
@@ -195,12 +230,12 @@ def agreement(options: argparse.Namespace) -> Result:
     by_stage["image_gradient_where_smoke_is_seen"] = difference(stages["image_gradient"], "image_gradient", smoke)
     return {
         "by_stage": by_stage,
-        "end_to_end": {name: difference(alone[name], name) for name in alone},
+        "end_to_end": {name: difference(found[name], name) for name in found},
         "limits": LIMITS,
         "agrees": all(by_stage[name] <= limit for name, limit in LIMITS.items())
-        and difference(alone["potential"], "potential") <= LIMITS["potential"],
-        "same_bits_twice": {name: alone[name].tobytes() == again[name].tobytes() for name in alone},
-        "hashes": {name: hashlib.sha256(alone[name].tobytes()).hexdigest() for name in alone},
+        and difference(found["potential"], "potential") <= LIMITS["potential"],
+        "same_bits_twice": {name: found[name].tobytes() == again[name].tobytes() for name in found},
+        "hashes": {name: hashlib.sha256(found[name].tobytes()).hexdigest() for name in found},
     }
 
 
@@ -491,8 +526,21 @@ def flow(options: argparse.Namespace) -> Result:
 
     shape, size = ((24, 36, 24), 24) if options.dry_run else ((200, 300, 200), 128)
     found: Result = {"parts": benchmark.flow(size, options.weights, 7)}
-    frames = {name: whole_frame(options, shape, 20, True, {"transport": name}) for name in ("step", "flow")}
-    return found | frames
+    defaults = tnst_mi.Recipe()
+    ways: dict[str, dict[str, object]] = {
+        "step": {"transport": "step"},
+        "flow": {"transport": "flow"},
+        "defaults": {name: getattr(defaults, name) for name in ("transport", "lam", "motif_size")},
+    }
+    return found | {name: whole_frame(options, shape, 20, True, keys) for name, keys in ways.items()}
+
+
+def cameras(options: argparse.Namespace) -> Result:
+    """Rays that converge in an eye beside parallel ones, nine views."""
+    import benchmark
+
+    sizes = (24,) if options.dry_run else (64, 128)
+    return {str(size): benchmark.cameras(size, 7) for size in sizes}
 
 
 def compare(options: argparse.Namespace) -> Result:
@@ -525,12 +573,14 @@ def beauty(options: argparse.Namespace) -> Result:
 
 def tests(options: argparse.Namespace) -> Result:
     """The part of the suite that computes on the variant, without the runs that are killed: they fork."""
-    folders = ("fields", "losses", "rendering", "optimisation", "compare")
+    folders = ("fields", "losses", "rendering", "optimisation", "regions", "compare")
     paths = [str(ROOT / "tests" / folder) for folder in folders]
     if options.dry_run:
         paths = [str(ROOT / "tests" / "fields" / "test_grid.py")]
     command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "--tb=short", *paths]
     command += [f"--ignore={ROOT / 'tests' / 'optimisation' / 'test_kill.py'}"]
+    if importlib.util.find_spec("xdist") is not None:
+        command += ["-n", str(max(1, (os.cpu_count() or 1) // 2))]
     process = subprocess.run(
         command,
         cwd=ROOT,

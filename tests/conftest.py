@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from tnst_mi.network.googlenet import GoogLeNet
 
 # Examples are the same in every run: a change fails the tests, or does not. `--hypothesis-profile=search` looks for new
-# ones.
-hypothesis.settings.register_profile("repeatable", derandomize=True)
-hypothesis.settings.register_profile("search")
+# ones. How long one takes decides nothing: kernels may be compiled for it.
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("search", deadline=None)
 hypothesis.settings.load_profile("repeatable")
 
 #: Tests that take long to show in more ways what others show too, by the beginnings of their names: of a run of some

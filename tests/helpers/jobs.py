@@ -20,7 +20,7 @@ from tnst_mi.run import job, prepare
 SHAPE = (4, 6, 5)
 
 #: Stands for the objective of any recipe.
-OBJECTIVE = SimpleNamespace(bind=lambda network, height, width: SimpleNamespace(saved_bytes=0))
+OBJECTIVE = SimpleNamespace(bind=lambda network, height, width: SimpleNamespace(saved_bytes=1))
 
 
 @dataclass

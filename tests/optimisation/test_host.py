@@ -18,6 +18,7 @@ from sequences import GOAL, as_on_a_gpu, run
 from torch import nan
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.host_copy import HostCopy
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
@@ -167,7 +168,7 @@ def test_an_optimisation_can_be_run_again(network: GoogLeNet, tmp_path: Path) ->
 
     ((_, half),) = optimisation.run(interrupt)
     ((_, whole),) = optimisation.run()
-    assert half.interrupted and len(half.history) == 2
+    assert half.interrupted and len(half.history) in range(2, 3 + on_gpu())
     assert len(whole.history) == 4
     assert whole.density.tobytes() == run(network, 1, MemoryStore())[0].density.tobytes()
 

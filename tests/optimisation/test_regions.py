@@ -19,6 +19,7 @@ from PIL import Image
 import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import problem_of
 from tnst_mi.optimisation.parameterisation import Fields
@@ -174,7 +175,7 @@ def test_without_regions_a_blend_rounds_as_before(weights: str) -> None:
 )
 def test_the_gradients_of_targets_are_those_of_each_alone(keys: dict[str, Any], weights: str) -> None:
     """To the bit: the images are rendered once, and their graph is differentiated once for each."""
-    (frame,), network = moving_smoke(1, SHAPE), GoogLeNet.load(weights)
+    (frame,), network = moving_smoke(1, SHAPE), GoogLeNet.load(weights).to(torch_device())
     goals = [{"semantic": "inception_3a/3x3:2", "mask": SPHERE}, {"tag": "volcano"}, {"style": "net", "mask": SPHERE}]
     rng = np.random.default_rng(0)
 

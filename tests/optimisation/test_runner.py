@@ -18,6 +18,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
+from tnst_mi.machine.backend import on_gpu
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
 from tnst_mi.optimisation.gradient import OctaveProblem
@@ -294,8 +295,8 @@ def test_interrupted_run_goes_on_to_the_same_bits(window: int, stop: int, networ
     assert bits(results) == bits(expected[len(finished) :])
     # At most one iteration of one frame is done again; and the history is as if nothing had happened.
     # On a GPU, an iteration is reported when the next one has been launched.
-    later = mi.variant().startswith("cuda")
-    assert done == list(range(done[0], 13)) and done[0] in range(stop, stop + 2 + later)
+    later = on_gpu()
+    assert done == list(range(13 - len(done), 13)) and 13 - len(done) in range(stop, stop + 2 + later)
     losses = [[entry["loss"] for entry in result.history] for result in results]
     assert losses == [[entry["loss"] for entry in result.history] for result in expected[len(finished) :]]
 
@@ -408,7 +409,7 @@ def test_interrupted_single_frame_is_given_as_far_as_it_got(network: GoogLeNet, 
         raise KeyboardInterrupt
 
     ((_, reached),) = optimisation(frames, recipe, network, store=store).run(interrupt)
-    assert reached.interrupted and len(reached.history) == 1
+    assert reached.interrupted and len(reached.history) in range(1, 2 + on_gpu())
     fields = Fields({name: mi.TensorXf(array) for name, array in store.read("fields.0", 0).items()})
     transport = Transport(1.0)
     fine = transport.carried(fields, Octave((4, 6, 5), 2.0), Octave(SHAPE, 1.0))

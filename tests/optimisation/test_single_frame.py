@@ -21,7 +21,7 @@ from tnst_mi.fields.advection import revert_mask, step
 from tnst_mi.frame import Frame
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.losses.terms import Match, Semantic, Style
-from tnst_mi.machine.backend import torch_device
+from tnst_mi.machine.backend import on_gpu, torch_device
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation import algorithm
@@ -202,6 +202,14 @@ def test_the_flow_stylizes_and_its_velocity_retransports_the_frame(
     assert np.abs(runs[0].density - smoke.density).max() > 0.01
 
 
+def until(iterations: int) -> range:
+    """How many iterations a run may have done that is interrupted when it tells of the last of `iterations`.
+
+    A GPU is not waited for: another may have been launched by then.
+    """
+    return range(iterations, iterations + 1 + on_gpu())
+
+
 def test_interruption_keeps_what_was_reached(network: GoogLeNet, smoke: Frame) -> None:
     """Ctrl-C in the second iteration of the coarse octave: its potentials, brought to full resolution."""
 
@@ -210,7 +218,7 @@ def test_interruption_keeps_what_was_reached(network: GoogLeNet, smoke: Frame) -
             raise KeyboardInterrupt
 
     result = optimise(smoke, recipe(), network, on_iteration=interrupt)
-    assert result.interrupted and len(result.history) == 2
+    assert result.interrupted and len(result.history) in until(2)
     assert result.density.shape == SHAPE and np.abs(result.density - smoke.density).max() > 1e-4
 
 
@@ -224,7 +232,7 @@ def test_ctrl_c_is_obeyed_after_the_iteration(iteration: int, network: GoogLeNet
 
     before = signal.getsignal(signal.SIGINT)
     result = optimise(smoke, recipe(octaves=1, iterations=6), network, on_iteration=press)
-    assert result.interrupted and len(result.history) == iteration + 1
+    assert result.interrupted and len(result.history) in until(iteration + 1)
     assert signal.getsignal(signal.SIGINT) is before
 
 

@@ -103,10 +103,11 @@ def test_integrated_transmittance_of_a_uniform_column(d: float, gamma: float) ->
 def test_integrated_transmittance_is_dark_where_smoke_is_and_darker_the_nearer_it_is() -> None:
     """Of a column of n cells with one opaque cell, only the empty cells in front of it are seen."""
     density = np.zeros((6, 1, 6))
-    density[range(6), 0, range(6)] = 1e3
+    density[range(6), 0, range(6)] = 20
     image = tnst_mi.render(density, quadrature="integrated_transmittance", gamma=1.0)
-    # The camera stands at +z: in column i, 5 − i cells are in front of the opaque one.
-    np.testing.assert_allclose(image[0], [5, 4, 3, 2, 1, 0], atol=1e-6)
+    # The camera stands at +z: in column i, 5 − i cells are in front of the opaque one. Samples lie at the centres of
+    # cells up to rounding, ± 2⁻²², and so see as much of the opaque cell from the one beside it.
+    np.testing.assert_allclose(image[0], [5, 4, 3, 2, 1, 0], atol=20 * 2.0**-22 + 1e-6)
 
 
 @pytest.mark.parametrize(("shape", "h"), [((95, 33, 69), 1.8), ((29, 53, 29), 96 / 53)])
@@ -402,7 +403,9 @@ def test_no_kernel_is_compiled_after_the_first_renders(mode: str, changed: str) 
         differentiate(**(usual | changes[changed]))
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert len(kernels) > 0
-    # A kernel from the cache on disk is new to this process: without that cache it would have been compiled.
+    # A kernel from the cache on disk is new to this process: without that cache it would have been compiled. Those of
+    # one thread are no part of rendering: they ask the medium of a new h for its place, once.
+    kernels = [kernel for kernel in kernels if kernel["size"] > 1]
     assert sum(not kernel["cache_hit"] or kernel["cache_disk"] for kernel in kernels) == 0
 
 

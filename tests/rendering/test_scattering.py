@@ -15,6 +15,7 @@ from networks import random_googlenet
 import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.machine.backend import on_gpu
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.recipe.paths import LIGHTS, shipped_lights
@@ -106,7 +107,9 @@ def test_images_do_not_depend_on_what_was_rendered_before(density: np.ndarray):
     for earlier in (0.2, 100.0):
         used = furnace(64)
         images(used, earlier * density)
-        assert np.array_equal(images(used, 10 * density), fresh)
+        found = images(used, 10 * density)
+        # Other paths would differ by the noise. A GPU adds those of a pixel in no fixed order.
+        np.testing.assert_allclose(found, fresh, rtol=1e-5 if on_gpu() else 0, atol=0)
 
 
 def test_the_majorant_is_no_bias(density: np.ndarray):

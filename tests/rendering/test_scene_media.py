@@ -12,6 +12,8 @@ import ray_march
 from fields import directional_error, smooth_noise
 from smoke_scenes import EXTINCTION, affine, cube, error_message, extinction_of, film, image_of, medium
 
+from tnst_mi.machine.backend import on_gpu
+
 GAMMA = 0.5
 SHAPE = (5, 4, 6)
 NULL = {"bsdf": {"type": "null"}}
@@ -247,6 +249,8 @@ def test_an_instance_of_a_medium_is_an_error() -> None:
 
 
 def test_touching_boxes_are_one_column() -> None:
+    if on_gpu():
+        pytest.skip("of boundaries that coincide, OptiX may tell of the same medium twice and of another never")
     scene = {"a": box(-4, 1, homogeneous(0.2)), "b": box(1, 3, homogeneous(0.7)), "c": box(3, 4, homogeneous(0.1))}
     transmittance = np.exp(-0.2 * 5 - 0.7 * 2 - 0.1)
     shown = image_of(scene_of({"quadrature": "transmittance"}, camera(), **scene))

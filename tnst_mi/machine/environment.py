@@ -67,7 +67,9 @@ def device(variant: str) -> dict[str, object]:
     """The device that a variant computes on, for the run's record."""
     if variant.startswith("cuda"):
         used, visible = torch.cuda.get_device_name(), os.environ.get(VISIBLE)
-        return {"variant": variant, "gpu": used, VISIBLE: visible, "gpus": gpus()}
+        # Records of the same run are equal; what is free is not.
+        cards = [{name: value for name, value in card.items() if name != "free_memory"} for card in gpus()]
+        return {"variant": variant, "gpu": used, VISIBLE: visible, "gpus": cards}
     llvm = llvm_library()
     return {
         "variant": variant,

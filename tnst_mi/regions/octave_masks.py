@@ -55,7 +55,9 @@ class RegionBorder:
         """
         blurred = resample_potential(self.fade(), self._octave.cell_size, self.full.shape, 1.0).array
         wanted = self.full.array
-        factor = dr.select(blurred > wanted, wanted / blurred, dr.select(wanted > 0, mi.Float(1), 0))
+        # Nothing is divided by `blurred` outside, where it may be so small that a GPU takes it for 0 in quotients, yet
+        # not in comparisons: 0/0.
+        factor = dr.select(wanted > 0, wanted / dr.maximum(blurred, wanted), 0)
         return mi.TensorXf(factor, tuple(self.full.shape))
 
 

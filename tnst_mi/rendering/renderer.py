@@ -37,7 +37,7 @@ class Renderer(ABC):
     """Renders densities (D, H, W) of one grid from centred views and from the cameras of shots, in any mixture.
 
     A seed is one or more integers ≥ 0 from which a renderer draws its random numbers: the same seed gives the same
-    images and derivatives.
+    images and derivatives, those of path tracers up to the order in which a GPU adds.
     """
 
     def render(self, density: mi.TensorXf, views: Sequence[Viewpoint], seed: Sequence[int] = (0,)) -> mi.TensorXf:

@@ -113,14 +113,13 @@ class Studio:
         self._fire = FireLight(low.tolist(), high.tolist()) if burns else None
         self._load(look, integrator, edges, low, high)
         self.parameters = mi.traverse(self.scene)
-        #: Transforms of the camera, and of all that turns with it, for the view (0, 0). Copies: the dictionary returns
-        #: references, in which the rotations of successive views would accumulate.
+        #: Transforms of the camera, and of all that turns with it, for the view (0, 0).
         self._front = {
-            key: mi.Transform4f(self.parameters[key].matrix)
+            key: mi.ScalarTransform4f(np.array(self.parameters[key].matrix).reshape(4, 4))
             for key in self.parameters.keys()
             if key.endswith(".to_world")
         }
-        distance = float(np.array(self._front[_CAMERA].translation()).ravel()[2])
+        distance = float(self._front[_CAMERA].translation()[2])
         lowest = math.degrees(math.asin(-edges[1] / 2 / distance))
         for azimuth, elevation, *_ in views:
             if distance * math.sin(math.radians(elevation)) <= -edges[1] / 2:
@@ -166,8 +165,10 @@ class Studio:
         turned = mi.ScalarTransform4f().rotate([0, 1, 0], azimuth)
         raised = turned @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
         for key, front in self._front.items():
-            placed = raised if key == _CAMERA else turned
-            self.parameters[key] = mi.Transform4f(placed.matrix) @ front
+            placed = mi.Transform4f(((raised if key == _CAMERA else turned) @ front).matrix)
+            # Lamps would have their place in the generated code, and each view would be compiled.
+            dr.make_opaque(placed)
+            self.parameters[key] = placed
         self.parameters.update()
 
     def render(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,7 +41,7 @@ class OrthographicRays:
         self.width, self.height, self.spacing, self.distance = width, height, spacing, distance
         self.views = [(float(view[0]), float(view[1])) for view in views]
         #: right, up and towards-the-camera vectors of every view: 9 numbers each.
-        self.frames = mi.Float(np.ravel([_camera_frame(*view) for view in self.views]).astype(np.float32))
+        self.frames = mi.Float(np.ravel([camera_frame(*view) for view in self.views]).astype(np.float32))
 
     def through(self, position: mi.Point2f, active: mi.Bool | bool = True) -> mi.Ray3f:
         """Rays through positions in [0, 1]² of the stacked images, measured from the upper left corner."""
@@ -75,9 +74,5 @@ class OrthographicRays:
         """What the rays of `through_pixels(first, count)` have in common; None if a view's form a single line."""
         if min(self.width, self.height) < 2:
             return None
-        towards = [_camera_frame(*view)[2] for view in self.views[first : first + count]]
+        towards = [camera_frame(*view)[2] for view in self.views[first : first + count]]
         return ParallelRays(self.width, self.height, -np.array(towards))
-
-
-#: Cached, since an iteration uses the same views several times.
-_camera_frame = functools.lru_cache(maxsize=256)(camera_frame)

@@ -8,6 +8,7 @@ far apart as in the orthographic view in the plane through the centre that faces
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -102,19 +103,23 @@ def text_of(view: View, between: str = ",") -> str:
     return between.join(f"{number:g}" for number in view)
 
 
+# Cached, since an iteration uses the same views several times.
+@functools.lru_cache(maxsize=256)
 def camera_frame(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the camera's right, up and towards-the-camera axes for a view given in degrees.
 
     Returns:
         Three orthonormal float64 vectors (x, y, z), right-handed: right × up = towards the camera. The
-        viewing direction is the negative of the third.
+        viewing direction is the negative of the third. They cannot be written to.
     """
     a, e = np.radians((azimuth, elevation))
     towards_camera = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
-    up = np.cross(towards_camera, right)
+    up = towards_camera[[1, 2, 0]] * right[[2, 0, 1]] - towards_camera[[2, 0, 1]] * right[[1, 2, 0]]
     # The cosine of 90° is 6e-17 in floating point; a ray meant to run along a face would cross it far away.
-    return np.round(right, 15), np.round(up, 15), np.round(towards_camera, 15)
+    axes = np.round([right, up, towards_camera], 15)
+    axes.setflags(write=False)
+    return axes[0], axes[1], axes[2]
 
 
 def fitted_size(

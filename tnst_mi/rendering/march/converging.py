@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
@@ -15,6 +16,9 @@ from tnst_mi.rendering.cameras.perspective import ConvergingRays, ImagePlane
 from tnst_mi.rendering.march.back_projection import RUN, BackProjection, ParallelBackProjection, RaysTogether
 from tnst_mi.rendering.march.lattice import AT_EYE, Lattice
 from tnst_mi.rendering.march.medium import GridMedium, GridTransform
+
+#: What describes the lattice of a view; see `_lattices_of`.
+NUMBERS = 29
 
 
 class ConvergingBackProjection(BackProjection):
@@ -38,17 +42,9 @@ class ConvergingBackProjection(BackProjection):
     def __init__(self, medium: GridMedium, lattice: Lattice, rays: ConvergingRays) -> None:
         super().__init__(medium, lattice, rays)
         phase = 0.0 if self.shape[0] % 2 else 0.5
-        #: Each of the numbers of `_lattice_of`, by view.
-        self.numbers = [
-            on_device(mi.Float, values)
-            for values in zip(
-                *(
-                    _lattice_of(plane, medium.transform, self.shape, lattice.spacing, phase - before)
-                    for plane, before in zip(rays.planes, self.before.tolist(), strict=True)
-                ),
-                strict=True,
-            )
-        ]
+        numbers = _lattices_of(rays.planes, medium.transform, self.shape, lattice.spacing, phase - self.before)
+        #: The numbers of `_lattices_of`, one array for each of a single view, and one of all of several.
+        self.numbers = [on_device(mi.Float, kind) for kind in (numbers.T if self.views == 1 else [numbers.ravel()])]
         dr.eval(self.first)
 
     def _of_view(self, view: mi.UInt32, voxel: mi.Vector3f) -> list[mi.Float]:
@@ -59,7 +55,8 @@ class ConvergingBackProjection(BackProjection):
         width = opaque_int(self.rays.width)
         numbers, last_plane, plane_start = self.numbers, self.last_plane, self.start
         if self.views > 1:
-            numbers = [dr.gather(mi.Float, number, view) for number in numbers]
+            first = view * NUMBERS
+            numbers = [dr.gather(mi.Float, numbers[0], first + i) for i in range(NUMBERS)]
             last_plane, plane_start = dr.gather(mi.Float, last_plane, view), dr.gather(mi.Int32, plane_start, view)
         origin, a, b, c, to_u, to_w, to_j = (mi.Vector3f(*numbers[i : i + 3]) for i in range(0, 21, 3))
         slope_u, slope_w, reach_u, reach_w, reach_j, scale, growth, first_plane = numbers[21:]
@@ -126,39 +123,52 @@ def back_projection(medium: GridMedium, lattice: Lattice, rays: RaysTogether) ->
     return ConvergingBackProjection(medium, lattice, rays)
 
 
-def _lattice_of(
-    plane: ImagePlane, transform: GridTransform, shape: tuple[int, int, int], spacing: float, first: float
-) -> list[float]:
-    """The projective lattice of an image plane: o, a, b, c, the rows of M⁻¹, λ_u, λ_w, reaches, s, σ, the first plane.
+def _lattices_of(
+    planes: Sequence[ImagePlane],
+    transform: GridTransform,
+    shape: tuple[int, int, int],
+    spacing: float,
+    first: np.ndarray,
+) -> np.ndarray:
+    """The projective lattices of V image planes, in `NUMBERS` numbers each.
+
+    They are o, a, b, c, the rows of M⁻¹, λ_u, λ_w, the reaches of u, w and j, s, σ, and the first plane.
 
     Args:
-        plane: of the view.
+        planes: of the views.
         transform: world space to the grid's unit cube.
         shape: (D, H, W) of the grid.
         spacing: distance between planes of samples, in world units.
-        first: place of plane 0, in planes beyond the grid's centre.
+        first: places of plane 0 of each view, in planes beyond the grid's centre.
     """
     size = np.array(shape[::-1])
-    to_cells = size[:, None] * transform.matrix
+    to_cells = (size[:, None] * transform.matrix).T
+    names = ("foot", "towards", "corner", "across", "down", "spread")
+    foot, towards, corner, across, down, spread = (np.array([getattr(p, name) for p in planes]) for name in names)
+    foot = foot - transform.centre
     # How far plane 0 is beyond the image plane.
-    beyond = first * spacing + float((plane.foot - transform.centre) @ plane.towards)
-    scale, growth = 1 + plane.spread * beyond, plane.spread * spacing
-    a, b, towards = (to_cells @ vector for vector in (plane.across, plane.down, plane.towards))
-    corner = to_cells @ (plane.corner + plane.across / 2 + plane.down / 2)
-    origin = to_cells @ (plane.foot - transform.centre) + (size - 1) / 2 - beyond * towards + scale * corner
+    beyond = (first * spacing + (foot * towards).sum(1))[:, None]
+    scale, growth = 1 + spread[:, None] * beyond, spread[:, None] * spacing
+    a, b, towards = (vectors @ to_cells for vectors in (across, down, towards))
+    corner = (corner + across / 2 + down / 2) @ to_cells
+    origin = foot @ to_cells + (size - 1) / 2 - beyond * towards + scale * corner
     c = growth * corner - spacing * towards
-    to_u, to_w, to_j = rows = np.linalg.inv(np.stack([a, b, c], axis=1))
+    rows = np.linalg.inv(np.stack([a, b, c], axis=2))
+    to_j = rows[:, 2]
     # Of a run of voxels along z, about their middle.
     reach = np.array([1.0, 1.0, 1.0 + (RUN - 1) / 2])
-    slopes = [_least_reach(row, to_j, reach) for row in (to_u, to_w)]
-    reaches = [float(np.abs(row) @ reach) for row in (to_u - slopes[0] * to_j, to_w - slopes[1] * to_j, to_j)]
+    slopes = np.stack([_least_reach(rows[:, i], to_j, reach) for i in range(2)], axis=1)
+    reaches = np.concatenate([np.abs(rows[:, :2] - slopes[:, :, None] * to_j[:, None]), rows[:, 2:]], axis=1)
     # Planes at and behind the eye have no samples.
-    in_front = math.ceil(AT_EYE / 2 - scale / growth) if growth else 0
-    numbers = [*slopes, *reaches, scale, growth, max(in_front, 0)]
-    return np.concatenate([origin, a, b, c, np.ravel(rows), numbers]).tolist()
+    at_eye = np.divide(scale, growth, out=np.full_like(scale, math.inf), where=growth > 0)
+    in_front = np.maximum(np.ceil(AT_EYE / 2 - at_eye), 0)
+    vectors = (origin, a, b, c, rows.reshape(-1, 9), slopes, np.abs(reaches) @ reach, scale, growth, in_front)
+    return np.concatenate(vectors, axis=1)
 
 
-def _least_reach(row: np.ndarray, other: np.ndarray, weights: np.ndarray) -> float:
-    """The λ for which Σ_i |row − λ other|_i weights_i is least: it makes one of the terms 0."""
-    candidates = [0.0, *(row[other != 0] / other[other != 0]).tolist()]
-    return min(candidates, key=lambda slope: float(np.abs(row - slope * other) @ weights))
+def _least_reach(rows: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The λ of each row for which Σ_i |row − λ other|_i weights_i is least: it makes one of the terms 0."""
+    quotients = np.divide(rows, others, out=np.zeros_like(rows), where=others != 0)
+    slopes = np.concatenate([np.zeros_like(rows[:, :1]), quotients], axis=1)
+    sums = np.abs(rows[:, None] - slopes[:, :, None] * others[:, None]) @ weights
+    return np.take_along_axis(slopes, sums.argmin(1)[:, None], axis=1)[:, 0]
