@@ -33,6 +33,7 @@ MODULES = {
     "preset": "paper_formulas",
     "motif": "motif_size",
     "keys": "recipe_keys",
+    "look": "final_look",
 }
 
 

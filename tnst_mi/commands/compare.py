@@ -18,7 +18,7 @@ from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.machine.progress_bar import progress_bar
-from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.keys import Integer, Number
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering.cameras.shots import camera_of, shot_view
 from tnst_mi.run.inputs import conventions_of
@@ -86,7 +86,7 @@ def _settings(arguments: CompareArguments) -> Settings:
     """What to compare, and how precisely; raises InputError for invalid values."""
     quick = arguments.quick
     views = tuple(view_of(text) for text in arguments.views)
-    gammas = tuple(checked("gamma", text, KINDS["gamma"]) for text in arguments.gamma)
+    gammas = tuple(checked("gamma", text, Number(above=0.0, high=1e4)) for text in arguments.gamma)
     spp = checked("spp", arguments.spp or str(_QUICK_SPP if quick else FULL_SPP), Integer(32, 1 << 24))
     directions = arguments.directions or str(_QUICK_DIRECTIONS if quick else FULL_DIRECTIONS)
     directions = checked("directions", directions, Integer(3, 10_000))

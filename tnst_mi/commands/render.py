@@ -53,6 +53,10 @@ def run(arguments: RenderArguments) -> int:
     samples = checked("spp", studio.spp or "64", Integer(1, 1_000_000))
     seed = checked("seed", studio.seed or "0", KINDS["seed"])
     recipe = Recipe().updated_by_flags(given(arguments.renderer) | given(arguments.reading))
+    if recipe.gamma == "auto":
+        raise InputError(
+            "--gamma auto: is of stylize, where it follows from its look; give --look"
+        )
     if recipe.keyframes:
         raise InputError(f"--gamma {arguments.renderer.gamma}: render takes one value, keyframes are of stylize")
     views = [view_of(text) for text in arguments.views]
@@ -99,7 +103,7 @@ def run(arguments: RenderArguments) -> int:
         painter = pictures.EmissionAbsorptionPainter(
             frames,
             [shot.view for shot in shots],
-            gamma(look, shape) if look else recipe.gamma,
+            gamma(look, shape) if look else recipe.extinction,
             recipe.quadrature,
             arguments.fit,
             size,
@@ -143,7 +147,7 @@ def _write_shot(
     """Render and write every frame as its own camera frames it."""
     shape = frames[0].density.shape
     in_cells = [camera_of(cameras, frame, shape) for frame in frames]
-    thick = recipe.gamma if arguments.look is None else gamma(arguments.look, shape)
+    thick = recipe.extinction if arguments.look is None else gamma(arguments.look, shape)
     painter = ShotPainter(frames, in_cells, thick, recipe.quadrature, shot_size(in_cells, shape, size))
     attributes = {"gamma": thick, "quadrature": recipe.quadrature, "exposure": painter.exposure}
     for frame, camera in zip(progress_bar(frames, "rendering", unit="picture"), in_cells, strict=True):

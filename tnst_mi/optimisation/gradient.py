@@ -190,7 +190,7 @@ class OctaveProblem:
         masks = [mask for mask in regions if mask is not None]
         if not masks:
             return [None] * len(self.losses)
-        octave, gamma = self.octave, frame.recipe.gamma
+        octave, gamma = self.octave, frame.recipe.extinction
         renderer = EmissionAbsorptionRenderer(
             octave.shape, gamma, "exact", octave.cell_size, size=octave.size, pixel=octave.pixel
         )

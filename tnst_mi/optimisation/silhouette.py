@@ -34,7 +34,7 @@ def displacement_allowed(density: np.ndarray, recipe: Recipe, size: tuple[int, i
         size: rows and columns of images that show the frame.
         keep: by how much the outline may move, in full-resolution cells.
     """
-    renderer = EmissionAbsorptionRenderer(density.shape, recipe.gamma, "transmittance", 1.0, size=size)
+    renderer = EmissionAbsorptionRenderer(density.shape, recipe.extinction, "transmittance", 1.0, size=size)
     view = recipe.main_view
     opacity = renderer.render(mi.TensorXf(density), [view]).numpy()[0]
     inside = distance_inside(opacity > _SEEN)

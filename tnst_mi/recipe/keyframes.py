@@ -117,6 +117,8 @@ def _by_frame(name: str, table: Mapping[Any, Any], source: str) -> dict[int, Any
             raise InputError(f"{source}{name}: {shown} is no frame number, expected a whole number of up to 9 digits")
         if frame in entries:
             raise InputError(f"{source}{name}: frame {frame} is there twice, expected each frame once")
+        if entry == "auto":
+            raise InputError(f"{source}{name}: auto is one value for all frames, expected numbers in a table of frames")
         # In a table, a single picture needs no list.
         entries[frame] = [entry] if name == "style" and isinstance(entry, str) else entry
     return entries

@@ -224,6 +224,15 @@ class Recipe(Reading, Resources, Method, Goals):
         return around if len(shot) == 2 else (*around, shot[2])
 
     @property
+    def extinction(self) -> float:
+        """γ as a number; in the recipe of a frame of a run it is per full-resolution cell (`rendering.levels`).
+
+        Raises:
+            ValueError: it is "auto", and follows from the grid.
+        """
+        return float(self.gamma)
+
+    @property
     def main_view(self) -> _View:
         """The view at the centre of the camera ranges, see `view`."""
         return self.view(sum(self.azimuth) / 2.0, sum(self.elevation) / 2.0)

@@ -9,7 +9,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, Any, get_type_hints
 
-from tnst_mi.choices import QUADRATURES, QUALITIES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
+from tnst_mi.choices import LOOKS, QUADRATURES, QUALITIES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
@@ -95,9 +95,13 @@ class Method:
     lam: Annotated[float, Number(0.0, 1.0)] = 0.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 0 is divergence-free, so that smoke is kept, 1 lets it expand and
     contract."""
-    gamma: Annotated[float, Number(above=0.0, high=1e4)] = 0.1
+    gamma: Annotated[float | str, Number(above=0.0, high=1e4, words=("auto",))] = 0.1
     """Extinction γ for density 1 (see density_scale), above 0: the higher, the thicker the smoke looks. Per pixel of
-    the images that the network sees, which is a full-resolution cell unless motif_size makes it another length."""
+    the images that the network sees, which is a full-resolution cell unless motif_size makes it another length. auto
+    makes the smoke as thick as the final renderer will, see look."""
+    look: Annotated[float | str, Number(above=0.0, high=1e6, words=LOOKS)] = "medium"
+    """For gamma = auto: how thick the final renderer shows the smoke (docs/looks.md), as a look of render --look, or as
+    the optical depth of smoke of density 1 along the longest edge of the grid."""
     density_scale: Annotated[float | str, Number(above=0.0, words=("auto",))] = "auto"
     """Factor by which all densities are multiplied before γ, mask and steps see them; results come back in the input's
     units. auto is 1 over the 99th percentile of the smoky cells of all frames; 1 takes the input as it is."""

@@ -55,6 +55,8 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
         yield ("content_layers",), "there is no content"
     if "semantic" not in goals:
         yield ("damping",), "there is no semantic"
+    if recipe.gamma != "auto":
+        yield ("look",), 'it belongs to gamma = "auto"'
     if recipe.parameterisation == "density":
         yield _OF_TRANSPORT, 'it belongs to parameterisation = "transport"'
     if recipe.integrator == "emission_absorption":

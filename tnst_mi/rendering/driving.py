@@ -59,10 +59,10 @@ def driving_renderer(
         InputError: the recipe's light cannot be used.
     """
     if recipe.integrator == "emission_absorption":
-        return EmissionAbsorptionRenderer(shape, recipe.gamma, recipe.quadrature, h, size=size, pixel=pixel)
+        return EmissionAbsorptionRenderer(shape, recipe.extinction, recipe.quadrature, h, size=size, pixel=pixel)
     light = LIGHTS / f"{recipe.light}.xml" if recipe.light in shipped_lights() else Path(recipe.light)
     lighting = Lighting(recipe.albedo, recipe.anisotropy, light, recipe.spp if spp is None else spp)
-    return _scattering(mi.variant(), shape, recipe.gamma, h, lighting, size, pixel)
+    return _scattering(mi.variant(), shape, recipe.extinction, h, lighting, size, pixel)
 
 
 def main_view(density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None) -> np.ndarray:

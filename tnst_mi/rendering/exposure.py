@@ -41,8 +41,8 @@ def brightest_possible(column: float, recipe: Recipe, octaves: Sequence[Octave])
     if recipe.quadrature == "integrated_transmittance":
         # Empty space is the brightest: all of the way through the box of the grid, and up to a sample more.
         return max(_way_through(octave, view) for octave in octaves for view in views_around(recipe))
-    opacity = -math.expm1(-recipe.gamma * column)
-    return opacity if recipe.quadrature == "transmittance" else opacity / recipe.gamma
+    opacity = -math.expm1(-recipe.extinction * column)
+    return opacity if recipe.quadrature == "transmittance" else opacity / recipe.extinction
 
 
 def _way_through(octave: Octave, view: View) -> float:
@@ -99,12 +99,12 @@ def brightness(
         watch: passes the frames on, and shows the progress.
     """
     size = levels[-1].size
-    gammas, own_gammas = _measured_gammas(recipes), [recipe.gamma for recipe in recipes]
+    gammas, own_gammas = _measured_gammas(recipes), [recipe.extinction for recipe in recipes]
     # By frame: the smoke in view by γ, the largest columns, the brightest pixel if path traced, what is cut off.
     in_view, columns, pixels, cut_off = [], [], [], []
     for frame, recipe in zip(watch(frames), recipes, strict=True):
         density, views = scaled(frame.density, density_scale), views_around(recipe)
-        in_view.append({g: _in_view(density, recipe, g, size) for g in {*gammas, recipe.gamma}})
+        in_view.append({g: _in_view(density, recipe, g, size) for g in {*gammas, recipe.extinction}})
         columns.append(largest_columns(density, levels, recipe, gammas[0]))
         cut_off.append(share_cut_off(frame.density, views, size))
         if recipe.integrator != "emission_absorption":
@@ -119,12 +119,12 @@ def brightness(
     found = []
     for index, recipe in enumerate(recipes):
         if pixels:
-            brightest = max(p for p, gamma in zip(pixels, own_gammas, strict=True) if gamma == recipe.gamma)
+            brightest = max(p for p, gamma in zip(pixels, own_gammas, strict=True) if gamma == recipe.extinction)
         else:
             brightest = brightest_possible(longest, recipe, levels)
-        own, most = in_view[index][recipe.gamma], max(sums.get(recipe.gamma, 0.0) for sums in in_view)
+        own, most = in_view[index][recipe.extinction], max(sums.get(recipe.extinction, 0.0) for sums in in_view)
         step_scale = own / most if own > 0 else 0.0
-        thickest = recipe.gamma * columns[index].cell
+        thickest = recipe.extinction * columns[index].cell
         found.append(Brightness(exposure_for(brightest), step_scale, thickest, cut_off[index]))
     return found
 
@@ -138,5 +138,5 @@ def _in_view(density: np.ndarray, recipe: Recipe, gamma: float, size: tuple[int,
 
 def _measured_gammas(recipes: Sequence[Recipe]) -> list[float]:
     """The values of γ that occur, in rising order; of many, evenly spaced ones between the ends."""
-    gammas = sorted({recipe.gamma for recipe in recipes})
+    gammas = sorted({recipe.extinction for recipe in recipes})
     return gammas if len(gammas) <= _MOST_GAMMAS else np.geomspace(gammas[0], gammas[-1], _MOST_GAMMAS).tolist()

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from tnst_mi.fields.grid import Octave, Shape, octaves
 from tnst_mi.recipe.quality import octaves_run
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering import looks
 from tnst_mi.rendering.driving import image_size
 
 #: Size in pixels of what `motif_size` calls a motif: on 96 rows, "cells" is a motif size of a quarter.
@@ -95,6 +96,11 @@ def by_frame(recipe: Recipe, numbers: Sequence[int | float | None], shape: Shape
 
 
 def by_cell(recipe: Recipe, shape: Shape) -> Recipe:
-    """A frame's recipe with γ per full-resolution cell: with a motif size, a recipe has it per pixel of the images."""
+    """A frame's recipe with γ as a number per full-resolution cell.
+
+    With a motif size, a recipe has it per pixel of the images, and "auto" is that of a look.
+    """
+    if recipe.gamma == "auto":
+        return replace(recipe, gamma=looks.gamma(recipe.look, shape))
     rows = finest_rows(recipe, shape)
-    return recipe if rows == shape[1] else replace(recipe, gamma=recipe.gamma * rows / shape[1])
+    return recipe if rows == shape[1] else replace(recipe, gamma=recipe.extinction * rows / shape[1])

@@ -23,9 +23,13 @@ def extinction(look: str) -> float:
     return float(default.attrib["value"])
 
 
-def gamma(look: str, shape: tuple[int, int, int]) -> float:
+def gamma(look: str | float, shape: tuple[int, int, int]) -> float:
     """The same as γ, extinction per unit of density and cell, for a grid (D, H, W): 100 / 300 for "thick" and 300 rows.
 
     The paper's own γ, for grids of 300 rows, ranges from 0.01 to 1: the same smoke from a veil to a solid body.
+
+    Args:
+        look: one of `tnst_mi.choices.LOOKS`, or such an optical depth.
+        shape: of the grid.
     """
-    return extinction(look) / max(shape)
+    return (extinction(look) if isinstance(look, str) else look) / max(shape)

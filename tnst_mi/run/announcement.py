@@ -13,6 +13,7 @@ from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
+from tnst_mi.rendering.looks import gamma
 from tnst_mi.run.carry import VELOCITY, chosen
 from tnst_mi.run.prepare import Prepared
 
@@ -132,6 +133,9 @@ def _of_density(prepared: Prepared) -> Iterator[str]:
     auto = f", so that gamma is that of density {reference:.4g}" if recipe.density_scale == "auto" else ""
     if reference > 0:
         yield f"density: up to {densest:.4g}, taken times {scale:.4g} (density_scale){auto}"
+    if recipe.gamma == "auto":
+        value = gamma(recipe.look, prepared.plan.full.shape)
+        yield f"gamma: auto, {value:.3g} per cell, as thick as smoke of density 1 is in the look {recipe.look}"
     thick = reference * scale
     if is_unusual(thick):
         yield (

@@ -17,6 +17,7 @@ from tnst_mi.io.pictures.video import open_video
 from tnst_mi.losses.pictures import resized
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.levels import by_cell
 from tnst_mi.run.panels import difference, on_canvas, row, wipe
 
 #: Shares of the proportions up to which grids of different numbers of cells show the same scene.
@@ -41,14 +42,14 @@ class MainViews:
 
     def add(self, a: Frame, b: Frame) -> None:
         """Render a frame of each."""
-        recipe = self.recipe.at(a.number)
+        recipe = by_cell(self.recipe.at(a.number), a.density.shape)
         finer = max(b.density.shape) / max(a.density.shape)
         same_scene = all(
             abs(n / m / finer - 1) <= _ALIKE for n, m in zip(b.density.shape, a.density.shape, strict=True)
         )
         share = 1 / finer if same_scene else 1.0
         first = main_view(scaled(a.density, self.factor), recipe)
-        second = share * main_view(scaled(b.density, self.factor), replace(recipe, gamma=share * recipe.gamma))
+        second = share * main_view(scaled(b.density, self.factor), replace(recipe, gamma=share * recipe.extinction))
         self.pairs.append((first, second))
 
     @property

@@ -204,7 +204,7 @@ class Run(Iterator[StylizedFrame]):
         )
         attributes = {
             "view": recipe.main_view,
-            "gamma": recipe.gamma,
+            "gamma": recipe.extinction,
             "quadrature": recipe.quadrature,
             "exposure": exposure,
         }
