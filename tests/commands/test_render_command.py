@@ -130,6 +130,7 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
         ("--look thin --resolution 12x99999", "--resolution 12x99999: expected WIDTHxHEIGHT"),
         ("--look sooty", "invalid choice|sooty"),
         ("--turntable 0", "--turntable 0: expected"),
+        ("--gamma auto", "--gamma auto: is of stylize, where it follows from its look; give --look"),
         ("--turntable 4 --fps nan", "--fps nan: expected"),
         ("--turntable 4 --views 0,0 5,0", "--turntable: starts from one view"),
         ("--look thin --views 0,-60", "view 0,-60: the camera would be below the ground"),

@@ -211,6 +211,10 @@ def test_the_example_of_keyframes_of_every_key_is_one(name: str) -> None:
         ("gamma = {+1 = 0.1}", "not valid TOML"),
         ("gamma = {--1 = 0.1}", "r.toml: gamma: '--1' is no frame number, expected a whole number of up to 9 digits"),
         ("gamma = {first = 0.1}", "r.toml: gamma: 'first' is no frame number"),
+        (
+            'gamma = {1 = 0.1, 2 = "auto"}',
+            "r.toml: gamma: auto is one value for all frames, expected numbers in a table",
+        ),
         ("gamma = {1000000000 = 0.1}", "r.toml: gamma: '1000000000' is no frame number"),
         ("gamma = {49 = 0.1, 049 = 0.2}", "r.toml: gamma: frame 49 is there twice"),
         (

@@ -41,6 +41,7 @@ CHANGED: dict[str, Any] = {
     "quality": "draft",
     "lam": 0.5,
     "gamma": 1e-3,
+    "look": 40.0,
     "density_scale": 20.0,
     "quadrature": "exact",
     "octaves": 2,

@@ -32,6 +32,8 @@ TAG: dict[str, Any] = {"tag": ("spiral",)}
         (STYLE | {"coherence": 0.5}, 5, ["coherence"]),
         (STYLE | {"fps": 30.0}, 1, ["fps"]),
         (STYLE | {"fps": 30.0}, 2, []),
+        (STYLE | {"look": "thick"}, 1, ["look"]),
+        (STYLE | {"look": 50.0, "gamma": "auto"}, 1, []),
         (STYLE | {"spp": 4, "albedo": 0.5}, 1, ["albedo", "spp"]),
         (STYLE | {"spp": 4, "integrator": "prbvolpath"}, 1, []),
         (STYLE | {"quadrature": "exact", "integrator": "prbvolpath"}, 1, ["quadrature"]),

@@ -14,6 +14,7 @@ from fields import blob, directional_error, smooth_noise
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tnst_mi.choices import LOOKS
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.resampling import resample_density
@@ -64,6 +65,17 @@ def test_auto_is_cells_up_to_96_rows_and_a_quarter_of_the_height_beyond(shape: t
     same = of_motifs("cells" if shape[1] <= 96 else 0.25)
     assert levels_of(RECIPE, shape) == levels_of(same, shape)
     assert by_cell(RECIPE, shape).gamma == by_cell(same, shape).gamma
+
+
+@given(SHAPES, st.sampled_from([0.1, 0.25, "cells", "auto"]), st.sampled_from([*LOOKS, 7.0]))
+@settings(max_examples=50)
+def test_auto_gamma_is_the_optical_depth_of_the_look(
+    shape: tuple[int, int, int], size: float | str, look: float | str
+) -> None:
+    """Whatever the grid and the images: smoke of density 1 along the longest edge is as thick as in the look."""
+    depth = {"thin": 5.0, "medium": 25.0, "thick": 100.0}.get(str(look), 7.0)
+    seen = by_cell(of_motifs(size, gamma="auto", look=look), shape)
+    assert seen.extinction * max(shape) == pytest.approx(depth)
 
 
 def test_images_have_the_same_rows_on_every_grid() -> None:

@@ -72,7 +72,7 @@ def test_draft_preview_and_final_are_one_run_in_three_parts(
         done[quality] = stylized(keys | {"quality": quality}, frames, tmp_path / quality, start_from=origin)
     for frame in range(frames):
         parts = [iterations(result, frame) for result in done.values()]
-        assert [len(part) for part in parts] == [4, 2, 2]
+        assert [len(part) for part in parts] == [4, 3, 1]
         assert [step for part in parts for step in part] == iterations(whole, frame)
     assert same(done["final"], whole)
     assert not same(done["preview"], whole) and not same(done["draft"], done["preview"])
@@ -88,7 +88,7 @@ def test_the_chain_is_recorded(keys: dict[str, Any], tmp_path: Path) -> None:
         str(tmp_path / "preview"),
         "preview",
         1,
-        2,
+        3,
     )
     assert (begun["from"]["quality"], begun["from"]["iterations"], begun["from"]["from"]) == ("draft", 4, None)
     state = json.loads((tmp_path / "draft" / "run.json").read_text())["frames"][0]["state"]
@@ -245,7 +245,7 @@ def test_the_command_takes_input_recipe_and_the_next_quality_from_the_run(
     assert run(*given, "--quality", "draft", "--out", tmp_path / "draft").code == 0
     ran = run("stylize", "--from", tmp_path / "draft", "--out", tmp_path / "next")
     assert ran.code == 0
-    assert "quality: preview, which ends after iteration 2 of 4 in octave 2 of 2" in ran.errors
+    assert "quality: preview, which ends after iteration 3 of 4 in octave 2 of 2" in ran.errors
     assert f"from: {tmp_path / 'draft'} (draft), after 4 iterations in octave 1" in ran.errors
     assert run("stylize", "--from", tmp_path / "next", "--out", tmp_path / "last").code == 0
     assert json.loads((tmp_path / "last" / "run.json").read_text())["from"]["from"]["quality"] == "draft"

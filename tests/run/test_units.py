@@ -107,3 +107,16 @@ def test_the_factor_is_said(weights: str, capsys: pytest.CaptureFixture[str], tm
     tnst_mi.stylize(density, recipe)
     told = "density: up to 0.2, taken times 20 (density_scale), so that gamma is that of density 0.05"
     assert told in capsys.readouterr().err
+
+
+def test_auto_gamma_is_that_of_the_look(weights: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """To the bit the run of the number, which is said; and the recipe as run still says auto."""
+    frames = smoke(count=1)
+    auto = tnst_mi.stylize(frames, Recipe.from_dict({**KEYS, "weights": weights, "gamma": "auto"}), tmp_path / "run")
+    assert "gamma: auto, 1.25 per cell, as thick as smoke of density 1 is in the look medium" in capsys.readouterr().err
+    by_hand = stylized(frames, weights, gamma=25 / max(SHAPE))
+    np.testing.assert_array_equal(auto.densities[0], by_hand.densities[0])
+    assert auto.run["exposure"] == by_hand.run["exposure"]
+    assert Recipe.from_toml(tmp_path / "run" / "recipe.toml").gamma == "auto"
+    thin = stylized(frames, weights, gamma="auto", look="thin")
+    assert change(frames, thin, 0) > 0 and not np.array_equal(thin.densities[0], by_hand.densities[0])

@@ -54,9 +54,7 @@ def run(arguments: RenderArguments) -> int:
     seed = checked("seed", studio.seed or "0", KINDS["seed"])
     recipe = Recipe().updated_by_flags(given(arguments.renderer) | given(arguments.reading))
     if recipe.gamma == "auto":
-        raise InputError(
-            "--gamma auto: is of stylize, where it follows from its look; give --look"
-        )
+        raise InputError("--gamma auto: is of stylize, where it follows from its look; give --look")
     if recipe.keyframes:
         raise InputError(f"--gamma {arguments.renderer.gamma}: render takes one value, keyframes are of stylize")
     views = [view_of(text) for text in arguments.views]

@@ -1,11 +1,14 @@
 """How far a run goes on the way that its recipe describes: to a draft, a preview, or the end.
 
 A recipe describes the final stylization. What comes early on its way, the coarse octaves and the first iterations of
-the finest, decides where motifs are and costs little; so a draft ends before the finest octave, and a preview half-way
-through it. Both are states that the final passes through, and it can go on from them (docs/preview.md).
+the finest, decides where motifs are and costs little; so a draft ends before the finest octave, and a preview after
+three fifths of it. Both are states that the final passes through, and it can go on from them (docs/preview.md).
 """
 
 from __future__ import annotations
+
+import math
+from fractions import Fraction
 
 from tnst_mi.choices import QUALITIES
 from tnst_mi.recipe.recipe import Recipe
@@ -26,16 +29,17 @@ def octaves_run(recipe: Recipe) -> int:
 def iterations_run(recipe: Recipe, octave: int) -> int:
     """How many iterations of an octave, counted from 0, a run of a recipe's quality goes through.
 
-    Of the finest octave a preview has half; a draft of a recipe with no coarser one has a quarter.
+    Of the finest octave a preview has three fifths; a draft of a recipe with no coarser one has a quarter.
 
     Example:
         >>> recipe = Recipe(octaves=3, iterations=20, quality="preview")
         >>> [iterations_run(recipe, octave) for octave in range(3)]
-        [20, 20, 10]
+        [20, 20, 12]
     """
     if octave < recipe.octaves - 1 or recipe.quality == FINAL:
         return recipe.iterations
-    return -(-recipe.iterations // (2 if recipe.quality == PREVIEW else 4))
+    share = Fraction(3, 5) if recipe.quality == PREVIEW else Fraction(1, 4)
+    return math.ceil(share * recipe.iterations)
 
 
 def following(recipe: Recipe) -> str:

@@ -90,15 +90,16 @@ class Method:
     the recipe or as flags, stay as they are given."""
     quality: Annotated[str, Choice(QUALITIES)] = "final"
     """How much of the work is done, for how good a picture: final is all of it; draft ends before the finest octave,
-    and preview half-way through it. Both show where the motifs of the final will be, and --from goes on from them
+    and preview after three fifths of it. Both show where the motifs of the final will be, and --from goes on from them
     (docs/preview.md)."""
     lam: Annotated[float, Number(0.0, 1.0)] = 0.0
     """λ in v = λ∇Φ + (1−λ)∇×Ψ, from 0 to 1: 0 is divergence-free, so that smoke is kept, 1 lets it expand and
     contract."""
     gamma: Annotated[float | str, Number(above=0.0, high=1e4, words=("auto",))] = 0.1
     """Extinction γ for density 1 (see density_scale), above 0: the higher, the thicker the smoke looks. Per pixel of
-    the images that the network sees, which is a full-resolution cell unless motif_size makes it another length. auto
-    makes the smoke as thick as the final renderer will, see look."""
+    the images that the network sees, which is a full-resolution cell unless motif_size makes it another length. Lower
+    it to stylize all through thin smoke, raise it for the surface of thick smoke; auto makes the smoke as thick as the
+    final renderer will, see look."""
     look: Annotated[float | str, Number(above=0.0, high=1e6, words=LOOKS)] = "medium"
     """For gamma = auto: how thick the final renderer shows the smoke (docs/looks.md), as a look of render --look, or as
     the optical depth of smoke of density 1 along the longest edge of the grid."""
@@ -114,13 +115,13 @@ class Method:
     """Size of motifs in parts of the grid's height, such as 0.25: the images that the network sees then have
     24/motif_size rows, whatever the grid, and gamma is per pixel of them. cells, as in the paper, makes a pixel a cell,
     so that motifs have 24 cells: a quarter of the height on 96 rows, half of that on 192. auto is 0.25 on grids of
-    more than 96 rows, and cells on others, which have no detail for finer images."""
+    more than 96 rows, and cells on others, which have no detail for finer images. Raise it for bigger motifs."""
     scale_factor: Annotated[float, Number(above=1.0, high=8.0)] = 1.8
     """Ratio of the resolutions of neighbouring octaves, above 1."""
     iterations: Annotated[int, Integer(1, 100_000)] = 20
-    """Iterations in each octave, 1 or more."""
+    """Iterations in each octave, 1 or more: more for a stronger style."""
     views: Annotated[int, Integer(1, 10_000)] = 9
-    """Viewpoints per iteration, redrawn each time; the first is the main view."""
+    """Viewpoints per iteration, redrawn each time; the first is the main view. More for a camera that moves."""
     camera: Annotated[str | None, Text("FILE[#NAME]", "a file of cameras, and the name of one in it after #")] = None
     """Camera of the shot, still or moving (docs/cameras.md): TOML, JSON, or USD with the name of one of several. The
     main view of a frame is then from where it stands, and azimuth and elevation are offsets around that."""
@@ -141,15 +142,16 @@ class Method:
     lowers a style loss by dimming the smoke."""
     eta: Annotated[float, Number(above=0.0, high=100.0)] = 0.002
     """Step size η, above 0: an iteration changes the potentials by η·h·H/2, for a grid of H rows and octave
-    cells of size h, where the normalised gradient is 1."""
+    cells of size h, where the normalised gradient is 1. Raise it for a stronger style, up to where smoke is drawn out
+    into threads."""
     pyramid_levels: Annotated[int, Integer(0, 16)] = 3
     """Bands of the Laplacian pyramid that normalises the gradient, 0 or more."""
     mask_strength: Annotated[float, Number(low=0.0, high=100.0)] = 1.0
     """Exponent of the mask that confines changes to the smoke, from 0 (changes everywhere except in obstacles) to 100;
-    1 is the paper's, higher values confine changes to the dense interior."""
+    1 is the paper's, higher values confine changes to the dense interior and leave thin smoke alone."""
     window: Annotated[int, Integer(1, 99, odd=True)] = 1
-    """Number of frames over which the stylization is kept coherent in time, odd; 1 turns this off. Needs the frames'
-    velocities."""
+    """Number of frames over which the stylization is kept coherent in time, odd; 1 turns this off. Raise it for a
+    steadier sequence, such as to 9. Needs the frames' velocities."""
     window_weights: Annotated[str, Choice(WINDOW_WEIGHTS)] = "uniform"
     """Weights of the frames in a window: equal, or decreasing with distance in time."""
     window_average: Annotated[str, Choice(("smoke", "plain"))] = "smoke"
@@ -161,7 +163,7 @@ class Method:
     window_average plain."""
     coherence: Annotated[float, Number(low=0.0)] = 0.0
     """With a window, size of the step that makes the change of the smoke move with the smoke, relative to the
-    stylization's own step, 0 or more; 0, as in the paper, is none."""
+    stylization's own step, 0 or more; 0, as in the paper, is none. Raise it for a steadier sequence, such as to 2.5."""
     steps: Annotated[int | str, Integer(1, 1000, word="auto")] = 1
     """With transport step, sub-steps of it: 1 is the paper's; auto takes one per cell of the longest displacement."""
     transport: Annotated[str, Choice(TRACES)] = "flow"
@@ -191,10 +193,10 @@ class Method:
     """prbvolpath: paths per pixel in each pass of an iteration, 1 or more."""
     reach: Annotated[str | float, Length()] = "off"
     """How far smoke may be moved at most: a share of the grid's height, such as 5%, a number of cells, or off. It holds
-    exactly, in every cell and over all octaves together."""
+    exactly, in every cell and over all octaves together. For a gentler stylization."""
     keep_silhouette: Annotated[str | float, Length()] = "off"
     """How far the outline of the smoke in the main view may move: a share of the grid's height, such as 1%, a number of
-    cells, or off."""
+    cells, or off. For a change inside an outline that is kept."""
     strength: Annotated[float, Number(0.0, 1.0)] = 1.0
     """Strength s of the stylization, from 0 (the input, bit for bit) to 1: the velocity of the result is s times the
     one that was found, so that smoke moves s times as far."""
