@@ -46,6 +46,9 @@ class Gallery:
         self.written: list[str] = []
         self.sheets: list[list[str]] = []
 
+    def main_views(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        return ((name, VIEW, VIEW) for name in names)
+
     def write_glimpse(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
         self.written.append(name)
 
@@ -83,7 +86,7 @@ def test_finished_frames_take_their_places_on_the_sheet() -> None:
     live.octave_done(rendered)
     assert rendered.asked == [[1, 2]]
     live.frame_done("b", VIEW, VIEW)
-    assert gallery.sheets == [["b", "c"]], "not again within the pause"
+    assert gallery.sheets == [["a", "b", "c"]], "not again within the pause, and with what an earlier run has finished"
     clock.now = PAUSE
     live.frame_done("c", VIEW, VIEW)
     assert len(gallery.sheets) == 1, "all are finished: the results have a sheet of their own"

@@ -227,22 +227,22 @@ class RunFolder:
         with written_whole(self._metrics) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept), "utf-8")
 
+    def main_views(self, names: Iterable[str]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        """The names and the main views before and after of frames that have been written."""
+        for stem in (self.out / "images" / name for name in names):
+            yield stem.name, read_exr(Path(f"{stem}_before.exr")), read_exr(Path(f"{stem}_after.exr"))
+
     def write_sequence(self, run: dict[str, Any], frames_per_second: float) -> None:
         """Write the preview, contact sheet and plots of all frames, whose pictures have been written already."""
         self._may_write()
         images, records, sequence = self.out / "images", run["frames"], run["sequence"]
         names = [record["name"] for record in records]
-
-        def pictures() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-            for name in names:
-                yield name, read_exr(images / f"{name}_before.exr"), read_exr(images / f"{name}_after.exr")
-
         if can_encode():
-            pairs = ((before, after) for _, before, after in pictures())
+            pairs = ((before, after) for _, before, after in self.main_views(names))
             report.write_preview(images / "preview.mp4", pairs, frames_per_second)
         else:
             print("note: preview.mp4 is not written: pip install imageio-ffmpeg", file=sys.stderr)
-        report.write_contact_sheet(images / "contact_sheet.png", pictures(), len(names))
+        report.write_contact_sheet(images / "contact_sheet.png", self.main_views(names), len(names))
         before, after = ([record[key] for record in records] for key in ("loss_before", "loss_after"))
         flickers, changes = sequence["flicker_pairs"], sequence["relative_changes"]
         report.plot_sequence(images / "sequence.png", names, before, after, flickers, changes, sequence["mass_changes"])

@@ -42,6 +42,9 @@ class LivePictures:
         self._chosen, self._finished = on_sheet(len(names)), set(finished)
         #: The pictures of the contact sheet so far.
         self._shown: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        if len(names) > 1:
+            written = [names[index] for index in self._chosen if names[index] in self._finished]
+            self._shown.update((name, (before, after)) for name, before, after in folder.main_views(written))
         self._updated = -np.inf
 
     def octave_done(self, glimpses: Glimpses) -> None:
