@@ -27,6 +27,7 @@ FLOORS = (
     "optimisation",
     "compare atlas",
     "run",
+    "batch",
     "commands",
     "cli",
     "__init__ __main__",

@@ -13,10 +13,11 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
+from tnst_mi.commands.run_arguments import BatchArguments, DemoArguments, StylizeArguments
 from tnst_mi.commands.studio_flags import StudioFlags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
 from tnst_mi.recipe.keys import Choice
-from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
+from tnst_mi.recipe.sections import Reading
 
 #: What renders the pictures of `render`, and how dense smoke appears in the studio.
 INTEGRATOR, LOOK = Choice(("emission_absorption", "prbvolpath", "volpath")), Choice(LOOKS)
@@ -30,53 +31,11 @@ FULL_SPP, FULL_DIRECTIONS = 256, 64
 ATLAS_FOLDER = "tnst_mi-atlas"
 
 # Dataclasses created at run time: a type checker cannot know them, so their fields are `Any`.
-_GoalFlags = recipe_flags(key for key in Goals.__annotations__ if key != "target")
-_MethodFlags = recipe_flags(Method.__annotations__)
-_ResourceFlags = recipe_flags(Resources.__annotations__)
-_InputFlags = recipe_flags(Reading.__annotations__)
 _ReadingFlags = recipe_flags(("frames", *Reading.__annotations__, "fps"))
 _RendererFlags = recipe_flags(("gamma", "quadrature", "variant"), keyframes=False)
 
 _DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
 _NetworkFlags = recipe_flags(("weights", "variant"))
-
-
-@dataclass(kw_only=True)
-class DemoArguments(Arguments):
-    """Stylize the bundled frame with the bundled recipe; needs nothing else."""
-
-    out: Folder = Path("tnst_mi-demo")
-    """Folder for the results; those of an earlier demo in it are replaced."""
-
-
-@dataclass(kw_only=True)
-class StylizeArguments(Arguments):
-    """Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.
-
-    Values come from the defaults or a preset, then from the recipe file, then from the flags.
-    """
-
-    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT]", help_behavior_hint="")] = None
-    """Density file, folder of numbered ones, or pattern ('smoke_####.vdb'); with --resume, the run's by default."""
-    out: Folder
-    """New or empty folder for the results."""
-    recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Recipe file (TOML); its keys are the flags below."""
-    start_from: Annotated[Path | None, tyro.conf.arg(name="from", metavar="RUN")] = None
-    """Go on from what an earlier run of the same input and goals has found, a draft or a preview, of which nothing is
-    computed again: with its input and its recipe, and the next --quality, unless these are given (docs/preview.md)."""
-    resume: bool = False
-    """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
-    overwrite: bool = False
-    """Replace the run in --out."""
-    goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
-    """What to stylize towards."""
-    method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
-    """How to get there."""
-    resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
-    """What to read, compute with and write."""
-    reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
-    """How to read the input."""
 
 
 @dataclass(kw_only=True)
@@ -295,6 +254,7 @@ POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…"}
 ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
+    "batch": BatchArguments,
     "render": RenderArguments,
     "show": ShowArguments,
     "diff": DiffArguments,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tnst_mi.commands.arguments import DemoArguments
+from tnst_mi.commands.run_arguments import DemoArguments
 from tnst_mi.commands.stylize import job, prepare, reported
 from tnst_mi.errors import InputError
 from tnst_mi.io import open_frames

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from tnst_mi.commands.arguments import StylizeArguments
 from tnst_mi.commands.base import given, say
+from tnst_mi.commands.run_arguments import StylizeArguments
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.quality import following

@@ -1,0 +1,80 @@
+"""What the commands accept that stylize: the keys of a recipe as flags, and what to do with the run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from tnst_mi.commands.base import Arguments, Folder, recipe_flags
+from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
+
+# Dataclasses created at run time: a type checker cannot know them, so their fields are `Any`.
+_GoalFlags = recipe_flags(key for key in Goals.__annotations__ if key != "target")
+_MethodFlags = recipe_flags(Method.__annotations__)
+_ResourceFlags = recipe_flags(Resources.__annotations__)
+_InputFlags = recipe_flags(Reading.__annotations__)
+
+
+@dataclass(kw_only=True)
+class DemoArguments(Arguments):
+    """Stylize the bundled frame with the bundled recipe; needs nothing else."""
+
+    out: Folder = Path("tnst_mi-demo")
+    """Folder for the results; those of an earlier demo in it are replaced."""
+
+
+@dataclass(kw_only=True)
+class StylizeArguments(Arguments):
+    """Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.
+
+    Values come from the defaults or a preset, then from the recipe file, then from the flags.
+    """
+
+    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT]", help_behavior_hint="")] = None
+    """Density file, folder of numbered ones, or pattern ('smoke_####.vdb'); with --resume, the run's by default."""
+    out: Folder
+    """New or empty folder for the results."""
+    recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Recipe file (TOML); its keys are the flags below."""
+    start_from: Annotated[Path | None, tyro.conf.arg(name="from", metavar="RUN")] = None
+    """Go on from what an earlier run of the same input and goals has found, a draft or a preview, of which nothing is
+    computed again: with its input and its recipe, and the next --quality, unless these are given (docs/preview.md)."""
+    resume: bool = False
+    """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
+    overwrite: bool = False
+    """Replace the run in --out."""
+    goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
+    """What to stylize towards."""
+    method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
+    """How to get there."""
+    resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
+    """What to read, compute with and write."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
+    """How to read the input."""
+
+
+@dataclass(kw_only=True)
+class BatchArguments(Arguments):
+    """Stylize every input by every recipe, one run after the other, and show the results on a page.
+
+    Each run is in OUT/RECIPE/INPUT, as `stylize` leaves it. The same command goes on where it was stopped: runs that
+    are done are not done again. A run that cannot be done is told, and the others go on.
+    """
+
+    files: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RECIPE… INPUT…", help_behavior_hint="")
+    ]
+    """Recipe files (.toml), one or more, and density files, folders of numbered ones, or patterns, one or more."""
+    out: Folder
+    """New or empty folder, or that of the batch to go on with; OUT/index.html shows the results."""
+    overwrite: bool = False
+    """Replace the runs in --out."""
+    method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
+    """How to get there, for all recipes, such as --quality draft."""
+    resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
+    """What to read, compute with and write."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
+    """How to read the inputs."""
