@@ -137,7 +137,7 @@ def test_mistakes_are_answered_before_anything_is_written(
     other = tmp_path / "other"
     other.mkdir()
     (other / "f_08.npz").write_bytes(single.read_bytes())
-    message = "would share .*out/thin_one/f_08; rename one, or give each once"
+    message = "would share the folder thin_one/f_08; rename one, or give each once"
     refused(run, tmp_path, ["batch", *recipes, single, other / "f_08.npz", "--out", out], message)
     refused(run, tmp_path, ["batch", recipes[0], recipes[0].parent / "x" / ".." / recipes[0].name, single], "--out")
 

@@ -93,8 +93,8 @@ def jobs_of(recipes: Mapping[Path, Recipe], inputs: Sequence[Path], out: Path) -
             others = [str(path) for path in folders[folder] if path not in (file, source)]
             ours = [str(path) for path in (file, source) if path not in folders[folder]]
             raise InputError(
-                f"batch: {' and '.join(others or ours)} and {' and '.join(ours or others)} would share {folder}; "
-                "rename one, or give each once"
+                f"batch: {' and '.join(others or ours)} and {' and '.join(ours or others)} would share the "
+                f"folder {recipe_name}/{input_name}; rename one, or give each once"
             )
         folders[folder] = file, source
         jobs.append(Job(recipe_name, input_name, recipe, source, folder))
