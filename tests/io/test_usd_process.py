@@ -191,12 +191,18 @@ def test_the_process_imports_nothing_large_and_nothing_beside_its_script(stage: 
     assert "damaged ([])" in refusal(stage)
 
 
+def test_ctrl_c_is_left_to_the_one_that_waits(stage: Path) -> None:
+    """On a terminal it reaches both; the run may go on, as where a first one only asks it to stop."""
+    library(stage.parent, "signal.raise_signal(signal.SIGINT)\nraise RuntimeError('goes on')")
+    assert "damaged (goes on)" in refusal(stage)
+
+
 PROGRAM = """
 import sys
-from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from tnst_mi.cli import main
-raise SystemExit(main(["compare", sys.argv[1] + "/smoke.npz", "--camera", sys.argv[1] + "/shot.usda"]))
+shot, out = sys.argv[1] + "/shot.usda", sys.argv[1] + "/out"
+raise SystemExit(main(["compare", sys.argv[1] + "/smoke.npz", "--camera", shot, "--out", out]))
 """
 
 
@@ -220,7 +226,7 @@ def test_the_process_ends_where_nobody_waits_any_more(stage: Path) -> None:
     program = (
         f"import sys; sys.path.insert(0, {str(stage.parent)!r})\n"
         "from tnst_mi.io.cameras import reading, usd_process\n"
-        f"usd_process._SECONDS = 3.0; reading.read_cameras({str(stage)!r})"
+        f"usd_process._SECONDS = 2.0; reading.read_cameras({str(stage)!r})"
     )
     with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL) as run:
         worker = _process_of(stage.parent / "pid")
@@ -262,7 +268,6 @@ def test_the_library_is_asked_once_for_a_run_of_frames(tmp_path: Path, monkeypat
         return usd_process.ask(path, name, frame)
 
     monkeypatch.setattr(usd, "ask", counted)
-    # However busy the machine is.
     cameras = read_cameras(moving(tmp_path / "shot.usdc", 5, 304))
     for frame in range(5, 305):
         np.testing.assert_array_equal(cameras.at(frame, "y").to_scene[:3, 3], [frame, frame * frame, 0])
