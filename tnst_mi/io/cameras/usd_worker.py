@@ -49,7 +49,11 @@ def main() -> None:
 
 
 def _problem(kind: str, error: Exception) -> dict[str, Any]:
-    return {"problem": kind, "reason": str(error).strip()[:1000] or type(error).__name__}
+    try:
+        reason = str(error).strip()
+    except UnicodeDecodeError:  # the library quotes bytes of the file as they are
+        reason = ""
+    return {"problem": kind, "reason": reason[:1000] or type(error).__name__}
 
 
 def _bound(memory: int, seconds: float) -> None:
