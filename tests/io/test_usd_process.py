@@ -119,6 +119,12 @@ def test_memory_is_bounded(stage: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert "takes more than 300 MB to read; export the camera alone" in refusal(stage)
 
 
+def test_a_limit_of_the_whole_command_is_named(stage: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usd_process.address_space, "limit", lambda: 500_000_000)
+    library(stage.parent, "raise MemoryError")
+    assert "takes more than 500 MB to read" in refusal(stage)
+
+
 @pytest.mark.parametrize(
     "content",
     [

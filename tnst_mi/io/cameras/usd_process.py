@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine import address_space
 from tnst_mi.machine.terminal import amount, shortened
 
 _WORKER = Path(__file__).with_name("usd_worker.py")
@@ -98,6 +99,8 @@ def ask(path: Path, name: str | None, frame: float | None) -> StageAnswer:
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: cameras in USD need Pixar's library: pip install 'tnst_mi[usd]' (or usd-core)")
     memory = _MEMORY + _MEMORY_PER_BYTE * path.stat().st_size
+    if (most := address_space.limit()) is not None:  # of this process, and so of the one that it starts
+        memory = min(memory, most)
     question = {"path": str(path), "name": name, "frame": frame, "memory": memory, "seconds": _SECONDS}
     started = time.monotonic()
     code, answer = _run(path, json.dumps(question))
