@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fuzzing import corpus, own_corpus, weights_corpus
+from fuzzing import corpus, own_corpus, usd_corpus, weights_corpus
 from tnst_mi import GoogLeNet, Recipe, load_frames
 from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.commands import info
@@ -77,6 +78,13 @@ def _flags(path: Path) -> None:
         raise InputError(one_line(str(error))) from None
 
 
+def _seen_from(path: Path) -> None:
+    """The cameras of a shot at a frame and between two."""
+    cameras = read_cameras(str(path))
+    for number in (2, 2.5):
+        cameras.at(number, "z")
+
+
 def _adaptive_vdb() -> bytes:
     with TemporaryDirectory() as folder:
         return own_corpus.adaptive_vdb(Path(folder))
@@ -141,3 +149,9 @@ READERS = {
     "flags": Reader("flags.txt", own_corpus.flag_files, _flags),
     "zip": Reader("network.zip", weights_corpus.graph_archives, GoogLeNet.load),
 }
+if importlib.util.find_spec("pxr") is not None:
+    # Each read starts a process.
+    READERS |= {
+        "usd": Reader("shot.usd", usd_corpus.stages, _seen_from),
+        "usdz": Reader("shot.usdz", usd_corpus.packages, _seen_from),
+    }
