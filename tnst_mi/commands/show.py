@@ -104,10 +104,10 @@ def run(arguments: ShowArguments) -> int:
     fire = find_fire(exhibits, studio.fire)
     unit.note()
     say([] if fire is None else [fire.in_words])
-    painter = _painter(arguments, exhibits, [shot.view for shot in shots], look, size, samples, seed, fire)
+    painter = _painter(arguments, exhibits, [shot.viewpoint for shot in shots], look, size, samples, seed, fire)
     width, height = size
     panels = len(exhibits.columns) * len(shots)
-    seconds = panels * painter.seconds(exhibits.frame(0, shots[0].frame), shots[0].view)
+    seconds = panels * painter.seconds(exhibits.frame(0, shots[0].frame), shots[0].viewpoint)
     what = f"{len(exhibits.columns)} × {width}x{height}" + (f", {len(shots)} pictures" if len(shots) > 1 else "")
     say([f"{what} in about {duration(seconds)}, written to {out}"])
     fps = next((part.recipe.fps for part in parts if part.recipe and part.recipe.fps), FRAMES_PER_SECOND)
@@ -118,7 +118,7 @@ def run(arguments: ShowArguments) -> int:
         for number, shot in enumerate(shots):
             images: list[tuple[str, np.ndarray]] = []
             for index, column in enumerate(exhibits.columns):
-                image = painter.paint(exhibits.frame(index, shot.frame), shot.view, number)
+                image = painter.paint(exhibits.frame(index, shot.frame), shot.viewpoint, number)
                 images.append((column.name, painter.shown(image)))
                 bar.update()
             picture = row(images, least=1)
