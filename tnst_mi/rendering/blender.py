@@ -126,14 +126,13 @@ class BlenderPainter:
         studio, look = (
             ElementTree.parse(file).getroot() for file in (scene_file("looks/studio.xml"), look_file(self.look))
         )
-        usual = _numbers(_found(studio, "sensor/transform/lookat").attrib["origin"])[2]
         lamps = [_lamp(_found(studio, f"shape[@id='{name}']")) for name in ("key", "rim")]
-        azimuth, elevation, distance = stand(view, self.shape, usual)
+        azimuth, elevation, distance = stand(view, self.shape)
         return {
             "azimuth": azimuth,
             "elevation": elevation,
             "distance": distance,
-            "field_of_view": field_of_view(self.shape, self.views, usual, self.size),
+            "field_of_view": field_of_view(self.shape, self.views, self.size),
             "size": self.size,
             "bounces": _BOUNCES,
             "extinction": extinction(self.look),

@@ -29,7 +29,7 @@ from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.shot_sensors import ShotSensors
 from tnst_mi.rendering.fire_light import FireLight
-from tnst_mi.rendering.looks import look_file
+from tnst_mi.rendering.looks import camera_distance, look_file
 from tnst_mi.rendering.studio_camera import field_of_view, ground_height, require_place, stand
 
 _DENSITY = "smoke.interior_medium.sigma_t.data"
@@ -119,11 +119,10 @@ class Studio:
             for key in self.parameters.keys()
             if key.endswith(".to_world")
         }
-        self._distance = float(self._front[_CAMERA].translation()[2])
         self._view_sensor = self.sensor = self.scene.sensors()[0]
         self._shot_sensors = ShotSensors(size)
         if views := [viewpoint for viewpoint in viewpoints if not isinstance(viewpoint, Camera)]:
-            self.parameters[_ZOOM] = opaque(field_of_view(smoke.shape, views, self._distance, size))
+            self.parameters[_ZOOM] = opaque(field_of_view(smoke.shape, views, size))
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest corner (x, y, z) of the occupied cells."""
@@ -175,9 +174,9 @@ class Studio:
             self._turn(viewpoint.centred_view[0])
         else:
             self.sensor = self._view_sensor
-            azimuth, elevation, distance = stand(viewpoint, self.smoke.shape, self._distance)
+            azimuth, elevation, distance = stand(viewpoint, self.smoke.shape)
             raised = self._turn(azimuth) @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
-            back = mi.ScalarTransform4f().translate([0, 0, distance - self._distance])
+            back = mi.ScalarTransform4f().translate([0, 0, distance - camera_distance()])
             self._place(_CAMERA, raised @ back @ self._front[_CAMERA])
         if self._fire is not None and emission is not None:
             self._fire.set(emission[self.smoke.occupied])

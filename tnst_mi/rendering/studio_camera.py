@@ -15,6 +15,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.cameras.views import View, camera_frame, distance_of, text_of
+from tnst_mi.rendering.looks import camera_distance
 
 #: Distance of the ground below the grid, so that no ray starts on both.
 GROUND_GAP = 2e-3
@@ -37,19 +38,18 @@ def ground_height(shape: Shape) -> float:
     return -shape[1] / max(shape) / 2 - GROUND_GAP
 
 
-def stand(view: View, shape: Shape, usual: float) -> tuple[float, float, float]:
+def stand(view: View, shape: Shape) -> tuple[float, float, float]:
     """(azimuth, elevation, distance) of the camera of a view of a grid (D, H, W), in degrees and world units.
 
     Args:
-        view: with its distance in cells if it has one.
+        view: with its distance in cells; views without one have that of the studio.
         shape: of the grid.
-        usual: the distance of views without one.
 
     Raises:
         InputError: the camera would be below the ground.
     """
     cells = distance_of(view)
-    azimuth, elevation, distance = view[0], view[1], usual if cells is None else cells / max(shape)
+    azimuth, elevation, distance = view[0], view[1], camera_distance() if cells is None else cells / max(shape)
     below = shape[1] / max(shape) / 2
     if distance * math.sin(math.radians(elevation)) <= -below:
         raise InputError(
@@ -59,13 +59,12 @@ def stand(view: View, shape: Shape, usual: float) -> tuple[float, float, float]:
     return azimuth, elevation, distance
 
 
-def field_of_view(shape: Shape, views: Sequence[View], usual: float, size: tuple[int, int]) -> float:
+def field_of_view(shape: Shape, views: Sequence[View], size: tuple[int, int]) -> float:
     """The horizontal angle in degrees at which pictures show a whole grid, plus a margin, in each of some views.
 
     Args:
         shape: (D, H, W) of the grid, at whose centre the camera looks.
         views: one or more.
-        usual: the distance of views without one.
         size: (width, height) of the pictures.
 
     Raises:
@@ -74,7 +73,7 @@ def field_of_view(shape: Shape, views: Sequence[View], usual: float, size: tuple
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * shape[::-1] / max(shape)
     widest = 0.0
     for view in views:
-        azimuth, elevation, distance = stand(view, shape, usual)
+        azimuth, elevation, distance = stand(view, shape)
         x, y, towards = (corners @ axis for axis in camera_frame(azimuth, elevation))
         before = distance - towards
         if before.min() < _NEAREST * distance:
@@ -84,6 +83,15 @@ def field_of_view(shape: Shape, views: Sequence[View], usual: float, size: tuple
         slope = np.maximum(abs(x), abs(y) * size[0] / size[1]) / before
         widest = max(widest, float(slope.max()))
     return 2 * math.degrees(math.atan(_MARGIN * widest))
+
+
+def shows_all(view: View, shape: Shape, size: tuple[int, int]) -> bool:
+    """Whether a picture of the given (width, height) can show all of a grid (D, H, W) from a view in the studio."""
+    try:
+        field_of_view(shape, [view], size)
+    except InputError:
+        return False
+    return True
 
 
 def require_place(camera: Camera, low: np.ndarray, high: np.ndarray, ground: float) -> None:
@@ -122,7 +130,7 @@ def require_place(camera: Camera, low: np.ndarray, high: np.ndarray, ground: flo
     if abs(camera.axes[2][1]) > _LEVEL:
         raise InputError(
             "a part of the orthographic camera's picture starts below the studio's ground, which lies under the grid; "
-            "move the camera back along its axis, which changes nothing else, or leave the look out"
+            "move the camera along its axis until none does, which does not move the picture, or leave the look out"
         )
 
 
