@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -63,9 +62,7 @@ class ShotSensors:
             # The picture is 2 wide before it is scaled.
             half = camera.field * self._proportion / 2
             place = to_world @ _AXES @ np.diag([half, half, 1.0, 1.0])
-        transform = mi.Transform4f(place)
-        # As literals they would be in the generated code, and each camera would be compiled.
-        dr.make_opaque(transform)
-        parameters["to_world"] = transform
+        # Arrays of NumPy are data, not literals of the generated code, which would be compiled for each camera.
+        parameters["to_world"] = mi.Transform4f(place)
         parameters.update()
         return sensor
