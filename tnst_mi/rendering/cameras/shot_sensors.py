@@ -62,7 +62,6 @@ class ShotSensors:
             # The picture is 2 wide before it is scaled.
             half = camera.field * self._proportion / 2
             place = to_world @ _AXES @ np.diag([half, half, 1.0, 1.0])
-        # Arrays of NumPy are data, not literals of the generated code, which would be compiled for each camera.
         parameters["to_world"] = mi.Transform4f(place)
         parameters.update()
         return sensor
