@@ -109,8 +109,8 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
         assert len(shots) == count and played == sorted(played) and played[0] == 0 and played[-1] < frames
         seen = np.bincount(played, minlength=frames)
         assert np.ptp(seen) <= 1
-        np.testing.assert_allclose(np.diff([shot.view[0] for shot in shots]), 360 / count)
-        assert {shot.view[1] for shot in shots} == {-2.0} and shots[0].view[0] == 30.0
+        np.testing.assert_allclose(np.diff([shot.viewpoint[0] for shot in shots]), 360 / count)
+        assert {shot.viewpoint[1] for shot in shots} == {-2.0} and shots[0].viewpoint[0] == 30.0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +17,13 @@ from jobs import optimiser
 from PIL import Image
 
 import tnst_mi
+from tnst_mi.commands import show
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.machine import blender
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.camera import Viewpoint
+from tnst_mi.rendering.pictures import PathTracedPainter
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 
@@ -28,10 +33,21 @@ QUICK = ("--spp", "2", "--resolution", "40x40", "--look", "thick")
 RECIPE = Recipe(style=("spirals",), gamma=0.3, octaves=1, iterations=1)
 
 
-def stylized(source: Path, out: Path) -> Path:
+def stylized(source: Path, out: Path, recipe: Recipe = RECIPE) -> Path:
     """A run that doubles densities."""
-    list(Run(prepare(source, RECIPE, out), progress=False))
+    list(Run(prepare(source, recipe, out), progress=False))
     return out
+
+
+def through(folder: Path, **place: tuple[float, float, float]) -> Recipe:
+    """A recipe with a camera that looks at the middle of the grid, from a place for frame 9, in cells from there."""
+    middle = (np.array([5, 6, 4]) - 1) / 2
+    lines = ["fov = 30", "aspect = 1"]
+    for number in (7, 8, 9):
+        position = middle + place.get(f"frame_{number}", (0.0, 0.0, 60.0))
+        lines += [f"[frames.{number}]", f"position = {position.tolist()}", f"target = {middle.tolist()}"]
+    (folder / "shot.toml").write_text("\n".join(lines), "utf-8")
+    return replace(RECIPE, camera=str(folder / "shot.toml"))
 
 
 def panels(file: Path, count: int) -> list[np.ndarray]:
@@ -76,6 +92,59 @@ def test_frames_and_turntables_are_films(run: RunCommand, smoke: Path, tmp_path:
     refused(run, tmp_path, ["show", out, "--frames", "7:8", "--out", "x.png"], r"x\.png: expected .* \.mp4, for 2 pict")
     refused(run, tmp_path, ["show", out, "--out", "x.mp4"], r"x\.mp4: expected a name that ends in \.png, for one pic")
     refused(run, tmp_path, ["show", out, "--frames", "20:30"], "--frames 20:30: selects none; .* are 7, 8, 9")
+
+
+@pytest.fixture
+def viewpoints(monkeypatch: pytest.MonkeyPatch) -> list[Viewpoint]:
+    """From where the pictures of the last command are rendered."""
+    seen: list[Viewpoint] = []
+
+    class Watched(PathTracedPainter):
+        def paint(self, frame: Frame, viewpoint: Viewpoint, number: int) -> np.ndarray:
+            seen.append(viewpoint)
+            return super().paint(frame, viewpoint, number)
+
+    monkeypatch.setattr(show, "PathTracedPainter", Watched)
+    return seen
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_a_run_is_shown_from_where_the_camera_of_its_shot_stands(
+    run: RunCommand, smoke: Path, tmp_path: Path, viewpoints: list[Viewpoint]
+) -> None:
+    angle = math.radians(70)
+    recipe = through(tmp_path, frame_8=(14 * math.sin(angle), 5.0, 14 * math.cos(angle)))
+    folder = stylized(smoke, tmp_path / "a", recipe)
+    assert run("show", folder, "--out", tmp_path / "film.mp4", *QUICK, "--frames", "7:8").code == 0
+    first, second = (0.0, 0.0, 60.0), (70.0, math.degrees(math.atan2(5, 14)), math.hypot(5, 14))
+    assert len(viewpoints) == 4, "before and after, twice"
+    for found, expected in zip(viewpoints, (first, first, second, second), strict=True):
+        assert found == pytest.approx(expected, abs=1e-9)
+    viewpoints.clear()
+    # A turn begins there, at the distance of the studio.
+    turn = ("--turntable", "2", "--frames", "8:8")
+    assert run("show", folder, "--out", tmp_path / "turn.mp4", *QUICK, *turn).code == 0
+    for found, azimuth in zip(viewpoints[::2], (70, 250), strict=True):
+        assert found == pytest.approx((azimuth, second[1]))
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_a_shot_that_cannot_be_taken_in_the_studio_is_shown_from_its_distance(
+    run: RunCommand, smoke: Path, tmp_path: Path, viewpoints: list[Viewpoint]
+) -> None:
+    recipe = through(tmp_path, frame_8=(0.0, -30.0, 30.0), frame_9=(2.01, 1.0, 2.01))
+    folder = stylized(smoke, tmp_path / "a", recipe)
+    ran = run("show", folder, "--out", tmp_path / "film.mp4", *QUICK, "--frames", "7:9")
+    assert ran.code == 0, ran.errors
+    assert [line for line in ran.errors if line.startswith("note: f_")] == [
+        "note: f_08 and 1 more: the shot's camera is below the studio's ground, or too near to show all of the grid; "
+        "shown from its azimuth, at the studio's distance"
+    ]
+    assert viewpoints[2] == pytest.approx((0.0, 0.0))
+    assert viewpoints[4] == pytest.approx((45.0, math.degrees(math.atan(1 / math.hypot(2.01, 2.01)))))
+    record = json.loads((folder / "run.json").read_text("utf-8"))
+    (folder / "run.json").write_text(json.dumps(record | {"shots": {"f_07": [1, 2, -3]}}), "utf-8")
+    refused(run, tmp_path, ["show", folder, "--out", tmp_path / "x.png", *QUICK], r"run\.json: damaged")
 
 
 def test_fire_is_shown_unless_it_is_put_out(run: RunCommand, tmp_path: Path) -> None:

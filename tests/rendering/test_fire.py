@@ -40,7 +40,7 @@ def fire_alone(scene: Studio, density: np.ndarray, emission: np.ndarray, passes:
     scene.show(density, view, emission)
     light = scene._fire
     assert light is not None
-    return sum(light.render(scene.scene, seed).numpy() for seed in range(passes)) / passes
+    return sum(light.render(scene.scene, scene.sensor, seed).numpy() for seed in range(passes)) / passes
 
 
 def middle(scene: Studio, density: np.ndarray, emission: np.ndarray, passes: int = 24) -> np.ndarray:

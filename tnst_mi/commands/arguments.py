@@ -56,7 +56,7 @@ class RenderArguments(Arguments):
     """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="FILE[#NAME]", help_behavior_hint="(default: --views)")] = None
     """Camera of the shot (docs/cameras.md): every frame is rendered in its framing, with the rows of the grid or in
-    --resolution."""
+    --resolution; with --look it is lit by the studio, whose lamps turn with the camera's azimuth."""
     turntable: Annotated[str | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: no video)")] = None
     """Make a video of one turn around the smoke in N pictures, from the given view, while a sequence plays once."""
     fit: bool = False

@@ -16,7 +16,6 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
-from tnst_mi.io.cameras.reading import Cameras
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
@@ -27,11 +26,12 @@ from tnst_mi.machine.terminal import duration
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
+from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.shots import camera_of
-from tnst_mi.rendering.cameras.views import common_size
+from tnst_mi.rendering.cameras.views import View, common_size
 from tnst_mi.rendering.fire import find_fire
 from tnst_mi.rendering.looks import gamma
-from tnst_mi.rendering.pictures import Painter, Shot
+from tnst_mi.rendering.pictures import Attributes, Painter, PathTracedPainter, Shot
 from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
 from tnst_mi.run.inputs import ScaledFrames, conventions_of
 from tnst_mi.run.readable import Readable
@@ -69,21 +69,27 @@ def run(arguments: RenderArguments) -> int:
     unit = unit_of(readable, arguments.density_scale or ("auto" if path_traced else "1"))
     frames = ScaledFrames(readable.frames(), unit.factor)
     activate(recipe.variant)
-    if cameras is not None:
-        say(readable.lines())
-        unit.note()
-        _write_shot(arguments, frames, cameras, recipe, None if size is None else (size[1], size[0]))
-        return 0
+    shape = frames[0].density.shape
+    in_cells = [] if cameras is None else [camera_of(cameras, frame, shape) for frame in frames]
+    if in_cells:
+        rows, columns = shot_size(in_cells, shape, None if size is None else (size[1], size[0]))
+        size = columns, rows
+        if not path_traced:
+            say(readable.lines())
+            unit.note()
+            _write_shot(arguments, frames, in_cells, recipe, (rows, columns))
+            return 0
     if turntable is None:
-        shots = pictures.shots_of_views(len(frames), views)
+        of_views = pictures.shots_of_views(len(frames), views)
     else:
-        shots = pictures.shots_of_turn(len(frames), views[0], turntable)
+        of_views = pictures.shots_of_turn(len(frames), views[0], turntable)
+    shots = pictures.shots_of_cameras(in_cells) or of_views
     fire = None
     if path_traced:
         fire = find_fire(frames, studio.fire)
         painter = pictures.PathTracedPainter(
             frames,
-            [shot.view for shot in shots],
+            [shot.viewpoint for shot in shots],
             look=look or "medium",
             integrator=integrator,
             size=size or DEFAULT_SIZE,
@@ -92,15 +98,15 @@ def run(arguments: RenderArguments) -> int:
             denoise=studio.denoise,
             fire=fire,
         )
+        _require_places(arguments, frames, in_cells, painter)
         if studio.denoise and not painter.denoised:
             print("warning: --denoise: OptiX is not at hand, the pictures keep their noise", file=sys.stderr)
     else:
-        shape = frames[0].density.shape
         if turntable and size is None:
-            size = _turntable_size(shape, shots, arguments.fit)
+            size = _turntable_size(shape, of_views, arguments.fit)
         painter = pictures.EmissionAbsorptionPainter(
             frames,
-            [shot.view for shot in shots],
+            [shot.viewpoint for shot in of_views],
             gamma(look, shape) if look else recipe.extinction,
             recipe.quadrature,
             arguments.fit,
@@ -111,7 +117,7 @@ def run(arguments: RenderArguments) -> int:
         say(readable.lines())
         unit.note()
         say([] if fire is None else [fire.in_words])
-        seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].view)
+        seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].viewpoint)
         what = "1 picture" if len(shots) == 1 else f"{len(shots)} pictures"
         say([f"{what} in about {duration(seconds)}, written to {arguments.out}"])
         _write(arguments, frames, shots, painter, video)
@@ -120,18 +126,35 @@ def run(arguments: RenderArguments) -> int:
     return 0
 
 
+def _require_places(
+    arguments: RenderArguments, frames: Sequence[Frame], in_cells: Sequence[Camera], painter: PathTracedPainter
+) -> None:
+    """Raise InputError, with the name of the frame, for the camera of a frame that cannot stand in the studio."""
+    for number, camera in enumerate(in_cells):
+        try:
+            painter.studio.require_place(camera)
+        except InputError as error:
+            raise InputError(f"{arguments.camera}: {frames[number].name}: {error}") from None
+
+
 def _write(
-    arguments: RenderArguments, frames: Sequence[Frame], shots: list[Shot], painter: Painter, video: Video | None
+    arguments: RenderArguments,
+    frames: Sequence[Frame],
+    shots: Sequence[Shot[Viewpoint]],
+    painter: Painter,
+    video: Video | None,
 ) -> None:
     """Render and write every picture, and add it to the video of a turntable."""
     out = arguments.out
     with progress_bar(total=len(shots), unit="picture", desc="rendering") as bar:
         for number, (shot, frame) in enumerate(_with_frames(shots, frames)):
-            image = painter.paint(frame, shot.view, number)
+            image = painter.paint(frame, shot.viewpoint, number)
             picture = painter.shown(image)
             name = f"{frame.name}_{shot.suffix}"
             write_png(out / f"{name}.png", picture)
-            write_exr(out / f"{name}.exr", image, {"view": shot.view, **painter.attributes()})
+            seen = shot.viewpoint
+            origin: Attributes = {"camera": str(arguments.camera)} if isinstance(seen, Camera) else {"view": seen}
+            write_exr(out / f"{name}.exr", image, origin | painter.attributes())
             if video is not None:
                 video.add(picture)
             # tqdm.write keeps the lines apart from the progress bar.
@@ -140,13 +163,15 @@ def _write(
 
 
 def _write_shot(
-    arguments: RenderArguments, frames: Sequence[Frame], cameras: Cameras, recipe: Recipe, size: tuple[int, int] | None
+    arguments: RenderArguments,
+    frames: Sequence[Frame],
+    in_cells: Sequence[Camera],
+    recipe: Recipe,
+    size: tuple[int, int],
 ) -> None:
-    """Render and write every frame as its own camera frames it."""
-    shape = frames[0].density.shape
-    in_cells = [camera_of(cameras, frame, shape) for frame in frames]
-    thick = recipe.extinction if arguments.look is None else gamma(arguments.look, shape)
-    painter = ShotPainter(frames, in_cells, thick, recipe.quadrature, shot_size(in_cells, shape, size))
+    """Render and write every frame as its own camera frames it, in grey."""
+    thick = recipe.extinction if arguments.look is None else gamma(arguments.look, frames[0].density.shape)
+    painter = ShotPainter(frames, in_cells, thick, recipe.quadrature, size)
     attributes = {"gamma": thick, "quadrature": recipe.quadrature, "exposure": painter.exposure}
     for frame, camera in zip(progress_bar(frames, "rendering", unit="picture"), in_cells, strict=True):
         image, file = painter.paint(frame.density, camera), arguments.out / f"{frame.name}_camera"
@@ -155,7 +180,7 @@ def _write_shot(
         tqdm.write(f"picture   {file}.png and {file.name}.exr", file=sys.stdout)
 
 
-def _with_frames(shots: list[Shot], frames: Sequence[Frame]) -> Iterator[tuple[Shot, Frame]]:
+def _with_frames(shots: Sequence[Shot[Viewpoint]], frames: Sequence[Frame]) -> Iterator[tuple[Shot[Viewpoint], Frame]]:
     """Every shot with the frame it shows, which is read once for consecutive shots of it."""
     for index, group in itertools.groupby(shots, key=lambda shot: shot.frame):
         frame = frames[index]
@@ -171,8 +196,6 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
     if arguments.turntable is not None and len(arguments.views) > 1:
         raise InputError("--turntable: starts from one view, and --views gives several; give one")
     if arguments.camera is not None:
-        if path_traced:
-            raise InputError("--camera: is of emission_absorption; the studio of a look has its own, see --views")
         others = {"fit": arguments.fit, "turntable": arguments.turntable is not None}
         if beside := [flag for flag, there in others.items() if there]:
             raise InputError(f"--camera and --{beside[0]}: a shot has its own framing; give one of them")
@@ -194,9 +217,9 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
             raise InputError(f"--{flag}: {remedy}")
 
 
-def _turntable_size(shape: Shape, shots: Sequence[Shot], fit: bool) -> tuple[int, int]:
+def _turntable_size(shape: Shape, shots: Sequence[Shot[View]], fit: bool) -> tuple[int, int]:
     """(width, height) of the pictures of a turntable of a grid (D, H, W), which may be small."""
-    rows, columns = common_size(shape, [shot.view for shot in shots]) if fit else shape[1:]
+    rows, columns = common_size(shape, [shot.viewpoint for shot in shots]) if fit else shape[1:]
     return pictures.enlarged(columns, rows)
 
 

@@ -14,6 +14,7 @@ from tnst_mi.commands.base import checked, say, unit_of
 from tnst_mi.commands.render import DEFAULT_SIZE, size_of
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
+from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, open_video
@@ -28,6 +29,7 @@ from tnst_mi.rendering.blender import BlenderPainter
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.fire import Fire, find_fire
 from tnst_mi.rendering.pictures import PathTracedPainter, Shot, shots_of_turn
+from tnst_mi.rendering.studio_camera import shows_all
 from tnst_mi.run.panels import row
 from tnst_mi.run.reopened import Reopened, reopened, shared_frames
 
@@ -92,22 +94,25 @@ def run(arguments: ShowArguments) -> int:
             raise InputError("--denoise: is of OptiX, which denoises pictures of Mitsuba; leave it out with --blender")
     parts = [reopened(path) for path in arguments.files]
     chosen = _chosen(parts, selection.frame_range)
-    view = _view(parts)
     count = len(chosen)
-    shots = [Shot(i, view, "") for i in range(count)] if turntable is None else shots_of_turn(count, view, turntable)
-    out = _output(arguments, len(shots))
+    out = _output(arguments, turntable or count)
     say(note for part in parts for note in part.notes)
     activate()
     exhibits = _Exhibits(_columns(parts, chosen))
     unit = unit_of(exhibits, "auto")
+    views = _views(parts, chosen, exhibits.frame(0, 0).density.shape, size)
+    if turntable is None:
+        shots = [Shot(number, view, "") for number, view in enumerate(views)]
+    else:
+        shots = shots_of_turn(count, views[0], turntable)
     exhibits = replace(exhibits, factor=unit.factor)
     fire = find_fire(exhibits, studio.fire)
     unit.note()
     say([] if fire is None else [fire.in_words])
-    painter = _painter(arguments, exhibits, [shot.view for shot in shots], look, size, samples, seed, fire)
+    painter = _painter(arguments, exhibits, [shot.viewpoint for shot in shots], look, size, samples, seed, fire)
     width, height = size
     panels = len(exhibits.columns) * len(shots)
-    seconds = panels * painter.seconds(exhibits.frame(0, shots[0].frame), shots[0].view)
+    seconds = panels * painter.seconds(exhibits.frame(0, shots[0].frame), shots[0].viewpoint)
     what = f"{len(exhibits.columns)} × {width}x{height}" + (f", {len(shots)} pictures" if len(shots) > 1 else "")
     say([f"{what} in about {duration(seconds)}, written to {out}"])
     fps = next((part.recipe.fps for part in parts if part.recipe and part.recipe.fps), FRAMES_PER_SECOND)
@@ -118,7 +123,7 @@ def run(arguments: ShowArguments) -> int:
         for number, shot in enumerate(shots):
             images: list[tuple[str, np.ndarray]] = []
             for index, column in enumerate(exhibits.columns):
-                image = painter.paint(exhibits.frame(index, shot.frame), shot.view, number)
+                image = painter.paint(exhibits.frame(index, shot.frame), shot.viewpoint, number)
                 images.append((column.name, painter.shown(image)))
                 bar.update()
             picture = row(images, least=1)
@@ -166,10 +171,35 @@ def _columns(parts: Sequence[Reopened], chosen: Sequence[tuple[int, ...]]) -> li
     return columns
 
 
-def _view(parts: Sequence[Reopened]) -> View:
-    """The main view of the first run; the front if there is none."""
-    recipe = next((part.recipe for part in parts if part.recipe is not None), Recipe())
-    return recipe.main_view
+def _views(
+    parts: Sequence[Reopened], chosen: Sequence[tuple[int, ...]], shape: Shape, size: tuple[int, int]
+) -> list[View]:
+    """The main view of the first run for each chosen frame, which follows the camera of its shot; else the front.
+
+    A shot's camera that cannot stand in the studio is said, and its frames are seen from the studio's distance.
+    """
+    place = next((place for place, part in enumerate(parts) if part.recipe is not None), None)
+    recipe = None if place is None else parts[place].recipe
+    if place is None or recipe is None:
+        return [Recipe().main_view] * len(chosen)
+    views, moved = [], []
+    for indices in chosen:
+        name = parts[place].names[indices[place]]
+        shot = parts[place].shots.get(name)
+        view = recipe.main_view if shot is None else replace(recipe, shots=(shot,)).main_view
+        if shot is not None and not shows_all(view, shape, size):
+            view = (view[0], max(view[1], 0.0))
+            moved.append(name)
+        views.append(view)
+    if moved:
+        frames = moved[0] if len(moved) == 1 else f"{moved[0]} and {len(moved) - 1} more"
+        say(
+            [
+                f"note: {frames}: the shot's camera is below the studio's ground, or too near to show all of the grid; "
+                "shown from its azimuth, at the studio's distance"
+            ]
+        )
+    return views
 
 
 def _output(arguments: ShowArguments, count: int) -> Path:

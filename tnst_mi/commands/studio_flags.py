@@ -21,7 +21,8 @@ class StudioFlags:
         tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 288x384; grey: see below)"),
     ] = None
     """Size of the pictures in pixels. Grey ones have a pixel per cell or more: by default one, and in turntables of
-    small grids as many as make 384 rows."""
+    small grids as many as make 384 rows. Those of a shot's camera have its proportions, and by default the rows of the
+    grid."""
     fire: Annotated[
         str | None,
         tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: the flame, or a temperature in kelvin)"),

@@ -28,7 +28,7 @@ from tnst_mi.machine.blender import require_blender, run_in_blender
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.fire import Fire
 from tnst_mi.rendering.looks import extinction, look_file
-from tnst_mi.rendering.studio import GROUND_GAP, horizontal_field_of_view
+from tnst_mi.rendering.studio_camera import field_of_view, ground_height, stand
 from tnst_mi.resources import DATA, scene_file
 
 _SCRIPT = DATA / "blender_studio.py"
@@ -126,20 +126,19 @@ class BlenderPainter:
         studio, look = (
             ElementTree.parse(file).getroot() for file in (scene_file("looks/studio.xml"), look_file(self.look))
         )
-        edges = np.array(self.shape[::-1]) / max(self.shape)
-        distance = _numbers(_found(studio, "sensor/transform/lookat").attrib["origin"])[2]
         lamps = [_lamp(_found(studio, f"shape[@id='{name}']")) for name in ("key", "rim")]
+        azimuth, elevation, distance = stand(view, self.shape)
         return {
-            "azimuth": view[0],
-            "elevation": view[1],
+            "azimuth": azimuth,
+            "elevation": elevation,
             "distance": distance,
-            "field_of_view": horizontal_field_of_view(edges, self.views, distance, self.size),
+            "field_of_view": field_of_view(self.shape, self.views, self.size),
             "size": self.size,
             "bounces": _BOUNCES,
             "extinction": extinction(self.look),
             "albedo": float(_found(look, "default[@name='albedo']").attrib["value"]),
             "lamps": lamps,
-            "floor": float(-edges[1] / 2 - GROUND_GAP),
+            "floor": ground_height(self.shape),
             "reflectance": _numbers(_found(studio, "shape[@id='ground']/bsdf/rgb").attrib["value"]),
             "sky": str(scene_file("looks/sky.exr").resolve()),
         }

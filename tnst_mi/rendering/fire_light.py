@@ -44,12 +44,11 @@ class FireLight:
         self._parameters["data"] = mi.TensorXf(np.ascontiguousarray(emission, np.float32))
         self._parameters.update()
 
-    def render(self, scene: mi.Scene, seed: int) -> mi.TensorXf:
-        """One path per pixel of the scene's camera: the fire's light alone, linear radiance (height, width, 3).
+    def render(self, scene: mi.Scene, sensor: mi.Sensor, seed: int) -> mi.TensorXf:
+        """One path per pixel of a camera outside of media: the fire's light alone, linear radiance (height, width, 3).
 
         Pixels are box filtered and share no paths: the same seed gives the same bits.
         """
-        sensor = scene.sensors()[0]
         width, height = sensor.film().crop_size()
         pixel = dr.arange(mi.UInt32, width * height)
         self._sampler.seed(seed, width * height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,6 +22,20 @@ def extinction(look: str) -> float:
     if default is None:
         raise InputError(f"{file}: states no default of extinction; install the package again")
     return float(default.attrib["value"])
+
+
+@functools.cache
+def camera_distance() -> float:
+    """How far the camera of the studio is from the centre of the grid, whose longest edge is 1, as the scene states it.
+
+    Raises:
+        InputError: the installation lacks the scene, or it does not state it.
+    """
+    file = scene_file("looks/studio.xml")
+    place = ElementTree.parse(file).find("sensor/transform/lookat")
+    if place is None:
+        raise InputError(f"{file}: states no place of the camera; install the package again")
+    return float(place.attrib["origin"].split(",")[2])
 
 
 def gamma(look: str | float, shape: tuple[int, int, int]) -> float:

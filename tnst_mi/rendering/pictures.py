@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -14,6 +14,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import hull
 from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.png import srgb
+from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.views import View, common_size, text_of
 from tnst_mi.rendering.fire import Fire
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
@@ -24,19 +25,26 @@ LEAST_HEIGHT = 384
 
 Attributes = dict[str, float | str | View]
 
+_Seen = TypeVar("_Seen", bound=Viewpoint, covariant=True)
+
 
 @dataclass(frozen=True)
-class Shot:
-    """One picture to render: the frame's index in its sequence, the view, and the suffix that identifies its file."""
+class Shot(Generic[_Seen]):
+    """One picture to render: the frame's index in its sequence, from where, and the suffix that identifies its file."""
 
     frame: int
-    view: View
+    viewpoint: _Seen
     suffix: str
 
 
-def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot]:
+def shots_of_views(frames: int, views: Sequence[View]) -> list[Shot[View]]:
     """Every view of every frame."""
     return [Shot(frame, view, f"view_{text_of(view, '_')}") for frame in range(frames) for view in views]
+
+
+def shots_of_cameras(cameras: Sequence[Camera]) -> list[Shot[Camera]]:
+    """Every frame through its own camera."""
+    return [Shot(frame, camera, "camera") for frame, camera in enumerate(cameras)]
 
 
 def enlarged(columns: int, rows: int) -> tuple[int, int]:
@@ -45,7 +53,7 @@ def enlarged(columns: int, rows: int) -> tuple[int, int]:
     return factor * columns, factor * rows
 
 
-def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
+def shots_of_turn(frames: int, start: View, count: int) -> list[Shot[View]]:
     """A full turn of the azimuth in `count` steps, ending one step before the start so that the video loops.
 
     A sequence plays once during the turn, evenly: picture i shows frame ⌊i frames / count⌋. With as many pictures as
@@ -61,7 +69,7 @@ def shots_of_turn(frames: int, start: View, count: int) -> list[Shot]:
 class Painter(Protocol):
     """Interface of the two ways to render pictures."""
 
-    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, viewpoint: Viewpoint, number: int) -> np.ndarray:
         """Linear values of picture `number`, (H, W) or (H, W, 3)."""
         ...
 
@@ -73,7 +81,7 @@ class Painter(Protocol):
         """Entries common to the EXR headers of all pictures."""
         ...
 
-    def seconds(self, frame: Frame, view: View) -> float:
+    def seconds(self, frame: Frame, viewpoint: Viewpoint) -> float:
         """What a picture will take, from a part of one that is painted for it once all is compiled."""
         ...
 
@@ -116,13 +124,13 @@ class EmissionAbsorptionPainter:
         if brightest > 0.0:
             self.exposure = 1.0 / brightest
 
-    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, viewpoint: Viewpoint, number: int) -> np.ndarray:
         """The exposed image (rows, columns)."""
         density = frame.density
         renderer = EmissionAbsorptionRenderer(
             density.shape, self.gamma, self.quadrature, 1.0, size=self._size, pixel=self._pixel
         )
-        return self.exposure * renderer.render(mi.TensorXf(density), [view]).numpy()[0]
+        return self.exposure * renderer.render(mi.TensorXf(density), [viewpoint]).numpy()[0]
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image without any tone curve, as the network sees it."""
@@ -132,10 +140,10 @@ class EmissionAbsorptionPainter:
         """γ, quadrature and exposure."""
         return {"gamma": self.gamma, "quadrature": self.quadrature, "exposure": self.exposure}
 
-    def seconds(self, frame: Frame, view: View) -> float:
+    def seconds(self, frame: Frame, viewpoint: Viewpoint) -> float:
         """A whole picture; one has been painted for the exposure, so that all is compiled."""
         start = time.perf_counter()
-        self.paint(frame, view, 0)
+        self.paint(frame, viewpoint, 0)
         return time.perf_counter() - start
 
 
@@ -144,7 +152,7 @@ class PathTracedPainter:
 
     Args:
         frames: all frames that will be rendered.
-        views: all views that will be rendered, in degrees.
+        viewpoints: all that will be rendered, see `Studio`.
         look: "thin", "medium" or "thick".
         integrator: "volpath" or "prbvolpath".
         size: (width, height) in pixels.
@@ -154,13 +162,13 @@ class PathTracedPainter:
         fire: what burns in the frames, if anything.
 
     Raises:
-        InputError: frames differ in shape, or a view is from below the ground.
+        InputError: frames differ in shape, or a view is from below the ground or from too near.
     """
 
     def __init__(
         self,
         frames: Iterable[Frame],
-        views: Sequence[View],
+        viewpoints: Sequence[Viewpoint],
         look: str,
         integrator: str,
         size: tuple[int, int],
@@ -173,21 +181,21 @@ class PathTracedPainter:
         smoke = Smoke.of(frame.density for frame in frames)
         if fire is not None:
             smoke = replace(smoke, occupied=hull([smoke.occupied, fire.occupied]))
-        self.studio = Studio(look, integrator, smoke, views, size, burns=fire is not None)
+        self.studio = Studio(look, integrator, smoke, viewpoints, size, burns=fire is not None)
         self.denoiser = find_denoiser(size) if denoise else None
         self.denoised = self.denoiser is not None
 
-    def paint(self, frame: Frame, view: View, number: int) -> np.ndarray:
+    def paint(self, frame: Frame, viewpoint: Viewpoint, number: int) -> np.ndarray:
         """Radiance; 1 is white."""
-        image = self.studio.render(frame.density, view, self.samples, (self.seed, number), self._emission(frame))
+        image = self.studio.render(frame.density, viewpoint, self.samples, (self.seed, number), self._emission(frame))
         return image if self.denoiser is None else self.denoiser(image)
 
-    def seconds(self, frame: Frame, view: View) -> float:
+    def seconds(self, frame: Frame, viewpoint: Viewpoint) -> float:
         """Measured with one path per pixel."""
         emission = self._emission(frame)
-        self.studio.render(frame.density, view, 1, 0, emission)
+        self.studio.render(frame.density, viewpoint, 1, 0, emission)
         start = time.perf_counter()
-        self.studio.render(frame.density, view, 1, 0, emission)
+        self.studio.render(frame.density, viewpoint, 1, 0, emission)
         return self.samples * (time.perf_counter() - start)
 
     def _emission(self, frame: Frame) -> np.ndarray | None:

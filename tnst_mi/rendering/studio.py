@@ -2,13 +2,13 @@
 
 A look is a Mitsuba XML scene; the smoke, its position and the picture size are its parameters. World units: the longest
 edge of the grid is 1 and its centre is the origin, so that one set of lights fits grids of any size. Camera, lights and
-sky turn together with the azimuth, as if the smoke stood on a turntable: every view is lit from the same side.
+sky turn together with the azimuth, as if the smoke stood on a turntable: every view is lit from the same side, and so
+is every frame of a shot, whose camera may stand anywhere above the ground and outside the smoke.
 """
 
 from __future__ import annotations
 
 import functools
-import math
 import subprocess
 import sys
 import tempfile
@@ -23,11 +23,14 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.fields.grid import Shape
+from tnst_mi.fields.kernels import opaque
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.optix import require_optix
-from tnst_mi.rendering.cameras.views import View, camera_frame
+from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
+from tnst_mi.rendering.cameras.shot_sensors import ShotSensors
 from tnst_mi.rendering.fire_light import FireLight
-from tnst_mi.rendering.looks import look_file
+from tnst_mi.rendering.looks import camera_distance, look_file
+from tnst_mi.rendering.studio_camera import field_of_view, ground_height, require_place, stand
 
 _DENSITY = "smoke.interior_medium.sigma_t.data"
 _CAMERA = "camera.to_world"
@@ -38,12 +41,6 @@ _SLACK = 1.1
 
 #: What turns the seed of the lights' paths into that of the fire's.
 _OTHER_STREAM = 0x5BD1E995
-
-#: Margin around the grid's box in the picture, as a factor.
-_MARGIN = 1.05
-
-#: Distance of the ground below the grid, so that no ray starts on both.
-GROUND_GAP = 2e-3
 
 
 @dataclass(frozen=True)
@@ -83,18 +80,22 @@ class Smoke:
 
 
 class Studio:
-    """The scene of a look, loaded once and rendered with any of its frames and views.
+    """The scene of a look, loaded once and rendered with any of its frames from any of its viewpoints.
 
     Args:
         look: "thin", "medium" or "thick".
         integrator: "volpath" or "prbvolpath".
         smoke: what the frames have in common.
-        views: all views that will be rendered, (azimuth, elevation) in degrees; one zoom shows the whole grid in each.
+        viewpoints: all that will be rendered: views in degrees, with their distance in cells or from the studio's own,
+            and cameras of shots. One zoom shows the whole grid in each view; cameras of shots have their own framing.
         size: (width, height) of the pictures in pixels.
         burns: whether frames have an emission, see `tnst_mi.rendering.fire`; then `smoke.occupied` contains it.
 
+    Attributes:
+        sensor: the one with which the viewpoint is rendered that was shown last.
+
     Raises:
-        InputError: a view is from below the ground, or a GPU lacks OptiX.
+        InputError: a view is from below the ground or from too near, or a GPU lacks OptiX.
     """
 
     def __init__(
@@ -102,16 +103,15 @@ class Studio:
         look: str,
         integrator: str,
         smoke: Smoke,
-        views: Sequence[View],
+        viewpoints: Sequence[Viewpoint],
         size: tuple[int, int],
         burns: bool = False,
     ) -> None:
         require_optix("render --look")
         self.smoke, self.size = smoke, size
-        edges = np.array(smoke.shape[::-1]) / max(smoke.shape)
-        low, high = self._box(edges)
-        self._fire = FireLight(low.tolist(), high.tolist()) if burns else None
-        self._load(look, integrator, edges, low, high)
+        self._low, self._high = self._box()
+        self._fire = FireLight(self._low.tolist(), self._high.tolist()) if burns else None
+        self._load(look, integrator)
         self.parameters = mi.traverse(self.scene)
         #: Transforms of the camera, and of all that turns with it, for the view (0, 0).
         self._front = {
@@ -119,27 +119,22 @@ class Studio:
             for key in self.parameters.keys()
             if key.endswith(".to_world")
         }
-        distance = float(self._front[_CAMERA].translation()[2])
-        lowest = math.degrees(math.asin(-edges[1] / 2 / distance))
-        for azimuth, elevation, *_ in views:
-            if distance * math.sin(math.radians(elevation)) <= -edges[1] / 2:
-                raise InputError(
-                    f"view {azimuth:g},{elevation:g}: the camera would be below the ground; "
-                    f"expected an elevation above {lowest:.1f}"
-                )
-        self.parameters[_ZOOM] = dr.opaque(mi.Float, horizontal_field_of_view(edges, views, distance, size))
+        self._view_sensor = self.sensor = self.scene.sensors()[0]
+        self._shot_sensors = ShotSensors(size)
+        if views := [viewpoint for viewpoint in viewpoints if not isinstance(viewpoint, Camera)]:
+            self.parameters[_ZOOM] = opaque(field_of_view(smoke.shape, views, size))
 
-    def _box(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and the highest corner (x, y, z) of the occupied cells of a grid of the given edges."""
+    def _box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest corner (x, y, z) of the occupied cells."""
+        sizes = np.array(self.smoke.shape[::-1])
         low, high = (
-            np.array([getattr(cells, end) for cells in reversed(self.smoke.occupied)]) / max(self.smoke.shape)
-            - edges / 2
+            (np.array([getattr(cells, end) for cells in reversed(self.smoke.occupied)]) - sizes / 2) / sizes.max()
             for end in ("start", "stop")
         )
         return low, high
 
-    def _load(self, look: str, integrator: str, edges: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-        """Load the look's scene around a grid of the given edges (x, y, z), smoke in it between two corners."""
+    def _load(self, look: str, integrator: str) -> None:
+        """Load the look's scene around the box of the smoke."""
         with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
             volume = Path(folder) / "empty.vol"
             mi.VolumeGrid(np.zeros((2, 2, 2, 1), np.float32)).write(str(volume))
@@ -148,42 +143,74 @@ class Studio:
                 integrator=integrator,
                 columns=self.size[0],
                 rows=self.size[1],
-                floor=-edges[1] / 2 - GROUND_GAP,
+                floor=ground_height(self.smoke.shape),
                 volume=str(volume),
                 largest=_SLACK * self.smoke.largest or 1.0,
-                **dict(zip(("width", "height", "depth"), (high - low).tolist(), strict=True)),
-                **dict(zip("xyz", ((low + high) / 2).tolist(), strict=True)),
+                **dict(zip(("width", "height", "depth"), (self._high - self._low).tolist(), strict=True)),
+                **dict(zip("xyz", ((self._low + self._high) / 2).tolist(), strict=True)),
             )
 
-    def show(self, density: np.ndarray, view: View, emission: np.ndarray | None = None) -> None:
-        """Set the density (D, H, W) and the emission (D, H, W, 3) of a frame, and turn the camera to a view."""
+    def require_place(self, camera: Camera) -> None:
+        """Check that a shot's camera, in cells about the centre of the grid, can stand in the studio.
+
+        Raises:
+            InputError: it is below the ground or inside the box of the smoke.
+        """
+        require_place(self._in_studio(camera), self._low, self._high, ground_height(self.smoke.shape))
+
+    def _in_studio(self, camera: Camera) -> Camera:
+        cell = 1 / max(self.smoke.shape)
+        return camera.moved(np.diag([cell, cell, cell, 1.0]))
+
+    def show(self, density: np.ndarray, viewpoint: Viewpoint, emission: np.ndarray | None = None) -> None:
+        """Set the density (D, H, W) and the emission (D, H, W, 3) of a frame, and move the camera to a viewpoint.
+
+        Raises:
+            InputError: it is a shot's camera that cannot stand in the studio.
+        """
+        if isinstance(viewpoint, Camera):
+            self.require_place(viewpoint)
+            self.sensor = self._shot_sensors.placed(self._in_studio(viewpoint))
+            self._turn(viewpoint.centred_view[0])
+        else:
+            self.sensor = self._view_sensor
+            azimuth, elevation, distance = stand(viewpoint, self.smoke.shape)
+            raised = self._turn(azimuth) @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
+            back = mi.ScalarTransform4f().translate([0, 0, distance - camera_distance()])
+            self._place(_CAMERA, raised @ back @ self._front[_CAMERA])
         if self._fire is not None and emission is not None:
             self._fire.set(emission[self.smoke.occupied])
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
-        azimuth, elevation, *_ = view
-        turned = mi.ScalarTransform4f().rotate([0, 1, 0], azimuth)
-        raised = turned @ mi.ScalarTransform4f().rotate([1, 0, 0], -elevation)
-        for key, front in self._front.items():
-            placed = mi.Transform4f(((raised if key == _CAMERA else turned) @ front).matrix)
-            # Lamps would have their place in the generated code, and each view would be compiled.
-            dr.make_opaque(placed)
-            self.parameters[key] = placed
         self.parameters.update()
+
+    def _turn(self, azimuth: float) -> mi.ScalarTransform4f:
+        """Turn lights, sky and ground to an azimuth in degrees, and return that turn."""
+        turned = mi.ScalarTransform4f().rotate([0, 1, 0], azimuth)
+        for key, front in self._front.items():
+            if key != _CAMERA:
+                self._place(key, turned @ front)
+        return turned
+
+    def _place(self, key: str, transform: mi.ScalarTransform4f) -> None:
+        placed = mi.Transform4f(transform.matrix)
+        # Lamps would have their place in the generated code, and each view would be compiled.
+        dr.make_opaque(placed)
+        self.parameters[key] = placed
 
     def render(
         self,
         density: np.ndarray,
-        view: View,
+        viewpoint: Viewpoint,
         samples: int = 64,
         seed: int | Sequence[int] = 0,
         emission: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Render a density from a view.
+        """Render a density from a viewpoint.
 
         Args:
             density: (D, H, W), one of the frames.
-            view: (azimuth, elevation) in degrees, one of the views.
+            viewpoint: one of those of the studio.
             samples: paths per pixel; the noise falls with their square root.
             seed: the same seed gives the same bits on the same machine and variant.
             emission: of the frame (D, H, W, 3), linear RGB radiance per longest edge of the grid, if any frame burns.
@@ -191,30 +218,16 @@ class Studio:
         Returns:
             Linear radiance (height, width, 3), row 0 at the top; the lights are set so that 1 is white.
         """
-        self.show(density, view, emission)
+        self.show(density, viewpoint, emission)
         total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
         # One path per pixel and launch: more would be summed in the order in which threads arrive.
         for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
-            total += mi.render(self.scene, spp=1, seed=pass_seed)
+            total += mi.render(self.scene, sensor=self.sensor, spp=1, seed=pass_seed)
             if self._fire is not None:
                 # Another stream than that of the lights' paths.
-                total += self._fire.render(self.scene, pass_seed ^ _OTHER_STREAM)
+                total += self._fire.render(self.scene, self.sensor, pass_seed ^ _OTHER_STREAM)
             dr.eval(total)
         return (total / samples).numpy()
-
-
-def horizontal_field_of_view(edges: np.ndarray, views: Sequence[View], distance: float, size: tuple[int, int]) -> float:
-    """The angle in degrees at which pictures of the given size show a whole box, plus a margin, in every view.
-
-    The box has edges (x, y, z) and is centred on the origin, at which the camera looks from the given distance.
-    """
-    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
-    widest = 0.0
-    for view in views:
-        x, y, towards = (signs * edges @ axis for axis in camera_frame(*view))
-        slope = np.maximum(abs(x), abs(y) * size[0] / size[1]) / (distance - towards)
-        widest = max(widest, float(slope.max()))
-    return 2 * math.degrees(math.atan(_MARGIN * widest))
 
 
 class Denoiser:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -16,6 +18,7 @@ from tnst_mi.io.interpretation.conventions import Conventions
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import View, distance_of
 from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name, recipe_of_run
 from tnst_mi.run.inputs import FramesOnAccess, conventions_of
 
@@ -31,6 +34,7 @@ class Reopened:
         numbers: of the frames; None for a single file without one.
         record: the contents of run.json; None for densities.
         recipe: of the run; None likewise.
+        shots: where the camera of the run's shot sees each frame from, by its name; empty without one.
         inputs: the frames that were stylized, in the same order; None where they cannot be read.
         notes: what is to be said.
     """
@@ -41,6 +45,7 @@ class Reopened:
     numbers: tuple[Number | None, ...]
     record: Mapping[str, Any] | None = None
     recipe: Recipe | None = None
+    shots: Mapping[str, View] = field(default_factory=dict)
     inputs: Sequence[Frame] | None = None
     notes: tuple[str, ...] = ()
 
@@ -71,6 +76,7 @@ def reopened(path: Path) -> Reopened:
         suffix = f".{record.get('format', 'npz')}"
         finished = {str(frame["name"]): frame["number"] for frame in record["frames"] if frame["complete"]}
         source = record.get("input")
+        shots = {str(name): _view(view) for name, view in record.get("shots", {}).items()}
     except DAMAGE:
         raise InputError(f"{path / 'run.json'}: damaged, so it does not tell what its run has finished") from None
     names = [name for name in finished if is_file_name(name) and (path / "density" / f"{name}{suffix}").is_file()]
@@ -79,7 +85,7 @@ def reopened(path: Path) -> Reopened:
     inputs, notes = _inputs(path, source, recipe, names)
     results = _results(path, names, suffix, inputs)
     numbers = tuple(finished[name] for name in names)
-    return Reopened(path, results, tuple(names), numbers, record, recipe, inputs, notes)
+    return Reopened(path, results, tuple(names), numbers, record, recipe, shots, inputs, notes)
 
 
 def shared_frames(parts: Sequence[Reopened]) -> list[tuple[int, ...]]:
@@ -98,6 +104,20 @@ def shared_frames(parts: Sequence[Reopened]) -> list[tuple[int, ...]]:
         ranges = "; ".join(f"{part.path} has {_range(key)}" for part, key in zip(parts, keys, strict=True))
         raise InputError(one_line(f"no frame is in all of them: {ranges}"))
     return together
+
+
+def _view(numbers: Sequence[float]) -> View:
+    """A view of a record.
+
+    Raises:
+        ValueError, TypeError: it is none.
+    """
+    azimuth, elevation, *distance = (float(number) for number in numbers)
+    if len(distance) > 1 or not np.isfinite([azimuth, elevation, *distance]).all():
+        raise ValueError(f"{numbers} are not a view")
+    view: View = (azimuth, elevation, distance[0]) if distance else (azimuth, elevation)
+    distance_of(view)
+    return view
 
 
 class _Results(FramesOnAccess):

@@ -1,1 +1,1 @@
-"""Cameras: sets of views (`views`), their rays (`orthographic`), and the same as a Mitsuba sensor (`sensor`)."""
+"""Cameras: sets of views (`views`) and their rays (`orthographic`), those of shots, and both as Mitsuba sensors."""
