@@ -164,6 +164,19 @@ def test_views_leave_no_trace_and_seeds_decide_the_noise() -> None:
     assert (first != other).any()
 
 
+def test_a_picture_is_the_same_to_the_bit_whatever_was_shown_before() -> None:
+    """Of thousands of pixels: what follows from the places of lamps was rounded differently in a few."""
+    density = noise(*CUBE)
+    scene = Studio("medium", "volpath", Smoke.of([density]), [(0.0, 0.0), (20.0, 5.0)], (48, 50))
+    front, *others = (
+        scene.render(density, view, samples=2, seed=3)
+        for view in ((0.0, 0.0), (0.0, 0.0), (20.0, 5.0), (20.0, 5.0), (0.0, 0.0))
+    )
+    np.testing.assert_array_equal(others[0], front)
+    np.testing.assert_array_equal(others[1], others[2])
+    np.testing.assert_array_equal(others[3], front)
+
+
 def test_no_kernel_is_compiled_for_another_view_density_or_seed() -> None:
     density = noise(*CUBE)
     scene = studio(density, (0.0, 0.0), (70.0, 20.0))

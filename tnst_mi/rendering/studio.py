@@ -180,6 +180,9 @@ class Studio:
             self._place(_CAMERA, raised @ back @ self._front[_CAMERA])
         if self._fire is not None and emission is not None:
             self._fire.set(emission[self.smoke.occupied])
+        # By itself, so that nothing which follows from the places is left to be computed with the pixels, where it is
+        # rounded otherwise than for a picture whose places are those of the one before.
+        self.parameters.update()
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
         self.parameters.update()
