@@ -34,6 +34,9 @@ except ImportError:
 #: Precision of what is written: numbers of a scene have no more.
 DIGITS = 9
 
+#: What the volume of a camera's three axes may lack of 1, where a scale that is not even makes them oblique.
+UNEVEN = 1e-6
+
 
 def refuse(message: str) -> NoReturn:
     """End with a line that says what cannot be used, and exit code 2."""
@@ -73,8 +76,11 @@ def camera_at(frame: int, name: str | None, domain: bpy.types.Object | None) -> 
         refuse(f"{camera.name}: is {camera.data.type.lower()}, expected a perspective or an orthographic camera")
     graph = bpy.context.evaluated_depsgraph_get()
     evaluated = camera.evaluated_get(graph)
-    # Cameras see the same whatever scale they inherit.
+    # Cameras see the same whatever scale they inherit, as long as it is the same along all axes.
     matrix = evaluated.matrix_world.normalized()
+    axes = [matrix.col[i].to_3d() for i in range(3)]
+    if axes[0].cross(axes[1]).dot(axes[2]) < 1 - UNEVEN:
+        refuse(f"{camera.name}: is mirrored, or scaled unevenly by what it is attached to; apply that scale in Blender")
     if domain is not None:
         matrix = domain.evaluated_get(graph).matrix_world.normalized().inverted() @ matrix
     # The corners of the picture in the camera's own space: sensor fit, resolution, pixel aspect and shift are in them.
@@ -99,7 +105,10 @@ def export(given: argparse.Namespace) -> None:
     tables = {str(frame): camera_at(frame, given.camera, domain) for frame in frames_of(given.frames)}
     first, *others = tables.values()
     cameras = first if all(table == first for table in others) else {"frames": tables}
-    given.out.write_text(json.dumps({"up_axis": "z"} | cameras, indent=1) + "\n", "utf-8")
+    try:
+        given.out.write_text(json.dumps({"up_axis": "z"} | cameras, indent=1) + "\n", "utf-8")
+    except OSError as error:
+        refuse(f"{given.out}: cannot be written ({error.strerror}); give another --out")
     print(f"cameras   {given.out}: {'one for all frames' if 'frames' not in cameras else f'{len(tables)} frames'}")
 
 

@@ -15,6 +15,10 @@ class InputError(ValueError):
     """
 
 
+class MissingFileError(InputError):
+    """A file that a recipe names is not there, which is no fault of the recipe's."""
+
+
 class UnforeseenError(InputError):
     """A file cannot be used, for a reason that nothing in the code foresees: the fault may be ours."""
 
@@ -29,7 +33,7 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 class StoppedError(RuntimeError):

@@ -167,4 +167,6 @@ def test_a_run_that_has_not_finished_a_frame(run: RunCommand, smoke: Path, tmp_p
     (out / "run.json").write_text(json.dumps(record | {"frames": []}))
     refused(run, tmp_path, ["diff", out, smoke], "its run has not finished a frame")
     (out / "run.json").write_text("{")
-    refused(run, tmp_path, ["diff", out, smoke], r"recipe\.toml: is not|run\.json: damaged")
+    refused(run, tmp_path, ["diff", out, smoke], r"run\.json: not the record of a run, truncated, or damaged")
+    (out / "run.json").write_text("[]")
+    refused(run, tmp_path, ["diff", out, smoke], r"run\.json: not the record of a run, truncated, or damaged")

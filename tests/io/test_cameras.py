@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -118,10 +119,31 @@ def test_a_frame_without_a_camera_names_the_nearest(tmp_path: Path) -> None:
     assert read_cameras(written(tmp_path, EYE)).at(None, "z").field == 40.0
 
 
+def test_the_example_of_the_docs_is_a_shot(tmp_path: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "cameras.md"
+    (text,) = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    cameras = read_cameras(written(tmp_path, text, "shot.toml"))
+    assert [cameras.at(number, "z").field for number in (49, 50)] == [35.0, 36.0]
+
+
+def test_a_camera_that_looks_along_the_axis_that_may_be_up(tmp_path: Path) -> None:
+    """Where the file does not say which is, the smoke's files do."""
+    level = {"position": [0.7, -9, 1], "target": [0.7, 0, 1], "fov": 30, "aspect": 1}
+    camera = read_cameras(written(tmp_path, level)).at(None, "z")
+    np.testing.assert_allclose(camera.to_scene[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+    with pytest.raises(InputError, match="up = 0, 1, 0: is 0, or along the line from position to target"):
+        read_cameras(written(tmp_path, level)).at(None, "y")
+    with pytest.raises(InputError, match="up = 0, 1, 0"):
+        read_cameras(written(tmp_path, level | {"up_axis": "y"}))
+
+
 @pytest.mark.parametrize(
     ("table", "line"),
     [
         (EYE | {"zoom": 2}, "unknown key 'zoom'; the keys of a camera are matrix, "),
+        (EYE | {"postion": 2}, "unknown key 'postion'; did you mean 'position'?"),
+        (EYE | {"up_axs": "y"}, "unknown key 'up_axs'; did you mean 'up_axis'?"),
+        ({"frame": {"1": EYE}}, "unknown key 'frame'; did you mean 'frames'?"),
         ({key: EYE[key] for key in ("position", "fov", "aspect")}, "has position, expected matrix, or position and"),
         (EYE | {"matrix": MATRIX}, "has matrix and position and target, expected matrix, or"),
         (EYE | {"focal_length": 50}, "has fov and focal_length, expected fov, or focal_length and"),

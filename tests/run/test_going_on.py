@@ -196,10 +196,13 @@ def test_a_draft_that_is_another_now_is_not_resumed_from(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"semantic": ["inception_3a/3x3:3"]}, r"its run had semantic = .*:2.*, expected .*:3.* to go on from there"),
-        ({"lam": 0.5}, r"its run had lam = 0\.0, expected 0\.5 to go on"),
-        ({"motif_size": 0.5}, "its run had motif_size = 'auto', expected 0.5 to go on"),
-        ({"octaves": 3}, "its run had octaves = 2, expected 3"),
+        (
+            {"semantic": ["inception_3a/3x3:3"]},
+            r"its run had semantic = .*:2.*, this one has .*:3.*; give the same to go on",
+        ),
+        ({"lam": 0.5}, r"its run had lam = 0\.0, this one has 0\.5; give the same to go on"),
+        ({"motif_size": 0.5}, "its run had motif_size = 'auto', this one has 0.5; give the same"),
+        ({"octaves": 3}, "its run had octaves = 2, this one has 3"),
         ({"iterations": 3}, r"its run has gone further \(octave 1, iteration 4\) than this one would; take a higher"),
     ],
 )

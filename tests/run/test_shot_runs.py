@@ -13,6 +13,7 @@ import OpenEXR
 import pytest
 from command_line import Run, refused, run
 from moving_smoke import moving_smoke
+from PIL import Image
 
 import tnst_mi
 from tnst_mi.errors import InputError
@@ -24,6 +25,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.rendering.studio import Smoke, Studio
+from tnst_mi.run.difference_pictures import MainViews, write_pictures
 from tnst_mi.run.job import Run as Job
 from tnst_mi.run.prepare import prepare
 
@@ -281,3 +283,40 @@ def test_a_run_says_that_its_camera_is_inside_the_grid(tmp_path: Path, capsys: p
     # Along (0.2, 0.1, 0.3) in our axes, the side z of the grid is reached first.
     (view,) = result.run["shots"].values()
     assert view[2] == pytest.approx(depth / 2 * math.sqrt(0.2**2 + 0.1**2 + 0.3**2) / 0.3)
+
+
+def test_two_runs_are_compared_from_where_the_shot_saw_them(run: Run, tmp_path: Path) -> None:
+    """The wipe of a run with itself is its main view, which is not the front; without the camera's file, it is said."""
+    frames = smoke()
+    camera, out = shot(tmp_path, frames, {"fov": 30.0}), tmp_path / "a"
+    tnst_mi.stylize(frames, RECIPE | {"camera": camera}, out, progress=False)
+    assert run("diff", out, out, "--out", tmp_path / "d").code == 0
+    record = json.loads((out / "run.json").read_text())
+    with Image.open(tmp_path / "d" / f"{frames[1].name}_wipe.png") as picture:
+        wiped = np.asarray(picture.convert("L"))
+    pictures = {}
+    result = tnst_mi.load_frames(out / "density")[1]
+    for view in (tuple(record["shots"][frames[1].name]), None):
+        views = MainViews(Recipe.from_toml(out / "recipe.toml"), record["density_scale"])
+        for index, frame in enumerate(tnst_mi.load_frames(out / "density")):
+            views.add(frame, frame, view if index == 1 else tuple(record["shots"][frame.name]))
+        density = record["density_scale"] * result.density
+        expected = tnst_mi.render(density, view or (0.0, 0.0), record["frames"][1]["gamma"])
+        np.testing.assert_allclose(views.pairs[1][0], expected, rtol=1e-5, atol=1e-6)
+        names = [frame.name for frame in frames]
+        (tmp_path / str(view)).mkdir()
+        write_pictures(tmp_path / str(view), ("a", "a"), names, views, 24.0)
+        with Image.open(tmp_path / str(view) / f"{names[1]}_wipe.png") as picture:
+            pictures[view] = np.asarray(picture.convert("L"))
+    shown, front = (picture[-400:] for picture in pictures.values())
+    assert np.array_equal(wiped[-400:], shown) and not np.array_equal(shown, front)
+    Path(camera).unlink()
+    refused(run, tmp_path, ["diff", out, out], "shot.json.*: no such file")
+
+
+def test_going_on_notices_that_the_smoke_stands_elsewhere(tmp_path: Path) -> None:
+    frames = smoke()
+    keys = RECIPE | {"camera": shot(tmp_path, frames, {"fov": 30.0}), "octaves": 2}
+    tnst_mi.stylize(frames, keys | {"quality": "draft"}, tmp_path / "draft", progress=False)
+    with pytest.raises(InputError, match="draft: its run saw the smoke from elsewhere than the camera does now"):
+        tnst_mi.stylize(smoke(0.2), keys, tmp_path / "final", start_from=tmp_path / "draft", progress=False)

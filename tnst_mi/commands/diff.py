@@ -16,10 +16,18 @@ from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.machine.terminal import printable, some_of
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.sections import Goals
 from tnst_mi.run.difference import frame_difference, provenance_differences, recipe_differences, summary
 from tnst_mi.run.difference_pictures import MainViews, write_pictures
 from tnst_mi.run.inputs import reference_density
 from tnst_mi.run.reopened import Reopened, reopened, shared_frames
+
+#: Keys on which the scale of the loss depends: the goals, and what the images are.
+_OF_THE_LOSS = (
+    *(key for key in Goals.__annotations__ if key != "mask"),
+    *("quality", "motif_size", "octaves", "scale_factor", "fit", "gamma", "look", "quadrature", "integrator"),
+    *("camera", "azimuth", "elevation"),
+)
 
 #: Longest value of a recipe's key in the summary.
 _LONGEST = 60
@@ -47,7 +55,8 @@ def run(arguments: DiffArguments) -> int:
         pair = a.frames[first], b.frames[second]
         frames.append(frame_difference(a, b, (first, second), pair))
         if views is not None:
-            views.add(*pair)
+            seen = a if a.recipe is not None else b
+            views.add(*pair, seen.shots.get(seen.names[first if seen is a else second]))
     results = _results(a, b, together, frames)
     for line in _in_words(a, b, results):
         print(printable(line))
@@ -96,7 +105,7 @@ def _in_words(a: Reopened, b: Reopened, results: Mapping[str, Any]) -> list[str]
     lines = [f"{letter}         {_described(part)}" for letter, part in (("A", a), ("B", b))]
     if results["recipe"] is not None:
         differ = results["recipe"]
-        lines.append(f"recipe    {'the same' if not differ else f'{len(differ)} keys differ'}")
+        lines.append(f"recipe    {_differences(len(differ))}")
         lines += [f"          {key}: {_shown(first)} → {_shown(second)}" for key, (first, second) in differ.items()]
     if results["provenance"] is not None:
         lines += [f"run       {text}" for text in _provenance(results["provenance"])]
@@ -118,8 +127,14 @@ def _in_words(a: Reopened, b: Reopened, results: Mapping[str, Any]) -> list[str]
         lines += [f"{text} {_pair(mean[key])}"] if None not in mean[key] else []
     before, after = mean["loss_before"], mean["loss_after"]
     if None not in (*before, *after):
-        lines.append(f"loss      A {before[0]:.4g} → {after[0]:.4g}, B {before[1]:.4g} → {after[1]:.4g}")
+        other = [key for key in _OF_THE_LOSS if key in (results["recipe"] or {})]
+        beside = f" (of other scales: {', '.join(other)} differ)" if other else ""
+        lines.append(f"loss      A {before[0]:.4g} → {after[0]:.4g}, B {before[1]:.4g} → {after[1]:.4g}{beside}")
     return lines
+
+
+def _differences(count: int) -> str:
+    return {0: "the same", 1: "1 key differs"}.get(count, f"{count} keys differ")
 
 
 def _described(part: Reopened) -> str:

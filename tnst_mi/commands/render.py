@@ -70,7 +70,7 @@ def run(arguments: RenderArguments) -> int:
     frames = ScaledFrames(readable.frames(), unit.factor)
     activate(recipe.variant)
     shape = frames[0].density.shape
-    in_cells = [] if cameras is None else [camera_of(cameras, frame, shape) for frame in frames]
+    in_cells = [] if cameras is None else [camera_of(cameras, frame, frame.density.shape) for frame in frames]
     if in_cells:
         rows, columns = shot_size(in_cells, shape, None if size is None else (size[1], size[0]))
         size = columns, rows
@@ -178,6 +178,8 @@ def _write_shot(
         write_png(file.with_name(f"{file.name}.png"), image)
         write_exr(file.with_name(f"{file.name}.exr"), image, {"camera": str(arguments.camera), **attributes})
         tqdm.write(f"picture   {file}.png and {file.name}.exr", file=sys.stdout)
+        if frame.density.any() and not image.any():
+            say([f"warning: {frame.name}: the camera sees no smoke; where files lie is in docs/cameras.md"])
 
 
 def _with_frames(shots: Sequence[Shot[Viewpoint]], frames: Sequence[Frame]) -> Iterator[tuple[Shot[Viewpoint], Frame]]:

@@ -211,7 +211,7 @@ def _output(arguments: ShowArguments, count: int) -> Path:
     suffix = ".png" if count == 1 else ".mp4"
     out = arguments.out or Path(f"tnst_mi-show{suffix}")
     if out.suffix.lower() != suffix:
-        what = "one picture" if count == 1 else f"{count} pictures, a film,"
+        what = "one picture" if count == 1 else f"{count} pictures"
         raise InputError(f"--out {out}: expected a name that ends in {suffix}, for {what}")
     require_writable(out.parent, remedy=None)
     if out.is_dir() or (out.exists() and not arguments.overwrite):

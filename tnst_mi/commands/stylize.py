@@ -15,9 +15,9 @@ from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.folder import input_of_run, recipe_of_run
+from tnst_mi.run.folder import input_of_run
 from tnst_mi.run.request import requested_frames
-from tnst_mi.run.resuming import require_begun, require_run
+from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
 
 if TYPE_CHECKING:
     from tnst_mi.run import job, prepare

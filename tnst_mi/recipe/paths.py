@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, MissingFileError
 from tnst_mi.io.formats import READABLE
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keyframes import converted
@@ -65,7 +65,7 @@ def _located(name: str, value: Any, source: str, folder: Path) -> Any:
     if name == "light" and value not in shipped_lights():
         path = _path(name, value, source, folder)
         if not path.is_file():
-            raise InputError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
+            raise MissingFileError(f"{source}light = {value!r}: no such file, nor one of {', '.join(shipped_lights())}")
         return str(path.resolve())
     if name == "weights" and value not in (None, PATTERNS) and (path := _path(name, value, source, folder)).exists():
         return str(path.resolve())
@@ -104,7 +104,7 @@ def _picture(name: str, entry: str, source: str, folder: Path) -> str:
     if re.fullmatch(r"[\w-]+", entry) and (STYLES / f"{entry}.png").exists():
         return str(STYLES / f"{entry}.png")
     shipped = ", ".join(shipped_styles())
-    raise InputError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
+    raise MissingFileError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
 
 
 def _camera(text: str, source: str, folder: Path) -> str:
@@ -114,7 +114,7 @@ def _camera(text: str, source: str, folder: Path) -> str:
         file, mark, camera = text.rpartition("#")
         path, camera = _path("camera", file if mark else text, source, folder), mark + camera if mark else ""
     if not path.is_file():
-        raise InputError(f"{source}camera = {text!r}: no such file ({path})")
+        raise MissingFileError(f"{source}camera = {text!r}: no such file ({path})")
     return f"{path.resolve()}{camera}"
 
 
@@ -122,7 +122,7 @@ def _map(entry: str, source: str, folder: Path) -> str:
     layer, _, file = entry.partition(":")
     path = _path("match", file, source, folder)
     if not path.is_file():
-        raise InputError(f"{source}match = {entry!r}: no such file ({path})")
+        raise MissingFileError(f"{source}match = {entry!r}: no such file ({path})")
     return f"{layer}:{path.resolve()}"
 
 
@@ -159,7 +159,7 @@ def _mask_file(key: str, text: str, source: str, folder: Path) -> str:
     # The number of a pattern has no digits yet.
     exists = path.parent.is_dir() if "#" in path.name and key != "image" else path.exists()
     if not exists:
-        raise InputError(f"{given}: no such file ({path})")
+        raise MissingFileError(f"{given}: no such file ({path})")
     if key != "image" and path.suffix.lower() in _PICTURES and not path.is_dir():
         raise InputError(
             f'{given}: is a picture, expected a grid; a picture painted over a view is {{ image = "{text}", view = '

@@ -16,6 +16,7 @@ from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.video import open_video
 from tnst_mi.losses.pictures import resized
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.rendering.levels import by_cell
 from tnst_mi.run.panels import difference, on_canvas, row, wipe
@@ -40,9 +41,10 @@ class MainViews:
     factor: float
     pairs: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
-    def add(self, a: Frame, b: Frame) -> None:
-        """Render a frame of each."""
+    def add(self, a: Frame, b: Frame, shot: View | None = None) -> None:
+        """Render a frame of each, from around where the camera of the shot saw it, if there is one."""
         recipe = by_cell(self.recipe.at(a.number), a.density.shape)
+        recipe = replace(recipe, shots=() if shot is None else (shot,))
         finer = max(b.density.shape) / max(a.density.shape)
         same_scene = all(
             abs(n / m / finer - 1) <= _ALIKE for n, m in zip(b.density.shape, a.density.shape, strict=True)

@@ -38,7 +38,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.states import state_file, write_state
-from tnst_mi.run.written import Written, lines_by_frame, lines_written, recipe_digest, written
+from tnst_mi.run.written import Written, lines_by_frame, lines_written, written
 
 if TYPE_CHECKING:
     from tnst_mi.optimisation.start import State
@@ -113,22 +113,6 @@ def input_of_run(out: Path) -> Path:
     if not isinstance(source, str):
         raise InputError(f"{out / 'run.json'}: does not tell the input of its run; give it")
     return Path(source)
-
-
-def recipe_of_run(out: Path) -> Recipe:
-    """The recipe of the run in a folder.
-
-    Raises:
-        InputError: the file is not what the run wrote.
-    """
-    path = out / "recipe.toml"
-    try:
-        recipe, run = Recipe.from_toml(path), json.loads((out / "run.json").read_text("utf-8"))
-        if run.get("recipe", digest := recipe_digest(recipe)) == digest:
-            return recipe
-    except DAMAGE:
-        pass  # run.json, where it is damaged, is refused by itself
-    raise InputError(f"{path}: is not the recipe of the run there; restore it, or begin the run anew with --overwrite")
 
 
 def is_file_name(name: str) -> bool:

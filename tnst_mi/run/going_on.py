@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,9 +28,9 @@ from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.start import Start
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.recipe.sections import Reading, Resources
-from tnst_mi.run.folder import DAMAGE, WORK, recipe_of_run
+from tnst_mi.run.folder import DAMAGE, WORK
 from tnst_mi.run.record import run_identity
-from tnst_mi.run.resuming import require_run
+from tnst_mi.run.resuming import recipe_of_run, require_run
 from tnst_mi.run.states import read_state, state_file
 
 #: Keys in which the two runs may differ: how much is done, how far smoke is moved, and what is named and written. The
@@ -131,8 +132,14 @@ def _require_same(
     """Check that two runs have the same way: input, goals, network, and all keys but those that are `FREE`."""
     for key in (*KINDS, "keyframes"):
         before, now = (_without_free(getattr(of_run, key), key) for of_run in (recipe, later_recipe))
-        if key not in FREE and before != now:
-            raise InputError(one_line(f"{run}: its run had {key} = {before!r}, expected {now!r} to go on from there"))
+        free = key in FREE or (key == "look" and later_recipe.gamma != "auto")
+        if not free and before != now:
+            raise InputError(
+                one_line(
+                    f"{run}: its run had {key} = {_spelled(before)}, this one has {_spelled(now)}; give the same to "
+                    "go on from there, or begin anew without --from"
+                )
+            )
     if earlier["weights"].get("sha256") != later["weights"]["sha256"]:
         raise InputError(f"{run}: its run used other weights, expected the same ones to go on from there")
     if list(earlier["inputs"]) != list(later["inputs"]):
@@ -141,8 +148,20 @@ def _require_same(
         for name, digest in later[what].items():
             if earlier[what].get(name) != digest:
                 raise InputError(one_line(f"{run}: its run had another {name}, expected the same to go on from there"))
+    if earlier.get("shots") != later.get("shots"):
+        raise InputError(
+            f"{run}: its run saw the smoke from elsewhere than the camera does now; go on with the smoke and the "
+            "camera where they were, or begin anew without --from"
+        )
     if earlier.get("targets") != json.loads(json.dumps(later.get("targets"))):
         raise InputError(f"{run}: its run had other masks, or other smoke in them, expected the same to go on")
+
+
+def _spelled(value: Any) -> str:
+    """A value of a recipe, as people write it; files by their names."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_spelled, value))}]"
+    return Path(value).name if isinstance(value, str) and os.sep in value else repr(value)
 
 
 def _without_free(value: Any, key: str) -> Any:

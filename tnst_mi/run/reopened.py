@@ -19,8 +19,9 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, distance_of
-from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name, recipe_of_run
+from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name
 from tnst_mi.run.inputs import FramesOnAccess, conventions_of
+from tnst_mi.run.resuming import recipe_of_run
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, MissingFileError
 from tnst_mi.io.formats import FORMATS
-from tnst_mi.machine.gate import gate
+from tnst_mi.machine.gate import decoding, gate
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.folder import (
@@ -21,7 +21,6 @@ from tnst_mi.run.folder import (
     is_file_name,
     just_begun,
     occupied,
-    recipe_of_run,
 )
 from tnst_mi.run.written import Earlier, Written, recipe_digest
 
@@ -57,6 +56,26 @@ def require_run(folder: Path) -> None:
         raise InputError(
             one_line(f"{folder}: holds no run to go on from (run.json and recipe.toml are not both there)")
         )
+
+
+def recipe_of_run(out: Path) -> Recipe:
+    """The recipe of the run in a folder.
+
+    Raises:
+        InputError: the file is not what the run wrote.
+    """
+    path = out / "recipe.toml"
+    with decoding(out / "run.json", "the record of a run"):
+        expected = json.loads((out / "run.json").read_text("utf-8")).get("recipe")
+    try:
+        recipe = Recipe.from_toml(path)
+        if expected in (None, recipe_digest(recipe)):
+            return recipe
+    except MissingFileError:
+        raise  # of what it names, a camera or a picture
+    except DAMAGE:
+        pass
+    raise InputError(f"{path}: is not the recipe of the run there; restore it, or begin the run anew with --overwrite")
 
 
 def record_in(out: Path) -> bytes | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import difflib
 import json
 import math
 import re
@@ -26,6 +27,9 @@ _POSES = ("matrix", "position", "target", "up")
 _LENSES = ("fov", "focal_length", "sensor_height", "sensor_width", "height")
 _OTHERS = ("aspect", "resolution", "shift")
 _KEYS = (*_POSES, *_LENSES, *_OTHERS)
+
+#: What a file has beside cameras.
+_OF_THE_FILE = ("up_axis", "frames")
 
 #: Largest number in a table: beyond any scene, and far from overflow.
 _LARGEST = 1e12
@@ -75,7 +79,13 @@ class TableCameras:
             InputError: a table is none of a camera.
         """
         for number in self.by_frame or (None,):
-            self.at(number, self.up_axis or "y")
+            try:
+                self.at(number, self.up_axis or "y")
+            except InputError:
+                # A camera that looks along one axis is fine where the other is up.
+                if self.up_axis is not None:
+                    raise
+                self.at(number, "z")
 
     def _camera(self, table: Mapping[str, Any], up: str) -> SceneCamera:
         own_up = self.up_axis or up
@@ -120,7 +130,11 @@ def camera_of(table: Mapping[str, Any], up: str) -> SceneCamera:
         InputError: a key is missing, unknown or contradicts another, or its value is none.
     """
     if unknown := [key for key in table if key not in _KEYS]:
-        raise InputError(f"unknown key {reprlib.repr(unknown[0])}; the keys of a camera are {', '.join(_KEYS)}")
+        near = difflib.get_close_matches(unknown[0], (*_KEYS, *_OF_THE_FILE), 1, 0.7)
+        remedy = f"did you mean {near[0]!r}?" if near else f"the keys of a camera are {', '.join(_KEYS)}"
+        raise InputError(
+            f"unknown key {reprlib.repr(unknown[0])}; {remedy} (beside these, a file has {' and '.join(_OF_THE_FILE)})"
+        )
     aspect = _aspect(table)
     perspective, field = _lens(table, aspect)
     x, y = _numbers("shift", table.get("shift", [0, 0]), 2)
