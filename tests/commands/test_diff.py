@@ -168,5 +168,8 @@ def test_a_run_that_has_not_finished_a_frame(run: RunCommand, smoke: Path, tmp_p
     refused(run, tmp_path, ["diff", out, smoke], "its run has not finished a frame")
     (out / "run.json").write_text("{")
     refused(run, tmp_path, ["diff", out, smoke], r"run\.json: not the record of a run, truncated, or damaged")
+    for damage in ({"density_scale": "a"}, {"density_scale": -1}, {"inputs": [1]}, {"frames": [{"name": "a"}]}):
+        (out / "run.json").write_text(json.dumps(record | damage))
+        refused(run, tmp_path, ["diff", out, smoke], r"run\.json: damaged, so it does not tell")
     (out / "run.json").write_text("[]")
     refused(run, tmp_path, ["diff", out, smoke], r"run\.json: not the record of a run, truncated, or damaged")

@@ -242,6 +242,7 @@ def test_a_camera_that_cannot_stand_in_the_studio_is_refused_with_its_frame(
     ("flags", "line"),
     [
         (["--resolution", "60x60"], "the camera's pictures are 1.5 times as wide as high, such as 90x60"),
+        (["--resolution", "89x60"], "the camera's pictures are 1.5 times as wide as high, such as 90x60"),
         (["--views", "10,0"], "both say from where; give one"),
         (["--fit"], "a shot has its own framing"),
         (["--turntable", "3"], "a shot has its own framing"),

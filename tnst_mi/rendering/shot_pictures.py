@@ -55,8 +55,11 @@ def shot_size(cameras: Sequence[Camera], shape: Shape, wanted: tuple[int, int] |
     aspect = cameras[0].aspect
     if any(abs(camera.aspect / aspect - 1) > 1e-3 for camera in cameras):
         raise InputError("camera: its proportions change within the shot, expected one width over height")
-    rows, columns = wanted or (shape[1], max(2, round(shape[1] * aspect)))
-    if abs(columns - rows * aspect) > 1.0:
+    if wanted is None:
+        return shape[1], max(2, round(shape[1] * aspect))
+    rows, columns = wanted
+    # Half a pixel by rounding the width, and what a few digits of the proportions leave open.
+    if abs(columns - rows * aspect) > 0.5 + 1e-3 * columns:
         raise InputError(
             f"--resolution {columns}x{rows}: the camera's pictures are {aspect:.4g} times as wide as high, such as "
             f"{max(2, round(rows * aspect))}x{rows}"

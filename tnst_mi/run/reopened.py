@@ -76,6 +76,7 @@ def reopened(path: Path) -> Reopened:
         record = json.loads((path / "run.json").read_text("utf-8"))
         suffix = f".{record.get('format', 'npz')}"
         finished = {str(frame["name"]): frame["number"] for frame in record["frames"] if frame["complete"]}
+        require_numbers(record)
         source = record.get("input")
         shots = {str(name): _view(view) for name, view in record.get("shots", {}).items()}
     except DAMAGE:
@@ -87,6 +88,23 @@ def reopened(path: Path) -> Reopened:
     results = _results(path, names, suffix, inputs)
     numbers = tuple(finished[name] for name in names)
     return Reopened(path, results, tuple(names), numbers, record, recipe, shots, inputs, notes)
+
+
+def require_numbers(record: Mapping[str, Any]) -> None:
+    """Check what is compared of a record, and of its frames.
+
+    Raises:
+        ValueError, TypeError, LookupError: something is missing, or is no number.
+    """
+    if not 0 < float(record["density_scale"]) < np.inf:
+        raise ValueError
+    for key in ("inputs", "files", "weights", "versions"):
+        dict(record.get(key, {}))
+    for frame in record["frames"]:
+        for key in ("mass_before", "mass_after", "largest_displacement"):
+            float(frame[key])
+        for key in ("loss_before", "loss_after", "folded"):
+            float(frame.get(key) or 0.0)
 
 
 def shared_frames(parts: Sequence[Reopened]) -> list[tuple[int, ...]]:
