@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.batch.jobs import DONE, FAILED, INTERRUPTED, WAITING, RunOutcome, jobs_of
-from tnst_mi.batch.page import differing_keys, write_page
+from tnst_mi.batch.page import write_page
 from tnst_mi.errors import InputError
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.difference import recipe_differences
 
 __all__ = ["run", "smoke", "tiny_weights"]
 
@@ -163,5 +164,5 @@ def test_text_of_files_and_errors_is_no_markup(tmp_path: Path) -> None:
 
 
 def test_differences_of_recipes() -> None:
-    recipes = {"a": Recipe(gamma=0.1, window=3), "b": Recipe(gamma={1: 0.1, 2: 1.0}, window=3), "c": Recipe(window=3)}
-    assert differing_keys(recipes) == {"gamma": [0.1, {"1": 0.1, "2": 1.0}, 0.1]}
+    recipes = Recipe(gamma=0.1, window=3), Recipe(gamma={1: 0.1, 2: 1.0}, window=3), Recipe(window=3)
+    assert recipe_differences(*recipes) == {"gamma": (0.1, {"1": 0.1, "2": 1.0}, 0.1)}

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import html
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
 from urllib.parse import quote
 
 from tnst_mi.batch.jobs import DONE, Job, RunOutcome
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import DATA
+from tnst_mi.run.difference import recipe_differences
 
 _TEMPLATE = DATA / "batch.html"
 
@@ -35,31 +34,18 @@ def write_page(path: Path, jobs: Sequence[Job], outcomes: Sequence[RunOutcome]) 
         title=html.escape(f"{path.parent.name}: {done} of {len(jobs)} runs done"),
         head=head,
         rows="\n".join(rows),
-        keys="\n".join(_keys({name: by_name[name] for name in recipes})),
+        keys="\n".join(_keys([by_name[name] for name in recipes])),
     )
     with written_whole(path) as temporary:
         temporary.write_text(page, "utf-8")
 
 
-def differing_keys(recipes: Mapping[str, Recipe]) -> dict[str, list[Any]]:
-    """The keys in which recipes differ, each with its value in every one of them; None where it is not set.
-
-    Example:
-        >>> differing_keys({"a": Recipe(gamma=0.1), "b": Recipe(gamma=1.0)})
-        {'gamma': [0.1, 1.0]}
-    """
-    tables = [tomllib.loads(recipe.to_toml()) for recipe in recipes.values()]
-    keys = dict.fromkeys(key for table in tables for key in table)
-    values = {key: [table.get(key) for table in tables] for key in keys}
-    return {key: found for key, found in values.items() if any(value != found[0] for value in found)}
-
-
-def _keys(recipes: Mapping[str, Recipe]) -> list[str]:
+def _keys(recipes: Sequence[Recipe]) -> list[str]:
     return [
         f"<tr><th><code>{html.escape(key)}</code></th>"
         + "".join(f"<td>{'' if value is None else html.escape(str(value))}</td>" for value in values)
         + "</tr>"
-        for key, values in differing_keys(recipes).items()
+        for key, values in recipe_differences(*recipes).items()
     ]
 
 

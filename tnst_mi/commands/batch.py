@@ -26,7 +26,7 @@ from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.lock import locked
-from tnst_mi.machine.terminal import one_line
+from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import holds_run
@@ -64,7 +64,7 @@ def _recipe(file: Path, arguments: BatchArguments) -> Recipe:
 
 def _all_of(jobs: list[Job], out: Path, arguments: BatchArguments) -> int:
     outcomes = [outcome_of(each, out) for each in jobs]
-    since, code = time.monotonic(), 0
+    since = time.monotonic()
 
     def written(number: int, outcome: RunOutcome) -> None:
         outcomes[number] = outcome
@@ -73,11 +73,11 @@ def _all_of(jobs: list[Job], out: Path, arguments: BatchArguments) -> int:
 
     for number, each in enumerate(jobs):
         left = (time.monotonic() - since) / number * (len(jobs) - number) if number else None
-        about = "" if left is None else f", about {_spelled(left)} left"
+        about = "" if left is None else f", about {duration(left)} left"
         say([f"batch: run {number + 1} of {len(jobs)}{about}: {each.recipe_name} on {each.input_name}"])
         written(number, RunOutcome(RUNNING))
         try:
-            code = _one(each, arguments)
+            interrupted = _one(each, arguments) == 3
         except InputError as error:
             say([one_line(f"tnst-mi: {error}")])
             written(number, outcome_of(each, out, one_line(str(error))))
@@ -86,7 +86,7 @@ def _all_of(jobs: list[Job], out: Path, arguments: BatchArguments) -> int:
             written(number, outcome_of(each, out))
             raise
         written(number, outcome_of(each, out))
-        if code == 3:
+        if interrupted:
             break
     print(f"page      {out / 'index.html'}")
     failed = [each for each, outcome in zip(jobs, outcomes, strict=True) if outcome.status == FAILED]
@@ -111,7 +111,3 @@ def _one(each: Job, arguments: BatchArguments) -> int:
 
 def _begun(each: Job, arguments: BatchArguments) -> bool:
     return not arguments.overwrite and holds_run(each.out)
-
-
-def _spelled(seconds: float) -> str:
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

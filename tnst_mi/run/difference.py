@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -30,22 +31,24 @@ _PROVENANCE = (
 #: What the record of a frame says.
 _RECORDED = ("loss_before", "loss_after", "largest_displacement", "folded")
 
-Pair = tuple[Any, Any]
+
+def recipe_differences(*recipes: Recipe) -> dict[str, tuple[Any, ...]]:
+    """The keys whose values differ, each with that of every recipe as TOML has it; None where a key is not set.
+
+    Example:
+        >>> recipe_differences(Recipe(gamma=0.1), Recipe(gamma=1.0))
+        {'gamma': (0.1, 1.0)}
+    """
+    return _different(*(tomllib.loads(recipe.to_toml()) for recipe in recipes))
 
 
-def recipe_differences(a: Recipe, b: Recipe) -> dict[str, Pair]:
-    """The keys whose values differ, with both values as TOML has them; None where a key is not set."""
-    values = [tomllib.loads(recipe.to_toml()) for recipe in (a, b)]
-    return _different(values[0], values[1])
-
-
-def provenance_differences(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> dict[str, Pair]:
+def provenance_differences(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> dict[str, tuple[Any, ...]]:
     """What else differs between the records of two runs, by dotted names such as versions.mitsuba.
 
     Of frames and of other inputs, such as pictures, the digests are compared: `inputs` and `files` hold what differs.
     """
     flat = [{".".join(keys): _at(record, keys) for keys in _PROVENANCE} for record in (a or {}, b or {})]
-    found = _different(flat[0], flat[1])
+    found = _different(*flat)
     for key in ("inputs", "files"):
         held = [{} if record is None else dict(record.get(key, {})) for record in (a, b)]
         # Equal files count as equal wherever they are.
@@ -125,5 +128,6 @@ def _at(record: Mapping[str, Any], keys: Sequence[str]) -> Any:
     return value
 
 
-def _different(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Pair]:
-    return {key: (a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b]) if a.get(key) != b.get(key)}
+def _different(*tables: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
+    values = {key: tuple(table.get(key) for table in tables) for key in itertools.chain(*tables)}
+    return {key: found for key, found in values.items() if any(value != found[0] for value in found)}

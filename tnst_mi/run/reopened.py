@@ -76,7 +76,7 @@ def reopened(path: Path) -> Reopened:
         record = json.loads((path / "run.json").read_text("utf-8"))
         suffix = f".{record.get('format', 'npz')}"
         finished = {str(frame["name"]): frame["number"] for frame in record["frames"] if frame["complete"]}
-        require_numbers(record)
+        _require_numbers(record)
         source = record.get("input")
         shots = {str(name): _view(view) for name, view in record.get("shots", {}).items()}
     except DAMAGE:
@@ -90,7 +90,7 @@ def reopened(path: Path) -> Reopened:
     return Reopened(path, results, tuple(names), numbers, record, recipe, shots, inputs, notes)
 
 
-def require_numbers(record: Mapping[str, Any]) -> None:
+def _require_numbers(record: Mapping[str, Any]) -> None:
     """Check what is compared of a record, and of its frames.
 
     Raises:
