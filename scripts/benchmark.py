@@ -30,7 +30,7 @@ import json
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.environment import device, peak_memory, versions
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.goals import objective_of
-from tnst_mi.optimisation.items.store import Arrays, FolderStore, MemoryStore, Store
+from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
 from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.optimisation.runner import CACHE_BYTES, SequenceOptimisation
@@ -240,26 +240,14 @@ def jet(shape: tuple[int, int, int]) -> list[tnst_mi.Frame]:
     return frames
 
 
-class CountingStore(FolderStore):
-    """Counts the bytes that are read."""
-
-    read_bytes = 0
-
-    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
-        """See `Store`."""
-        found = super().read(group, frame, names)
-        self.read_bytes += sum(array.nbytes for array in found.values())
-        return found
-
-
 def sequence(weights: str | None, shape: tuple[int, int, int] = (64, 96, 64), views: int = 1) -> dict[str, float]:
     """Seconds and bytes read from the store by iteration of a frame, in a sequence of nine with a window of 9."""
     frames = jet(shape)
     recipe = tnst_mi.Recipe.from_dict(STYLE | {"views": views, "iterations": 6, "window": 9})
     with tempfile.TemporaryDirectory() as folder:
-        store = CountingStore(Path(folder))
+        store = FolderStore(Path(folder))
         # A budget that a run would find on a machine with a few GB to spare.
-        passed = iterated(frames, recipe, weights, store, lambda: (time.perf_counter(), store.read_bytes), 4 << 30)
+        passed = iterated(frames, recipe, weights, store, lambda: (time.perf_counter(), store.bytes_read), 4 << 30)
     # The first iteration compiles kernels.
     seconds, read = np.diff(np.array(passed[1:]), axis=0).T / len(frames)
     found = {"seconds": float(np.median(seconds)), "bytes_read": float(np.mean(read))}

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tnst_mi.machine.host_copy import HostCopy
-from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.device_store import DeviceStore, Request
 from tnst_mi.optimisation.items.store import Arrays, DamagedItemError, FolderStore, MemoryStore
 
 
@@ -31,9 +31,9 @@ class Watched(MemoryStore):
         self.open.set()
         self.full = False
 
-    def read(self, group: str, frame: int, names: object = None) -> Arrays:
+    def read(self, group: str, frame: int, names: object = None, generation: int | None = None) -> Arrays:
         self.reading.append((group, frame))
-        found = super().read(group, frame, names)
+        found = super().read(group, frame, names, generation)
         self.reads.update((group, frame, name) for name in found)
         return found
 
@@ -197,7 +197,7 @@ def test_an_item_is_waited_for_while_others_wait_for_it_too(store: Watched, wait
 
 def store_value(items: DeviceStore, _: object) -> float:
     """What read-ahead loads of the item, once the main thread waits for its writing."""
-    return float(items._load(("fields.0", 0, ["step"]))["step"][0, 0, 0])
+    return float(items._load(Request("fields.0", 0, ["step"], items.generation("fields.0", 0)))["step"][0, 0, 0])
 
 
 def test_damaged_items_are_found_when_they_are_read_ahead(tmp_path: Path) -> None:
@@ -207,7 +207,7 @@ def test_damaged_items_are_found_when_they_are_read_ahead(tmp_path: Path) -> Non
     path = tmp_path / "step.0" / "000001.000001.safetensors"
     path.write_bytes(path.read_bytes()[:-2])
     with closing(DeviceStore(store, 1280)) as items:
-        results = items.read_each([[("step.0", frame, ["step"])] for frame in range(2)])
+        results = items.read_each([[Request("step.0", frame, ["step"])] for frame in range(2)])
         next(results)
         with pytest.raises(DamagedItemError, match=r"000001\.000001\.safetensors: damaged"):
             next(results)
@@ -216,7 +216,7 @@ def test_damaged_items_are_found_when_they_are_read_ahead(tmp_path: Path) -> Non
 def test_reading_is_one_group_ahead_and_no_more(store: Watched, items: DeviceStore) -> None:
     for frame in range(4):
         store.write("step.0", frame, 1, {"step": np.full((1, 1, 1), frame, np.float32)})
-    results = items.read_each([[("step.0", frame, ["step"])] for frame in range(4)])
+    results = items.read_each([[Request("step.0", frame, ["step"])] for frame in range(4)])
     for frame in range(3):
         assert next(results)[0]["step"].numpy()[0, 0, 0] == frame
         for _ in range(1000):
@@ -253,13 +253,16 @@ def test_it_reads_what_was_written_last_at_any_budget(budget: int, actions: list
                 expected = {key: value for key, value in expected.items() if key[0] != group}
             else:
                 # Single arrays, both, and two items at once.
-                single = [[(f"{g}", f, [name])] for (g, f) in expected for name in ("density", "step")]
-                both = [[(f"{g}", f, ["step", "density"])] for g, f in expected]
+                single = [[Request(f"{g}", f, [name])] for (g, f) in expected for name in ("density", "step")]
+                both = [[Request(f"{g}", f, ["step", "density"])] for g, f in expected]
                 for wanted in (single, both, [[request for (request,) in both]]):
                     found = [result for results in items.read_each(wanted) for result in results]
                     values = [{name: tensor.numpy()[0, 0, 0] for name, tensor in result.items()} for result in found]
-                    asked = [(request, expected[int(request[0]), request[1]]) for group in wanted for request in group]
+                    asked = [
+                        (request, expected[int(request.group), request.frame]) for group in wanted for request in group
+                    ]
                     assert values == [
-                        {name: value if name == "step" else -value for name in names} for (_, _, names), value in asked
+                        {name: value if name == "step" else -value for name in names}
+                        for (_, _, names, _), value in asked
                     ]
     assert {key: store.read(f"{key[0]}", key[1])["step"][0, 0, 0] for key in expected} == expected

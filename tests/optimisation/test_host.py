@@ -220,8 +220,10 @@ class Counting(FolderStore):
         super().__init__(folder)
         self.reads: Counter[tuple[str, int, str]] = Counter()
 
-    def read(self, group: str, frame: int, names: object = None) -> dict[str, np.ndarray]:
-        found = super().read(group, frame, names)
+    def read(
+        self, group: str, frame: int, names: object = None, generation: int | None = None
+    ) -> dict[str, np.ndarray]:
+        found = super().read(group, frame, names, generation)
         self.reads.update((group, frame, name) for name in found)
         return found
 

@@ -142,7 +142,7 @@ def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3g}"
 
 
-def summary(frame: job.StylizedFrame) -> str:
+def summary(frame: job.FinishedFrame) -> str:
     """One line on a frame: how the loss and the mass changed and how far the smoke moved."""
     record = frame.record
     parts = []

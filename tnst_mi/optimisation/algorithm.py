@@ -68,9 +68,7 @@ def iterated(
             for f in turns.steps_due(group, items, k):
                 items.put_step(f.frame, k, own_step(plan, f, items.level, problem, k))
             for f in turns.fields_due(group, items, k):
-                fields = f.fields - window_average(plan, f, items)
-                fields = f.frame.within_reach(fields, items.octave.cell_size, f.inputs.allowed)
-                items.put_fields(f.frame, k + 1, fields)
+                items.put_fields(f.frame, k + 1, fields_after(plan, f, items))
         if items.octave is plan.octaves[-1]:
             yield from ((f, items, problem) for f in group)
 
@@ -95,6 +93,12 @@ def step_along(gradients: Sequence[Fields], plan: Plan, now: Current, h: float) 
     return functools.reduce(Fields.__add__, steps)
 
 
+def fields_after(plan: Plan, now: Current, items: Items) -> Fields:
+    """A frame's fields after the iteration whose own steps have been found."""
+    fields = now.fields - window_average(plan, now, items)
+    return now.frame.within_reach(fields, items.octave.cell_size, now.inputs.allowed)
+
+
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:
     """What to subtract from a frame's fields: its window's steps, transported to it and averaged (paper Eq. 8, 9).
 
@@ -102,7 +106,7 @@ def window_average(plan: Plan, now: Current, items: Items) -> Fields:
     """
     if plan.window == 1:
         return items.own_step
-    average = items.averaged_step(now.frame)
+    average = items.averaged_step(now)
     if plan.averages_gradients:
         average = step_along([average], plan, now, items.octave.cell_size)
     return average + coherence_step(plan, now, items) if plan.recipe.coherence > 0 else average

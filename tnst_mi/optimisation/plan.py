@@ -19,7 +19,7 @@ from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
 from tnst_mi.optimisation.silhouette import displacement_allowed
 from tnst_mi.optimisation.start import Start
-from tnst_mi.optimisation.temporal.window import window_weights
+from tnst_mi.optimisation.temporal.window import window_of, window_weights
 from tnst_mi.recipe.combinations import require_averageable, require_one_transport
 from tnst_mi.recipe.lengths import in_cells
 from tnst_mi.recipe.quality import iterations_run
@@ -176,6 +176,11 @@ class Plan:
     def alive(self) -> list[FramePlan]:
         """The frames that are changed."""
         return [frame for frame in self.frames if not frame.still]
+
+    def followed_by(self, index: int) -> list[int]:
+        """The frames, among those that are changed, whose steps a frame follows: those of its window."""
+        window = window_of(index, len(self.frames), self.window)
+        return [i for i in window if not self.frames[i].still]
 
     @property
     def groups(self) -> list[list[FramePlan]]:

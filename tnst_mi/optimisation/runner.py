@@ -7,23 +7,22 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from contextlib import closing, suppress
 from dataclasses import replace
 
-from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
-from tnst_mi.machine.backend import release_memory, torch_device
+from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.algorithm import T, algorithm_1
-from tnst_mi.optimisation.finish import stylized_frame
 from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.items.damage import DamagedItemError
 from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.interface import Store
 from tnst_mi.optimisation.items.mending import Mending
 from tnst_mi.optimisation.items.state import Current, Items
-from tnst_mi.optimisation.items.store import DamagedItemError, Store
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
-from tnst_mi.optimisation.start import State
+from tnst_mi.optimisation.results import note_missing, result_of
 
 #: Bytes of device memory for items where the caller does not know how much is free.
 CACHE_BYTES = 1 << 28
@@ -116,7 +115,7 @@ class SequenceOptimisation:
                     # The result may share memory with items that are being written.
                     store.finish()
                     result = self._result(frame, items, problem)
-                    self._note_what_is_missing(frame, result)
+                    note_missing(plan, self._store, frame, result)
                     waiting.popleft()
                     self._finished |= {frame.index}
                     yield frame.index, result
@@ -142,7 +141,7 @@ class SequenceOptimisation:
     def steps_due(self, group: Sequence[FramePlan], items: Items, k: int) -> Iterator[Current]:
         """The frames whose own step of iteration k is still to be computed."""
         self._items = items
-        for now in self.each(items.current(f for f in group if items.steps_found(f) <= k)):
+        for now in self.each(items.current(f for f in group if not items.step_found(f, k))):
             yield now
             # With a window, a frame's own step is nearly all the work of an iteration.
             if self._plan.window > 1:
@@ -176,6 +175,9 @@ class SequenceOptimisation:
 
     # ---------------------------------------------------------------- progress and results
 
+    def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
+        return result_of(self._plan, self._store, frame, self._frames[frame.index], items, problem)
+
     def _report(self, items: Items) -> None:
         """Report the iterations whose losses have been read."""
         plan, iterations = self._plan, self._plan.iterations(items.level)
@@ -191,29 +193,6 @@ class SequenceOptimisation:
                 Progress(frame.name, items.level, len(each), k, iterations, outcome.loss, outcome.terms, done, total)
             )
 
-    def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
-        """The stylized frame, with its history and the losses before and after."""
-        plan, source = self._plan, self._frames[frame.index]
-        # Memory blocks of the iterations are no longer needed.
-        release_memory()
-        result = stylized_frame(items, frame, source)
-        if items is not None and not frame.still and items.iterations_done(frame) >= 0:
-            scales = self._store.numbers(f"scales.{items.level}") or {}
-            fields = {name: field.numpy() for name, field in items.fields(frame).items()}
-            result.state = State(items.level, items.iterations_done(frame), fields, scales)
-        result.history = self._history(frame.name)
-        for entry in result.history:
-            name = f"octave {entry['octave']}"
-            result.timings[name] = result.timings.get(name, 0.0) + entry["seconds"]
-        if result.history:
-            result.timings["total"] = sum(result.timings.values())
-        if problem is not None and items is not None and (items.level > 0 or items.iterations_done(frame) > 0):
-            before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
-            regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
-            result.loss_before, result.terms_before = problem.judge(frame, before, regions)
-            result.loss_after, result.terms_after = problem.judge(frame, after, regions)
-        return result
-
     def _as_far_as_it_got(self, frame: FramePlan, store: DeviceStore) -> Stylized:
         """The result of the only frame of an interrupted run."""
         plan, level = self._plan, reached(self._plan, store)
@@ -221,18 +200,3 @@ class SequenceOptimisation:
         if scales is not None:
             problem = problem_of(plan, plan.octaves[-1], self._network).scaled(scales)
         return self._result(frame, Items(plan, level, store), problem)
-
-    def _history(self, name: str) -> list[dict]:
-        """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
-        entries = {(entry["octave"], entry["iteration"]): entry for entry in self._store.entries(name)}
-        return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]
-
-    def _note_what_is_missing(self, frame: FramePlan, result: Stylized) -> None:
-        """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
-        count = self._plan.iterations_of(frame)
-        missing = 0 if frame.still else count - len(result.history)
-        if missing:
-            self._store.note(
-                f"metrics.jsonl was damaged; {missing} of {count} iterations of {frame.name} are left out of the "
-                "losses and times of the run"
-            )

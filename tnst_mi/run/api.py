@@ -16,7 +16,7 @@ from tnst_mi.machine.backend import own_variant
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.carry import carried
 from tnst_mi.run.inputs import Frames
-from tnst_mi.run.job import Run
+from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
 from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
@@ -105,8 +105,8 @@ def _stylized(
     prepared, record = frames_done.prepared, frames_done.record
     with closing(frames_done):
         for frame in frames_done:
-            history.append(frame.stylized.history)
-            if prepared.out is None:
+            history.append(frame.history)
+            if isinstance(frame, StylizedFrame) and prepared.out is None:
                 densities.append(frame.stylized.density)
                 velocities.append(frame.stylized.velocity)
                 grids.append(carried(frame.source, frame.stylized, prepared.recipe.carry).in_memory())

@@ -125,6 +125,7 @@ class RunFolder:
 
     finished: names of the frames that an earlier run has finished, whose iterations metrics.jsonl keeps.
     may_write: called before anything is written; raises if that must not happen any more.
+    joining: another process has begun the folder, and this one writes results of frames into it.
     """
 
     def __init__(
@@ -135,9 +136,12 @@ class RunFolder:
         suffix: str = FORMATS[0],
         finished: Collection[str] = (),
         may_write: Callable[[], None] = lambda: None,
+        joining: bool = False,
     ) -> None:
         self.out, self.work, self._suffix, self._may_write = out, out / WORK, suffix, may_write
         self._metrics = out / "metrics.jsonl"
+        if joining:
+            return
         if overwrite:
             _remove_results(out, frame_names(out))
         # The folder itself may be a link that the user made; those in it are not followed.
@@ -193,7 +197,7 @@ class RunFolder:
         return written(self.out, (self.out / name for name in PICTURES))
 
     def write_history(self, name: str, history: list[dict[str, Any]]) -> None:
-        """Add a frame's iterations to metrics.jsonl, and plot its loss.
+        """Add a frame's iterations to metrics.jsonl.
 
         They are appended, so that a frame costs the same however many there were before it. What a killed run leaves of
         them is removed when the run goes on, since run.json does not list their frame yet.
@@ -201,6 +205,10 @@ class RunFolder:
         self._may_write()
         append(self._metrics, "".join(f"{line}\n" for line in _lines_of(name, history)))
         sync(self._metrics)
+
+    def plot_history(self, name: str, history: list[dict[str, Any]]) -> None:
+        """Plot the loss of a frame over its iterations, if it has any."""
+        self._may_write()
         if history:
             report.plot_loss(self.out / "images" / f"{name}_loss.png", name, history)
 

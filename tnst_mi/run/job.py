@@ -13,10 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from tnst_mi.errors import InputError, StoppedError
-from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
@@ -26,17 +23,16 @@ from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import announce_fallback
 from tnst_mi.optimisation.glimpse import Glimpses
 from tnst_mi.optimisation.items.store import FolderStore, MemoryStore, Store
-from tnst_mi.optimisation.plan import FramePlan, Plan
+from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
-from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.announcement import announcement
-from tnst_mi.run.carry import Carried, carried
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.live_pictures import LivePictures
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
-from tnst_mi.run.record import frame_record, run_identity, sequence_record
+from tnst_mi.run.record import run_identity, sequence_record
+from tnst_mi.run.results import recorded, write_results
 from tnst_mi.run.resuming import record_in
 from tnst_mi.run.stored_arrays import StoredArrays
 from tnst_mi.run.time_left import octave_sizes
@@ -69,15 +65,22 @@ Optimiser = Callable[[Plan, Sequence[Frame], GoogLeNet, Store], Optimisation]
 
 
 @dataclass(frozen=True)
-class StylizedFrame:
-    """One finished frame: the input, the result of the optimisation, and the record in run.json."""
+class FinishedFrame:
+    """One finished frame: its record in run.json, and its iterations, one dict each."""
+
+    record: dict[str, Any]
+    history: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class StylizedFrame(FinishedFrame):
+    """One that was finished in this process: likewise the input, and the result of the optimisation."""
 
     source: Frame
     stylized: Stylized
-    record: dict[str, Any]
 
 
-class Run(Iterator[StylizedFrame]):
+class Run(Iterator[FinishedFrame]):
     """Iterates over the frames of a prepared run; each is stylized and written on demand.
 
     Args:
@@ -96,9 +99,10 @@ class Run(Iterator[StylizedFrame]):
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
         shape, left = prepared.plan.shape, len(prepared.measures) - len(self.record["frames"])
         self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, shape), math.prod(shape), left)
+        self._interrupted = False
         self._frames = self._stylized()
 
-    def __next__(self) -> StylizedFrame:
+    def __next__(self) -> FinishedFrame:
         """The next frame.
 
         Raises:
@@ -112,7 +116,7 @@ class Run(Iterator[StylizedFrame]):
         """End the run here, and let others write to its folder; it can be resumed."""
         self._frames.close()
 
-    def _stylized(self) -> Generator[StylizedFrame, None, None]:
+    def _stylized(self) -> Generator[FinishedFrame, None, None]:
         out = self.prepared.out
         try:
             if out is None:
@@ -140,7 +144,7 @@ class Run(Iterator[StylizedFrame]):
         finally:
             self._bar.close()
 
-    def _stylized_into(self, lock: FolderLock | None) -> Iterator[StylizedFrame]:
+    def _stylized_into(self, lock: FolderLock | None) -> Iterator[FinishedFrame]:
         """The frames that are left, written to the run's folder if it has one, which is locked."""
         prepared, started = self.prepared, time.perf_counter() - self.record.get("seconds", 0.0)
         finished = {record["name"] for record in self.record["frames"]}
@@ -163,65 +167,49 @@ class Run(Iterator[StylizedFrame]):
             self._bar.say(line)
         if prepared.network.fallback:
             announce_fallback()
-        optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
-        done = [index for index, measure in enumerate(prepared.measures) if measure.name in finished]
-        names, size = [measure.name for measure in prepared.measures], prepared.plan.full.size
-        live = None if folder is None else LivePictures(folder, names, size, finished)
-        with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
-            for index, stylized in results:
-                source, files = prepared.unchanged[index], None if folder is None else prepared.suffix
-                digests = prepared.measures[index].others
-                carry = carried(source, stylized, prepared.recipe.carry, files, digests)
-                record = frame_record(source, prepared.plan.frames[index], stylized) | {"carried": list(carry.names)}
-                frame = StylizedFrame(source, stylized, record)
-                self.record["frames"].append(record)
+        done = [index for index, name in enumerate(prepared.names) if name in finished]
+        live = None if folder is None else LivePictures(folder, prepared.names, prepared.plan.full.size, finished)
+        with closing(self._computed(folder, store, live, done)) as frames:
+            for frame in frames:
+                self.record["frames"].append(frame.record)
                 if folder is not None:
-                    before, after = self._write(folder, frame, carry, prepared.plan.frames[index])
-                    if live is not None:
-                        live.frame_done(source.name, before, after)
+                    folder.write_history(frame.record["name"], frame.history)
                     folder.write_run(self._progressed(started))
                 self._bar.frame_done()
                 yield frame
-                # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
-                stylized.movement = stylized.state = None
-        self.record["status"] = "interrupted" if optimisation.interrupted else "done"
+        self.record["status"] = "interrupted" if self._interrupted else "done"
         self._progressed(started)
         if folder is None:
             return
-        if optimisation.interrupted:
+        if self._interrupted:
             folder.write_run(self.record)
         else:
             self._conclude(folder)
 
-    def _write(
-        self, folder: RunFolder, frame: StylizedFrame, carry: Carried, plan: FramePlan
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Write what belongs to a frame; returns its main view before and after."""
-        run, source, recipe, exposure = self.prepared.plan, frame.source, plan.recipe, plan.exposure
-        before, after = (
-            exposure * main_view(scaled(density, run.density_scale), recipe, run.full.size)
-            for density in (source.density, frame.stylized.density)
-        )
-        attributes = {
-            "view": recipe.main_view,
-            "gamma": recipe.extinction,
-            "quadrature": recipe.quadrature,
-            "exposure": exposure,
-        }
-        folder.write_arrays(source, frame.stylized.density, frame.stylized.velocity, carry)
-        folder.write_images(source.name, before, after, attributes)
-        folder.write_history(source.name, frame.stylized.history)
-        if frame.stylized.state is not None:
-            frame.record["state"] = folder.write_state(source.name, frame.stylized.state)
-        frame.record.update(folder.recorded(source.name, carry.names, frame.stylized.history))
-        # Callers may keep every frame of a run; its largest arrays are not part of the result.
-        frame.stylized.potential = (None, None)
-        return before, after
+    def _computed(
+        self, folder: RunFolder | None, store: Store, live: LivePictures | None, done: Sequence[int]
+    ) -> Generator[FinishedFrame, None, None]:
+        """The frames that are not done, computed and written, but for what the folder holds of all frames."""
+        prepared = self.prepared
+        optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
+        with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
+            for index, stylized in results:
+                source = prepared.unchanged[index]
+                if folder is None:
+                    record = recorded(prepared, index, source, stylized)
+                else:
+                    record, *views = write_results(prepared, folder, index, source, stylized)
+                    if live is not None:
+                        live.frame_done(source.name, *views)
+                yield StylizedFrame(record, stylized.history, source, stylized)
+                # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
+                stylized.movement = stylized.state = None
+        self._interrupted = optimisation.interrupted
 
     def _conclude(self, folder: RunFolder) -> None:
         """Write the results for all frames together, and clean up."""
         prepared = self.prepared
-        names = [measure.name for measure in prepared.measures]
+        names = prepared.names
         place = {name: index for index, name in enumerate(names)}
         self.record["frames"].sort(key=lambda record: place[record["name"]])
         if len(names) > 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from tnst_mi.machine.disk import require_names, require_space
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.optimisation.goals import objective_of, require_known, require_meant
-from tnst_mi.optimisation.plan import Plan, plan_of
+from tnst_mi.optimisation.plan import plan_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import targets_of
 from tnst_mi.regions.measured_masks import measured_masks
@@ -36,9 +36,8 @@ from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import chosen, require_there
 from tnst_mi.run.going_on import going_on
-from tnst_mi.run.inputs import Frames, ScaledFrames, UnchangedFrames
+from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
-    Measure,
     digests,
     file_digests,
     measured,
@@ -53,6 +52,7 @@ from tnst_mi.run.readable import Readable, watched
 from tnst_mi.run.record import target_record
 from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import record_in, resumable_run
+from tnst_mi.run.work import Work
 from tnst_mi.run.written import recipe_digest
 
 #: Height at which the objective is tried, with the aspect ratio of the frames, to which pictures are cropped.
@@ -77,54 +77,33 @@ class Network:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Prepared(Work):
     """A run that has been checked and can begin.
 
     Attributes:
-        recipe: with all paths absolute.
-        frames: the input.
-        step: how far the frames are apart, 2 for every second one; see `moving`.
-        measures: measurements of each frame.
-        brightness: likewise, rendered.
+        brightness: measurements of each frame, rendered.
         network: judges the images.
         shots: where the shot's camera sees each frame from; empty without one.
-        plan: of the optimisation.
         reading: lines that say how the frames were read.
         memory: a line that says how much of it the run takes.
-        cache_bytes: memory that a run may take besides, see `run.memory.cache_bytes`.
-        out: the folder of the results, or None.
-        suffix: file suffix of the results, of the recipe's format or else of the input's, if that can be written.
         overwrite: whether a run in `out` is replaced.
         record: the contents of run.json before the first frame is done, with those of an earlier run that is resumed.
         found: the bytes of the run.json that was in `out` when the checks began, or None.
     """
 
-    recipe: Recipe
-    frames: Sequence[Frame]
-    step: int | float
-    measures: Sequence[Measure]
     brightness: Sequence[Brightness]
     network: Network
     shots: Sequence[ShotView]
-    plan: Plan
     reading: Sequence[str]
     memory: str
-    cache_bytes: int
-    out: Path | None
-    suffix: str
     overwrite: bool
     record: Mapping[str, Any] = field(repr=False)
     found: bytes | None = field(repr=False)
 
     @property
-    def unchanged(self) -> Sequence[Frame]:
-        """The frames, each of them checked on access to be what it was when it was measured."""
-        return UnchangedFrames(self.frames, [measure.sha256 for measure in self.measures])
-
-    @property
-    def moving(self) -> Sequence[Frame]:
-        """The same with velocities that lead from each to the next, which may not be the next of the simulation."""
-        return _moving(self.unchanged, self.step)
+    def work(self) -> Work:
+        """What another process has to know of it."""
+        return Work(**{of_work.name: getattr(self, of_work.name) for of_work in fields(Work)})
 
     def frames_named(self, names: Sequence[str]) -> Sequence[Frame]:
         """The input frames with these names, in input order; if these are all, the input sequence itself."""
@@ -292,24 +271,19 @@ def prepare(
         sequence,
         step,
         measures,
-        bright,
-        network,
-        shots,
         plan,
-        said,
-        memory,
         cache,
         out,
         suffix,
+        bright,
+        network,
+        shots,
+        said,
+        memory,
         overwrite,
         record,
         found,
     )
-
-
-def _moving(frames: Sequence[Frame], step: int | float) -> Sequence[Frame]:
-    """Frames that are `step` apart, with velocities that lead from each to the next."""
-    return frames if step == 1 else ScaledFrames(frames, velocity_factor=step)
 
 
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:

@@ -16,16 +16,24 @@ class DamagedItemError(StoppedError):
     """An item is not what was written; a run makes it anew when it finds it.
 
     Attributes:
-        group, frame: of the item; the group is None if it is the numbers.
+        group, frame, generation: of the item; the group is None if it is the numbers.
     """
 
-    def __init__(self, item: object, reason: object, group: str | None = None, frame: int = 0) -> None:
+    def __init__(
+        self, item: object, reason: object, group: str | None = None, frame: int = 0, generation: int = 0
+    ) -> None:
         super().__init__(one_line(f"{item}: damaged ({reason}); --resume makes anew what is lost"))
-        self.group, self.frame = group, frame
+        self.group, self.frame, self.generation = group, frame, generation
+        self._given = item, reason, group, frame, generation
+
+    def __reduce__(self) -> tuple[type[DamagedItemError], tuple[object, ...]]:
+        """As another process gets it, which has to be what it was made of rather than the message."""
+        item, reason, *where = self._given
+        return DamagedItemError, (str(item), str(reason), *where)
 
 
 @contextmanager
-def reading(path: Path, group: str | None = None, frame: int = 0) -> Iterator[None]:
+def reading(path: Path, group: str | None = None, frame: int = 0, generation: int = 0) -> Iterator[None]:
     """Whatever is raised in reading an item means that it is damaged: decoders raise many types.
 
     Raises:
@@ -39,7 +47,7 @@ def reading(path: Path, group: str | None = None, frame: int = 0) -> Iterator[No
     except Exception as error:
         if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
             raise
-        raise DamagedItemError(path, error, group, frame) from None
+        raise DamagedItemError(path, error, group, frame, generation) from None
 
 
 def remove_misplaced(folder: Path, files: Collection[Path]) -> None:

@@ -11,19 +11,27 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.machine.host_copy import HostCopy
-from tnst_mi.optimisation.items.store import Arrays, Store
+from tnst_mi.optimisation.items.interface import Arrays, Store
 
-#: What to read: group, frame, and the names of the arrays.
-Request = tuple[str, int, Collection[str]]
 
-#: An array of an item: group, frame, name.
-_Key = tuple[str, int, str]
+class Request(NamedTuple):
+    """What to read: group, frame, the names of the arrays, and which generation, None for the newest."""
+
+    group: str
+    frame: int
+    names: Collection[str]
+    generation: int | None = None
+
+
+#: An array of an item: group, frame, generation, name.
+_Key = tuple[str, int, int, str]
 
 #: Tensors by name.
 _Tensors = dict[str, "mi.TensorXf"]
@@ -47,31 +55,36 @@ class DeviceStore:
         self._size = 0
         #: Generations of the items written here, which the store may not have yet.
         self._written: dict[tuple[str, int], int] = {}
-        self._writes: deque[tuple[tuple[str, int], Future[None]]] = deque()
+        self._writes: deque[tuple[tuple[str, int, int], Future[None]]] = deque()
         #: Why an item could not be written; none is written after it.
         self._failure: BaseException | None = None
         self._writer = ThreadPoolExecutor(1, "item writer")
         self._reader = ThreadPoolExecutor(1, "item reader")
 
     def generation(self, group: str, frame: int) -> int:
-        """Generation of an item; −1 if it does not exist."""
+        """The newest generation of an item; −1 if it does not exist."""
         written = self._written.get((group, frame))
         return self.backing.generation(group, frame) if written is None else written
 
+    def has(self, group: str, frame: int, generation: int) -> bool:
+        """Whether an item is there in this generation."""
+        return self._written.get((group, frame)) == generation or self.backing.has(group, frame, generation)
+
     # ---------------------------------------------------------------- reading
 
-    def read(self, group: str, frame: int, names: Collection[str]) -> _Tensors:
-        """The named tensors of an item, in single precision.
+    def read(self, group: str, frame: int, names: Collection[str], generation: int | None = None) -> _Tensors:
+        """The named tensors of an item, in single precision, of a generation, or of the newest one.
 
         Raises:
             DamagedItemError: the item is not what was written.
         """
-        return next(self.read_each([[(group, frame, names)]]))[0]
+        return next(self.read_each([[Request(group, frame, names, generation)]]))[0]
 
     def read_each(self, requests: Iterable[Sequence[Request]]) -> Iterator[list[_Tensors]]:
         """The results of one group of requests after the other; what the next ones need is loaded meanwhile."""
         waiting: tuple[Sequence[Request], list[Future[Arrays] | None]] | None = None
         for group in requests:
+            group = [self._settled(request) for request in group]
             loading = [
                 self._reader.submit(self._load, request) if self._missing(request) else None for request in group
             ]
@@ -81,39 +94,41 @@ class DeviceStore:
         if waiting is not None:
             yield self._taken(*waiting)
 
+    def _settled(self, request: Request) -> Request:
+        """A request that says which generation it means."""
+        newest = self.generation(request.group, request.frame) if request.generation is None else request.generation
+        return request._replace(generation=newest)
+
     def _missing(self, request: Request) -> list[str]:
         """The names of the arrays that are not on the device."""
-        group, frame, names = request
-        return [name for name in names if (group, frame, name) not in self._kept]
+        return [name for name in request.names if _key(request, name) not in self._kept]
 
     def _load(self, request: Request) -> Arrays:
         """The arrays that are not on the device, from the store."""
-        group, frame, _ = request
-        self._await(group, frame)
-        return self.backing.read(group, frame, self._missing(request))
+        return self._stored(request, self._missing(request))
 
-    def _await(self, group: str, frame: int) -> None:
-        """Wait until the store has what was written of an item."""
+    def _stored(self, request: Request, names: Collection[str]) -> Arrays:
+        """Some arrays from the store, once it has what was written."""
         for key, write in list(self._writes):
-            if key == (group, frame):
+            if key == (request.group, request.frame, request.generation):
                 write.result()
+        return self.backing.read(request.group, request.frame, names, request.generation)
 
     def _taken(self, requests: Sequence[Request], loading: Sequence[Future[Arrays] | None]) -> list[_Tensors]:
         """The requested tensors; those that were not on the device are being loaded."""
         results = []
-        for (group, frame, names), future in zip(requests, loading, strict=True):
+        for request, future in zip(requests, loading, strict=True):
             loaded = {} if future is None else future.result()
             # Taken before any is kept, since keeping one may make others go.
-            tensors = {name: self._kept.get((group, frame, name)) for name in names}
+            tensors = {name: self._kept.get(_key(request, name)) for name in request.names}
             evicted = [name for name, tensor in tensors.items() if tensor is None and name not in loaded]
             if evicted:
-                self._await(group, frame)
-                loaded = loaded | self.backing.read(group, frame, evicted)
+                loaded = loaded | self._stored(request, evicted)
             found: _Tensors = {}
             for name, tensor in tensors.items():
                 if tensor is None:
                     tensor = _on_device(loaded[name])
-                self._keep((group, frame, name), tensor)
+                self._keep(_key(request, name), tensor)
                 found[name] = mi.TensorXf(tensor)
             results.append(found)
         return results
@@ -128,7 +143,7 @@ class DeviceStore:
         arrays: Mapping[str, mi.TensorXf | mi.TensorXf16],
         durable: bool = False,
     ) -> None:
-        """Write an item, replacing its earlier generation.
+        """Write an item, replacing its earlier generations.
 
         Args:
             group, frame, generation, durable: see `Store`.
@@ -139,12 +154,12 @@ class DeviceStore:
         """
         self._forget(lambda key: key[:2] == (group, frame))
         for name, array in arrays.items():
-            self._keep((group, frame, name), array)
+            self._keep((group, frame, generation, name), array)
         host = {name: HostCopy(array.torch()) for name, array in arrays.items()}
         while len(self._writes) >= _WAITING:
             self._finish_oldest()
         write = self._writer.submit(self._write, group, frame, generation, host, durable)
-        self._writes.append(((group, frame), write))
+        self._writes.append(((group, frame, generation), write))
         self._written[group, frame] = generation
 
     def _write(self, group: str, frame: int, generation: int, arrays: Mapping[str, HostCopy], durable: bool) -> None:
@@ -172,12 +187,12 @@ class DeviceStore:
         while self._writes:
             self._finish_oldest()
 
-    def discard(self, group: str, frame: int) -> None:
-        """Remove an item, once the store has everything that was written."""
+    def discard(self, group: str, frame: int, generation: int | None = None) -> None:
+        """Remove an item, or only one generation of it, once the store has everything that was written."""
         self.finish()
         self._forget(lambda key: key[:2] == (group, frame))
         self._written.pop((group, frame), None)
-        self.backing.discard(group, frame)
+        self.backing.discard(group, frame, generation)
 
     def clear(self) -> None:
         """Remove all items and numbers, once the store has everything that was written."""
@@ -218,6 +233,12 @@ class DeviceStore:
     def _forget(self, chosen: Callable[[_Key], bool]) -> None:
         for key in [key for key in self._kept if chosen(key)]:
             self._size -= _bytes(self._kept.pop(key))
+
+
+def _key(request: Request, name: str) -> _Key:
+    """The key of an array of a request that says which generation it means."""
+    assert request.generation is not None
+    return request.group, request.frame, request.generation, name
 
 
 def _on_device(array: np.ndarray) -> mi.TensorXf | mi.TensorXf16:

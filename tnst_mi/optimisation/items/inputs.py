@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -49,6 +49,23 @@ class Inputs:
 def region_name(target: int) -> str:
     """The name of the array that holds the mask of a target, counted from 0."""
     return f"region {target}"
+
+
+def input_names(plan: Plan, frame: FramePlan) -> tuple[str, ...]:
+    """The names of the arrays that `Inputs` are made of."""
+    named = [region_name(i) for i, present in enumerate(_regions_present(plan)) if present]
+    return ("density", "mask", *named, *(["allowed"] if frame.keeps_silhouette else []))
+
+
+def inputs_of(plan: Plan, arrays: Mapping[str, mi.TensorXf]) -> Inputs:
+    """The inputs of a frame, made of arrays by name."""
+    masks = tuple(arrays.get(region_name(i)) for i in range(len(_regions_present(plan))))
+    return Inputs(arrays["density"], arrays["mask"], masks, arrays.get("allowed"))
+
+
+def _regions_present(plan: Plan) -> list[bool]:
+    """For each target, whether it has a mask; none at all if there are no regions."""
+    return [] if plan.regions is None else plan.regions.present
 
 
 def octave_inputs(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,18 @@ class Log:
         self._of: dict[str, list[dict[str, Any]]] = {}
 
     @classmethod
-    def read(cls, path: Path, run: str) -> Log:
-        """The entries of a run in a file, none if there is no file; lines that are not what was written are left out.
+    def read(cls, paths: Iterable[Path], run: str) -> Log:
+        """The entries of a run in some files, if they are there; lines that are not what was written are left out.
 
         The iteration of a line that a killed run has left incomplete is repeated by the run that goes on.
         """
         log = cls()
-        text = path.read_bytes().decode("utf-8", "replace") if path.is_file() else ""
-        for line in text.splitlines():
-            _, _, entry = line.partition(" ")
-            if line == log_line(entry, run):
-                log.add(json.loads(entry))
+        for path in paths:
+            text = path.read_bytes().decode("utf-8", "replace") if path.is_file() else ""
+            for line in text.splitlines():
+                _, _, entry = line.partition(" ")
+                if line == log_line(entry, run):
+                    log.add(json.loads(entry))
         return log
 
     def add(self, entry: dict[str, Any]) -> None:

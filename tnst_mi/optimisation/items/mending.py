@@ -23,7 +23,7 @@ class Mending:
 
     def __init__(self, plan: Plan, store: DeviceStore) -> None:
         self._plan, self._store = plan, store
-        self._found: set[tuple[str | None, int]] = set()
+        self._found: set[tuple[str | None, int, int]] = set()
 
     def mend(self, damage: DamagedItemError) -> None:
         """Remove what is damaged, and what can only be made anew together with it.
@@ -32,7 +32,7 @@ class Mending:
             DamagedItemError: the same item was damaged before: what is written does not stay as it was.
             OSError: it cannot be removed.
         """
-        item = damage.group, damage.frame
+        item = damage.group, damage.frame, damage.generation
         if item in self._found:
             raise damage
         self._found.add(item)
@@ -45,7 +45,7 @@ class Mending:
         kind, _, level = damage.group.partition(".")
         fields, name = f"fields.{level}", self._plan.frames[damage.frame].name
         done = self._store.generation(fields, damage.frame)
-        taken = kind == "step" and self._store.generation(damage.group, damage.frame) <= done
+        taken = kind == "step" and damage.generation <= done
         if kind == "fields" and self._plan.window == 1:
             self._store.discard(fields, damage.frame)
             lost = f"{name} begins octave {int(level) + 1} again"
@@ -56,6 +56,6 @@ class Mending:
                 self._store.remove(group)
             lost = f"octave {int(level) + 1} begins again"
         else:
-            self._store.discard(damage.group, damage.frame)
+            self._store.discard(damage.group, damage.frame, damage.generation)
             lost = "it is made anew"
         self._store.backing.note(f"{damage.group} of {name} was damaged; {lost}")

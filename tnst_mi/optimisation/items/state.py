@@ -5,7 +5,10 @@ inputs.o    density, mask and simulation velocity of a frame, and how far its ce
 fields.o    the optimised fields; generation = iterations done
 gain.o      normalises the average over the window to that over smoke, see `averaging_gain`
 step.o      the step of one iteration along the frame's own gradient, or the gradient itself, and the change
-            of the density that it starts from; generation = iterations done
+            of the density that it starts from; generation = that of the fields that it leads to
+
+So everything that an iteration reads is known by its number: where frames are stylized by several processes, some may
+be an iteration ahead of others.
 """
 
 from __future__ import annotations
@@ -15,19 +18,18 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.items.device_store import DeviceStore, Request
-from tnst_mi.optimisation.items.inputs import INSIDE, Inputs, octave_inputs, region_name
+from tnst_mi.optimisation.items.inputs import INSIDE, Inputs, input_names, inputs_of, octave_inputs
 from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
 from tnst_mi.optimisation.items.store import DamagedItemError
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.temporal.alignment import averaging_gain, transported_sums
+from tnst_mi.optimisation.temporal.alignment import averaging_gain, still_fields, transported_sums
 from tnst_mi.optimisation.temporal.window import reading_order, window_of
 
 _GROUPS = ("inputs", "fields", "gain", "step")
@@ -38,11 +40,12 @@ CHECKPOINT_SECONDS = 30.0
 
 @dataclass(frozen=True)
 class Current:
-    """A frame as it stands in an octave: its plan, its inputs, and its fields, all tensors on the device."""
+    """A frame as it stands in an octave, after `done` iterations: its inputs and its fields, tensors on the device."""
 
     frame: FramePlan
     inputs: Inputs
     fields: Fields
+    done: int
 
 
 class Items:
@@ -59,10 +62,12 @@ class Items:
         plan: of the sequence.
         level: which octave, from 0.
         store: where the items are kept.
+        known: by frame, the iterations that are done, where other processes do some too; None to ask the store.
     """
 
-    def __init__(self, plan: Plan, level: int, store: DeviceStore) -> None:
+    def __init__(self, plan: Plan, level: int, store: DeviceStore, known: Mapping[int, int] | None = None) -> None:
         self.plan, self.level, self.octave, self._store = plan, level, plan.octaves[level], store
+        self._known = {} if known is None else dict(known)
         self._alone = plan.window == 1
         self._inputs: dict[int, Inputs] = {}
         #: By frame: iterations done, and the fields after them.
@@ -83,27 +88,27 @@ class Items:
     def iterations_done(self, frame: FramePlan) -> int:
         """Number of iterations done on a frame; −1 if it has not entered the octave."""
         kept = self._fields.get(frame.index)
-        return self._store.generation(self._group("fields"), frame.index) if kept is None else kept[0]
+        return self._stored_iterations(frame) if kept is None else kept[0]
 
-    def steps_found(self, frame: FramePlan) -> int:
-        """Number of iterations whose own step has been computed for a frame, including those already applied."""
-        found = self._found.get(frame.index)
-        if found is None:
-            found = self._store.generation(self._group("step"), frame.index)
-        return max(found, self.iterations_done(frame))
+    def step_found(self, frame: FramePlan, k: int) -> bool:
+        """Whether the own step of iteration k has been computed for a frame, and perhaps applied."""
+        if k < max(self.iterations_done(frame), self._found.get(frame.index, 0)):
+            return True
+        return self._store.has(self._group("step"), frame.index, k + 1)
 
     def require_in_step(self) -> None:
-        """Check that no frame of a window is further behind the others than a run that was killed can leave one.
+        """Check that the steps that each frame of a window follows next are there, or can still be made.
 
         Raises:
             DamagedItemError: the fields of one have got lost, so that it would follow steps of later iterations.
         """
-        alive, steps = self.plan.alive, self._group("step")
-        last = min(alive, key=self.iterations_done)
-        most = self.iterations_done(last) + 1
-        furthest = max(max(self.iterations_done(f), self._store.generation(steps, f.index)) for f in alive)
-        if furthest > most:
-            raise DamagedItemError(f"fields of {last.name}", "they have got lost", self._group("fields"), last.index)
+        done = {frame.index: self.iterations_done(frame) for frame in self.plan.alive}
+        for frame in self.plan.alive:
+            following = done[frame.index] + 1
+            for i in self.plan.followed_by(frame.index) if following <= self.plan.iterations(self.level) else ():
+                if done[i] >= following and not self._store.has(self._group("step"), i, following):
+                    what, group = f"fields of {frame.name}", self._group("fields")
+                    raise DamagedItemError(what, "they have got lost", group, frame.index, done[frame.index])
 
     def outcomes(self) -> Iterator[Outcome]:
         """The outcomes of own steps that have been read and not yet taken from here."""
@@ -122,7 +127,7 @@ class Items:
         """Fields that came from elsewhere, faded to 0 at the border of a frame's regions."""
         if self.plan.regions is None or not self.plan.regions.bounded:
             return fields
-        inside = self._store.read(self._group("inputs"), frame.index, [INSIDE])[INSIDE]
+        inside = self._store.read(self._group("inputs"), frame.index, [INSIDE], 0)[INSIDE]
         return Fields({name: times(inside, field) for name, field in fields.items()})
 
     def enter_fields(self, frame: FramePlan, coarser: Items | None) -> None:
@@ -145,8 +150,8 @@ class Items:
         if self._store.generation(self._group("gain"), frame.index) >= 0:
             return
         weights = self.plan.window_weights
-        total = self.windowed_sums(frame, "inputs", ["mask"], weights)["mask"]
-        mask = self._store.read(self._group("inputs"), frame.index, ["mask"])["mask"]
+        total = self.windowed_sums(frame, "inputs", 0, ["mask"], weights)["mask"]
+        mask = self._store.read(self._group("inputs"), frame.index, ["mask"], 0)["mask"]
         gain = mi.TensorXf16(averaging_gain(mask, total, weights[0]))
         self._store.write(self._group("gain"), frame.index, 0, {"gain": gain})
 
@@ -162,91 +167,83 @@ class Items:
         """The frames one by one as they stand; the next one is read ahead."""
         waiting = list(frames)
         if self._alone and all(frame.index in self._inputs for frame in waiting):
-            yield from (Current(frame, self._inputs[frame.index], self.fields(frame)) for frame in waiting)
+            yield from (
+                Current(frame, self._inputs[frame.index], self.fields(frame), self.iterations_done(frame))
+                for frame in waiting
+            )
             return
         requests = (
-            [(self._group("inputs"), frame.index, self._input_names(frame)), self._fields_request(frame)]
+            [
+                Request(self._group("inputs"), frame.index, input_names(self.plan, frame), 0),
+                self._fields_request(frame, self.iterations_done(frame)),
+            ]
             for frame in waiting
         )
         for frame, (inputs, fields) in zip(waiting, self._store.read_each(requests), strict=True):
-            now = Current(frame, self._inputs_of(inputs), Fields(fields))
+            now = Current(frame, inputs_of(self.plan, inputs), Fields(fields), self.iterations_done(frame))
             if self._alone:
                 self._inputs = {frame.index: now.inputs}
-                self._fields = {frame.index: (self._stored_iterations(frame), now.fields)}
+                self._fields = {frame.index: (now.done, now.fields)}
             yield now
 
     def fields(self, frame: FramePlan) -> Fields:
         """The current fields of a frame."""
         kept = self._fields.get(frame.index)
-        return Fields(self._store.read(*self._fields_request(frame))) if kept is None else kept[1]
+        if kept is not None:
+            return kept[1]
+        return Fields(self._store.read(*self._fields_request(frame, self._stored_iterations(frame))))
 
-    @property
-    def _regions_present(self) -> list[bool]:
-        """For each target, whether it has a mask; none at all if there are no regions."""
-        return [] if self.plan.regions is None else self.plan.regions.present
+    def _fields_request(self, frame: FramePlan, done: int) -> Request:
+        return Request(self._group("fields"), frame.index, tuple(frame.parameterisation.channels), done)
 
-    def _input_names(self, frame: FramePlan) -> tuple[str, ...]:
-        named = [region_name(i) for i, present in enumerate(self._regions_present) if present]
-        return ("density", "mask", *named, *(["allowed"] if frame.keeps_silhouette else []))
-
-    def _inputs_of(self, arrays: Mapping[str, mi.TensorXf]) -> Inputs:
-        masks = tuple(arrays.get(region_name(i)) for i in range(len(self._regions_present)))
-        return Inputs(arrays["density"], arrays["mask"], masks, arrays.get("allowed"))
-
-    def _fields_request(self, frame: FramePlan) -> Request:
-        return self._group("fields"), frame.index, tuple(frame.parameterisation.channels)
-
-    def averaged_step(self, frame: FramePlan) -> Fields:
+    def averaged_step(self, now: Current) -> Fields:
         """The steps, or gradients, of a frame's window, transported to it (paper Eq. 8) and averaged (Eq. 9).
 
         The average is that over smoke, times the frame's mask; or the plain one, with weights that sum to 1 over the
         frames that the window has.
         """
+        frame, following = now.frame, now.done + 1
         names, weights = list(frame.parameterisation.channels), self.plan.window_weights
         if self.plan.recipe.window_average == "plain":
             window = window_of(frame.index, len(self.plan.frames), self.plan.window)
             present = sum(weights[abs(i - frame.index)] for i in window)
-            sums = Fields(self.windowed_sums(frame, "step", names, weights / present))
+            sums = Fields(self.windowed_sums(frame, "step", following, names, weights / present))
             # Gradients are masked later, when a step is made of their average.
             return sums if self.plan.averages_gradients else self._inside(frame, sums)
-        sums = self.windowed_sums(frame, "step", names, weights)
-        gain = self._store.read(self._group("gain"), frame.index, ["gain"])["gain"]
+        sums = self.windowed_sums(frame, "step", following, names, weights)
+        gain = self._store.read(self._group("gain"), frame.index, ["gain"], 0)["gain"]
         return Fields({name: times(gain, total) for name, total in sums.items()})
 
     def windowed_sums(
-        self, frame: FramePlan, kind: str, names: Sequence[str], weights: np.ndarray
+        self, frame: FramePlan, kind: str, generation: int, names: Sequence[str], weights: np.ndarray
     ) -> dict[str, mi.TensorXf]:
-        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of one kind of item, with weights by distance."""
+        """Σ_i ω_|i−t| T_i^t(f_i) of the named arrays of a generation of one kind of item, with weights by distance."""
         self.settle()
         index = frame.index
         window = window_of(index, len(self.plan.frames), 2 * len(weights) - 1)
         order = reading_order(index, window)
         # Past frames are transported forwards by their own u_i, future ones backwards by u_{i−1}.
-        velocities: list[Request] = [(self._group("inputs"), i if i < index else i - 1, ("velocity",)) for i in order]
-        wanted = [[*self._requests(i, kind, names), velocity] for i, velocity in zip(order, velocities, strict=True)]
-        results = self._store.read_each([self._requests(index, kind, names), *wanted])
+        velocities = [Request(self._group("inputs"), i if i < index else i - 1, ("velocity",), 0) for i in order]
+        wanted = [
+            [*self._requests(i, kind, generation, names), velocity]
+            for i, velocity in zip(order, velocities, strict=True)
+        ]
+        results = self._store.read_each([self._requests(index, kind, generation, names), *wanted])
         own = self._filled(next(results), names, frame)
         neighbours = ((self._filled(fields, names, frame), velocity["velocity"]) for *fields, velocity in results)
         return transported_sums(own, weights, window, index, neighbours, self.octave.cell_size)
 
-    def _requests(self, index: int, kind: str, names: Sequence[str]) -> list[Request]:
+    def _requests(self, index: int, kind: str, generation: int, names: Sequence[str]) -> list[Request]:
         """For the named arrays of an item; nothing for a frame that stays unchanged."""
-        return [] if self.plan.frames[index].still else [(self._group(kind), index, names)]
+        return [] if self.plan.frames[index].still else [Request(self._group(kind), index, names, generation)]
 
     def _filled(self, read: list[dict[str, mi.TensorXf]], names: Sequence[str], frame: FramePlan) -> Fields:
         """What was read; zeros for a frame that stays unchanged, which counts as one without smoke."""
-        if read:
-            return Fields(read[0])
-        shape, channels = self.octave.shape, frame.parameterisation.channels
-        return Fields(
-            {
-                name: mi.TensorXf(dr.zeros(mi.TensorXf16, (*shape, 3) if channels.get(name) == 3 else shape))
-                for name in names
-            }
-        )
+        return Fields(read[0] if read else still_fields(names, frame.parameterisation.channels, self.octave.shape))
 
     def _stored_iterations(self, frame: FramePlan) -> int:
-        return self._store.generation(self._group("fields"), frame.index)
+        known = self._known.get(frame.index)
+        return self._store.generation(self._group("fields"), frame.index) if known is None else known
 
     # ---------------------------------------------------------------- writing
 

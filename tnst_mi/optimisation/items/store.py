@@ -1,14 +1,17 @@
-"""The working state of a run: arrays by group, frame and generation, on disk or in memory.
+"""The working state of a run, on disk or in memory.
 
-A generation counts how often an item has been replaced. Items are written atomically, and the content of an item
-depends only on other items; so the items that a killed run leaves are a valid state, from which the run resumes by
-computing what is missing. On disk an item is one safetensors file, read without pickle and with its sizes checked:
+Items are written atomically, and the content of an item depends only on other items; so the items that a killed run
+leaves are a valid state, from which the run resumes by computing what is missing. On disk an item is one safetensors
+file, read without pickle and with its sizes checked:
 
-    GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl
+    GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl        log/MEMBER.jsonl
 
 It holds a checksum of each array together with the item's name and the run that it belongs to. So an item that is
 truncated, that has lost its contents with the power, or that has another's name is found when it is read. Numbers, and
 each line of the log, have a checksum too.
+
+Several processes may work on one state: each item is written by one of them, and each has a log of its own, so they
+need no locks.
 """
 
 from __future__ import annotations
@@ -16,7 +19,6 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -27,74 +29,10 @@ from safetensors.numpy import save
 
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
 from tnst_mi.optimisation.items.damage import DamagedItemError, reading, remove_misplaced
+from tnst_mi.optimisation.items.interface import Arrays, Store
 from tnst_mi.optimisation.items.log import Log, log_line
 
-#: What one item holds, by name.
-Arrays = dict[str, np.ndarray]
-
 _ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
-
-
-class Store(ABC):
-    """Items by group and frame; the newest generation of each is kept."""
-
-    @abstractmethod
-    def generation(self, group: str, frame: int) -> int:
-        """Generation of an item; −1 if it does not exist."""
-
-    @abstractmethod
-    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
-        """The arrays of an item, or only the named ones, as they were written.
-
-        Raises:
-            DamagedItemError: the item is not what was written.
-        """
-
-    @abstractmethod
-    def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
-        """Write an item, replacing its earlier generation.
-
-        Args:
-            group, frame, generation: of the item.
-            arrays: by name.
-            durable: whether it has to outlast a loss of power, with the log so far.
-        """
-
-    @abstractmethod
-    def discard(self, group: str, frame: int) -> None:
-        """Remove an item."""
-
-    @abstractmethod
-    def remove(self, group: str) -> None:
-        """Remove all items of a group, if there are any, in one step."""
-
-    @abstractmethod
-    def clear(self) -> None:
-        """Remove all items and numbers, so that the run begins anew; the log stays."""
-
-    @abstractmethod
-    def note(self, remark: str) -> None:
-        """Say something to the user."""
-
-    @abstractmethod
-    def numbers(self, name: str) -> dict[str, float] | None:
-        """A set of named numbers, or None if it has not been written.
-
-        Raises:
-            DamagedItemError: the numbers are not what was written.
-        """
-
-    @abstractmethod
-    def write_numbers(self, name: str, numbers: dict[str, float]) -> None:
-        """Write a set of named numbers."""
-
-    @abstractmethod
-    def log(self, entry: dict[str, Any]) -> None:
-        """Add an entry to the log; its "frame" is the name of the frame that it is about."""
-
-    @abstractmethod
-    def entries(self, frame: str) -> list[dict[str, Any]]:
-        """The log of a frame so far."""
 
 
 class MemoryStore(Store):
@@ -109,7 +47,13 @@ class MemoryStore(Store):
         """See `Store`."""
         return self._items.get((group, frame), (-1,))[0]
 
-    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
+    def has(self, group: str, frame: int, generation: int) -> bool:
+        """See `Store`."""
+        return self.generation(group, frame) == generation
+
+    def read(
+        self, group: str, frame: int, names: Collection[str] | None = None, generation: int | None = None
+    ) -> Arrays:
         """See `Store`."""
         item = self._items[group, frame][1]
         return {name: array for name, array in item.items() if names is None or name in names}
@@ -118,9 +62,10 @@ class MemoryStore(Store):
         """See `Store`."""
         self._items[group, frame] = generation, arrays
 
-    def discard(self, group: str, frame: int) -> None:
+    def discard(self, group: str, frame: int, generation: int | None = None) -> None:
         """See `Store`."""
-        self._items.pop((group, frame), None)
+        if generation is None or self.has(group, frame, generation):
+            self._items.pop((group, frame), None)
 
     def clear(self) -> None:
         """See `Store`."""
@@ -159,6 +104,9 @@ class FolderStore(Store):
         may_write: called before anything is written or removed; raises if that must not happen any more.
         say: how to say something to the user.
         read_only: leave everything as it is, what a killed run has left unfinished included.
+        member: names this process where it joins others that work on the state already, for its log. It looks nothing
+            up, since what is on other machines may show late in listings, and knows what it has been `told` of or has
+            written. Earlier generations stay until they are released.
     """
 
     def __init__(
@@ -168,41 +116,68 @@ class FolderStore(Store):
         may_write: Callable[[], None] = lambda: None,
         say: Callable[[str], None] = lambda remark: None,
         read_only: bool = False,
+        member: str | None = None,
     ) -> None:
         self.folder, self._run, self._may_write, self._say = folder, run, may_write, say
-        self._generations: dict[tuple[str, int], int] = {}
+        self._log = folder / "metrics.jsonl" if member is None else folder / "log" / f"{member}.jsonl"
+        #: Whether no other process works on the state.
+        self._alone = member is None
+        #: The generations of each item.
+        self._generations: dict[tuple[str, int], set[int]] = {}
         self._entries: Log | None = None
+        if member is not None:
+            return
         if not read_only:
             remove_unfinished(folder)
             remove_misplaced(folder, (self._numbers, self._log))
-        # A killed run may leave two generations of an item, both complete, and unfinished files.
-        for path in sorted(folder.glob("*/*.safetensors")):
-            match = _ITEM.fullmatch(path.name)
-            if path.parent.is_symlink():
-                continue
-            if match and read_only:
-                # The later generation of an item comes last.
-                self._generations[path.parent.name, int(match[1])] = int(match[2])
-            elif match:
-                self._take(path.parent.name, int(match[1]), int(match[2]))
-            elif not read_only:
-                path.unlink()
+        self._find(keep_others=read_only)
+
+    def share(self) -> None:
+        """From now on other processes work on the state too: earlier generations stay until they are released."""
+        self._alone = False
+
+    def told(self, group: str, frame: int, generation: int) -> None:
+        """Take note of an item that another process has written."""
+        self._generations.setdefault((group, frame), set()).add(generation)
+
+    def found(self, group: str, frame: int) -> int:
+        """The newest generation of an item in the folder itself, of which note is taken; −1 if there is none."""
+        for path in sorted((self.folder / group).glob(f"{frame:06d}.*.safetensors")):
+            if match := _ITEM.fullmatch(path.name):
+                self.told(group, frame, int(match[2]))
+        return self.generation(group, frame)
+
+    def release(self, group: str, frame: int, below: int) -> None:
+        """Remove the generations of an item before one of them: nobody needs them any more."""
+        self._may_write()
+        generations = self._generations.get((group, frame), set())
+        for earlier in [generation for generation in generations if generation < below]:
+            self._path(group, frame, earlier).unlink(missing_ok=True)
+            generations.remove(earlier)
 
     def generation(self, group: str, frame: int) -> int:
         """See `Store`."""
-        return self._generations.get((group, frame), -1)
+        return max(self._generations.get((group, frame), ()), default=-1)
 
-    def read(self, group: str, frame: int, names: Collection[str] | None = None) -> Arrays:
+    def has(self, group: str, frame: int, generation: int) -> bool:
         """See `Store`."""
-        path = self._path(group, frame, self.generation(group, frame))
-        with reading(path, group, frame), safe_open(path, framework="numpy") as item:
+        return generation in self._generations.get((group, frame), ())
+
+    def read(
+        self, group: str, frame: int, names: Collection[str] | None = None, generation: int | None = None
+    ) -> Arrays:
+        """See `Store`."""
+        generation = self.generation(group, frame) if generation is None else generation
+        path = self._path(group, frame, generation)
+        with reading(path, group, frame, generation), safe_open(path, framework="numpy") as item:
             written = item.metadata() or {}
             found = {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
         if names is not None and set(names) - set(found):
-            raise DamagedItemError(path, "arrays are missing", group, frame)
+            raise DamagedItemError(path, "arrays are missing", group, frame, generation)
         for name, array in found.items():
             if written.get(name) != self._checksum(path, name, array):
-                raise DamagedItemError(path, f"the checksum of {name} is another", group, frame)
+                raise DamagedItemError(path, f"the checksum of {name} is another", group, frame, generation)
+            self.bytes_read += array.nbytes
         return found
 
     def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
@@ -216,14 +191,18 @@ class FolderStore(Store):
         with written_whole(path, durable) as temporary:
             # Written here rather than by the library, whose error does not show that the disk is full.
             temporary.write_bytes(save(arrays, checksums))
-        self._take(group, frame, generation)
+        self.bytes_written += sum(array.nbytes for array in arrays.values())
+        self.told(group, frame, generation)
+        if self._alone:
+            self.release(group, frame, generation)
 
-    def discard(self, group: str, frame: int) -> None:
+    def discard(self, group: str, frame: int, generation: int | None = None) -> None:
         """See `Store`."""
         self._may_write()
-        generation = self._generations.pop((group, frame), None)
-        if generation is not None:
-            remove_folder(self._path(group, frame, generation))
+        generations = self._generations.get((group, frame), set())
+        for one in [one for one in generations if generation in (None, one)]:
+            remove_folder(self._path(group, frame, one))
+            generations.remove(one)
 
     def remove(self, group: str) -> None:
         """See `Store`."""
@@ -263,18 +242,19 @@ class FolderStore(Store):
             self._entries.add(entry)
 
     def entries(self, frame: str) -> list[dict[str, Any]]:
-        """See `Store`; the file is read once, and what is logged from then on is kept."""
+        """See `Store`; the files are read once, and what is logged from then on is kept, if nobody else logs."""
+        if not self._alone:
+            return self._all_entries().of(frame)
         if self._entries is None:
-            self._entries = Log.read(self._log, self._run)
+            self._entries = self._all_entries()
         return self._entries.of(frame)
+
+    def _all_entries(self) -> Log:
+        return Log.read([self.folder / "metrics.jsonl", *sorted(self.folder.glob("log/*.jsonl"))], self._run)
 
     @property
     def _numbers(self) -> Path:
         return self.folder / "numbers.json"
-
-    @property
-    def _log(self) -> Path:
-        return self.folder / "metrics.jsonl"
 
     def _all_numbers(self) -> dict[str, dict[str, float]]:
         if not self._numbers.exists():
@@ -297,9 +277,12 @@ class FolderStore(Store):
     def _path(self, group: str, frame: int, generation: int) -> Path:
         return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"
 
-    def _take(self, group: str, frame: int, generation: int) -> None:
-        """Record an item as the newest generation, and remove the previous one."""
-        earlier = self._generations.get((group, frame))
-        if earlier is not None and earlier != generation:
-            self._path(group, frame, earlier).unlink(missing_ok=True)
-        self._generations[group, frame] = generation
+    def _find(self, keep_others: bool) -> None:
+        """Take note of the items that are there: a killed run may leave earlier generations that are still needed."""
+        for path in self.folder.glob("*/*.safetensors"):
+            if path.parent.is_symlink():
+                continue
+            if match := _ITEM.fullmatch(path.name):
+                self.told(path.parent.name, int(match[1]), int(match[2]))
+            elif not keep_others:
+                path.unlink()

@@ -12,13 +12,14 @@ component, as in the paper: they move with the smoke but are neither rotated nor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from tnst_mi.fields.advection import step
+from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque
 
 #: Below this share of smoke an average over smoke is meaningless, and the frame's own mask is practically 0.
@@ -61,6 +62,19 @@ def transported_sums(
             totals[name] = totals[name] + field
     dr.eval(totals)
     return totals
+
+
+def still_fields(names: Sequence[str], channels: Mapping[str, int], shape: Shape) -> dict[str, mi.TensorXf]:
+    """The fields of a frame that stays unchanged, which counts as one without smoke: 0 everywhere.
+
+    Args:
+        names: of the fields.
+        channels: of those that are vectors, 3.
+        shape: (D, H, W).
+    """
+    return {
+        name: mi.TensorXf(dr.zeros(mi.TensorXf, (*shape, 3) if channels.get(name) == 3 else shape)) for name in names
+    }
 
 
 def averaging_gain(mask: mi.TensorXf, transported_mask: mi.TensorXf, own_weight: float) -> mi.TensorXf:

@@ -34,7 +34,7 @@ _FLOOR = 1e-12
 def coherence_step(plan: Plan, now: Current, items: Items) -> Fields:
     """A step of each field that brings the change of a frame nearer to the average of the changes around it."""
     weights, frame = window_weights(WINDOW), now.frame
-    total = items.windowed_sums(frame, "step", ["change"], weights)["change"]
+    total = items.windowed_sums(frame, "step", now.done + 1, ["change"], weights)["change"]
     # Frames that stay unchanged have no change to follow.
     window = [i for i in window_of(frame.index, len(plan.frames), WINDOW) if not plan.frames[i].still]
     present = sum(weights[abs(i - frame.index)] for i in window)
