@@ -46,6 +46,9 @@ class StylizeArguments(Arguments):
     """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
+    cluster: Annotated[str | None, tyro.conf.arg(metavar="local:N|tcp://…|slurm[:FILE]")] = None
+    """Have several processes do the work, to the same bits: N on this machine, a Dask cluster by its scheduler's
+    address, or jobs of a batch system (docs/cluster.md)."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
     """What to stylize towards."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from tnst_mi.cluster.address import cluster_of
 from tnst_mi.commands.base import given, say
 from tnst_mi.commands.run_arguments import StylizeArguments
 from tnst_mi.errors import InputError, StoppedError
@@ -20,12 +21,13 @@ from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
 
 if TYPE_CHECKING:
+    from tnst_mi.cluster import run as cluster_run
     from tnst_mi.run import job, prepare
     from tnst_mi.run import record as run_record
 else:
     # They import torch, and most mistakes are found without it.
     job, prepare = LazyModule("tnst_mi.run.job"), LazyModule("tnst_mi.run.prepare")
-    run_record = LazyModule("tnst_mi.run.record")
+    run_record, cluster_run = LazyModule("tnst_mi.run.record"), LazyModule("tnst_mi.cluster.run")
 
 #: Share of a frame's smoke whose loss or gain is remarked upon, and by how much this may differ between frames.
 _MASS_REMARKED, _DRIFT_REMARKED = 0.05, 0.03
@@ -43,16 +45,24 @@ def run(arguments: StylizeArguments) -> int:
     for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     out, resume, overwrite, begin = arguments.out, arguments.resume, arguments.overwrite, arguments.start_from
+    cluster = None if arguments.cluster is None else cluster_of(arguments.cluster)
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(
-            source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin, progress=True
+            source,
+            recipe,
+            out,
+            resume=resume,
+            overwrite=overwrite,
+            start_from=begin,
+            processes=max(1, cluster.processes if cluster else 1),
+            progress=True,
         )
     except KeyboardInterrupt:
         raise StoppedError(
             "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
-    return reported(job.Run(prepared))
+    return reported(job.Run(prepared) if cluster is None else cluster_run.ClusterRun(prepared, cluster))
 
 
 def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:

@@ -9,14 +9,19 @@ from __future__ import annotations
 import errno
 import glob
 import os
+import platform
 import shutil
 import threading
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 #: How the names of what is unfinished begin, which nobody else's do.
 UNFINISHED = ".tnst_mi-"
+
+#: Tells this machine from others, which may write to the same folder from a process of the same number.
+_MACHINE = f"{zlib.crc32(platform.node().encode('utf-8')):08x}"
 
 #: Bytes written to find out why a library could not write.
 _PROBE = 1 << 20
@@ -37,7 +42,8 @@ def written_whole(path: Path, durable: bool = True) -> Iterator[Path]:
         OSError: it cannot be written.
     """
     make_folder(path.parent)
-    temporary = path.with_name(f"{UNFINISHED}{path.stem}.{os.getpid()}.{threading.get_native_id()}{path.suffix}")
+    here = f"{_MACHINE}.{os.getpid()}.{threading.get_native_id()}"
+    temporary = path.with_name(f"{UNFINISHED}{path.stem}.{here}{path.suffix}")
     try:
         yield temporary
         _publish(temporary, path, durable)

@@ -122,6 +122,16 @@ def _share_threads() -> None:
         os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
+def network_threads(count: int | None = None) -> int:
+    """The number of CPU threads of torch, once it is set to a count; it is set anew whenever a variant is activated.
+
+    Dr.Jit's results do not depend on its threads; the last bits of torch's convolutions do.
+    """
+    if count is not None:
+        torch.set_num_threads(count)
+    return torch.get_num_threads()
+
+
 def on_gpu() -> bool:
     """Whether the active variant computes on a GPU."""
     return (mi.variant() or "").startswith("cuda")

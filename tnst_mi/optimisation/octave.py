@@ -9,9 +9,10 @@ from tnst_mi.losses.evaluation import rms_scales
 from tnst_mi.machine.backend import release_memory
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.items.damage import DamagedItemError
 from tnst_mi.optimisation.items.device_store import DeviceStore
-from tnst_mi.optimisation.items.state import Items
-from tnst_mi.optimisation.items.store import DamagedItemError
+from tnst_mi.optimisation.items.interface import Store
+from tnst_mi.optimisation.items.state import Current, Items
 from tnst_mi.optimisation.plan import FramePlan, Plan
 
 #: Yields the given frames one by one; a run may end in between.
@@ -46,12 +47,19 @@ def entered(plan: Plan, level: int, frames: Sequence[Frame], store: DeviceStore,
         items.enter_fields(frame, earlier[-1] if earlier else None)
     if windowed and plan.alive:
         items.require_in_step()
-    for octave in earlier:
-        # Should an item of this octave be damaged, it can be begun again: see `items.mending`.
-        octave.forget(keep_fields=octave is earlier[-1])
+    forget(earlier)
     for frame in each(plan.alive if windowed and plan.recipe.window_average == "smoke" else ()):
         items.enter_gain(frame)
     return items
+
+
+def forget(earlier: Sequence[Items]) -> None:
+    """Remove the items of octaves that are done, but for the fields of the last one.
+
+    Should an item of the octave that begins with these be damaged, it can be begun again: see `items.mending`.
+    """
+    for octave in earlier:
+        octave.forget(keep_fields=octave is earlier[-1])
 
 
 def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore, each: Each) -> OctaveProblem:
@@ -63,21 +71,43 @@ def calibrated(plan: Plan, items: Items, network: GoogLeNet, store: DeviceStore,
         DamagedItemError: the scales with which the octave began have got lost.
     """
     problem, name = problem_of(plan, items.octave, network), f"scales.{items.level}"
-    scales = store.backing.numbers(name)
-    if scales is None and plan.start is not None and items.level == plan.start.octave and plan.start.scales:
-        scales = dict(plan.start.scales)
-        store.backing.write_numbers(name, scales)
-    if scales is None and any(items.iterations_done(frame) > 0 for frame in plan.alive):
-        raise DamagedItemError(name, "they have got lost")
-    if scales is None and plan.recipe.loss_scaling == "none":
-        scales = problem.scales
-        store.backing.write_numbers(name, scales)
-    elif scales is None:
-        scales = rms_scales(
-            problem.gradient_square_sum(
-                now.frame, now.fields, now.inputs.density, now.frame.seed(items.level, 0), now.inputs.regions
-            )
-            for now in items.current(each(plan.alive))
-        )
+    scales = known_scales(plan, items, store.backing, lambda: problem.scales)
+    if scales is None:
+        scales = rms_scales(calibration(problem, now, items.level) for now in items.current(each(plan.alive)))
         store.backing.write_numbers(name, scales)
     return problem.scaled(scales)
+
+
+def known_scales(
+    plan: Plan, items: Items, store: Store, ones: Callable[[], dict[str, float]]
+) -> dict[str, float] | None:
+    """The scales of an octave's loss where they need not be measured; None if they have to be.
+
+    Args:
+        plan: of the sequence.
+        items: of the octave.
+        store: has them if they were measured before.
+        ones: gives the scales of a loss that is not scaled.
+
+    Raises:
+        DamagedItemError: the scales with which the octave began have got lost.
+    """
+    name = f"scales.{items.level}"
+    if (scales := store.numbers(name)) is not None:
+        return scales
+    if plan.start is not None and items.level == plan.start.octave and plan.start.scales:
+        scales = dict(plan.start.scales)
+    elif any(items.iterations_done(frame) > 0 for frame in plan.alive):
+        raise DamagedItemError(name, "they have got lost")
+    elif plan.recipe.loss_scaling == "none":
+        scales = ones()
+    else:
+        return None
+    store.write_numbers(name, scales)
+    return scales
+
+
+def calibration(problem: OctaveProblem, now: Current, level: int) -> dict[str, tuple[float, int]]:
+    """What a frame contributes to the scales of an octave's loss, see `gradient_square_sum`."""
+    seed = now.frame.seed(level, 0)
+    return problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, seed, now.inputs.regions)

@@ -12,7 +12,10 @@ from tnst_mi.optimisation.start import State
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a run, reported after every iteration of every frame: `done` of `total` iterations."""
+    """The progress of a run, reported after every iteration of every frame: `done` of `total` iterations.
+
+    With several processes, there are so many `workers`; 0 without.
+    """
 
     frame: str
     octave: int
@@ -23,6 +26,7 @@ class Progress:
     terms: dict[str, float]
     done: int
     total: int
+    workers: int = 0
 
 
 @dataclass

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import release_memory
@@ -15,17 +18,24 @@ from tnst_mi.optimisation.start import State
 
 
 def result_of(
-    plan: Plan, store: Store, frame: FramePlan, source: Frame, items: Items | None, problem: OctaveProblem | None
+    plan: Plan,
+    frame: FramePlan,
+    source: Frame,
+    items: Items | None,
+    problem: OctaveProblem | None,
+    history: list[dict[str, Any]],
+    scales: Mapping[str, float],
 ) -> Stylized:
     """The result of a frame.
 
     Args:
         plan: of the sequence.
-        store: what the iterations have written.
         frame: the plan of the frame.
         source: the frame.
         items: of the octave that was reached; None if there is none.
         problem: judges the losses before and after; None to leave them out.
+        history: the iterations of the frame, see `history_of`.
+        scales: of the terms of the loss in that octave, by name.
 
     Raises:
         InputError: the stylized density or velocity is not finite.
@@ -34,10 +44,9 @@ def result_of(
     release_memory()
     result = stylized_frame(items, frame, source)
     if items is not None and not frame.still and items.iterations_done(frame) >= 0:
-        scales = store.numbers(f"scales.{items.level}") or {}
         fields = {name: field.numpy() for name, field in items.fields(frame).items()}
-        result.state = State(items.level, items.iterations_done(frame), fields, scales)
-    result.history = _history(store, frame.name)
+        result.state = State(items.level, items.iterations_done(frame), fields, dict(scales))
+    result.history = history
     for entry in result.history:
         name = f"octave {entry['octave']}"
         result.timings[name] = result.timings.get(name, 0.0) + entry["seconds"]
@@ -51,10 +60,10 @@ def result_of(
     return result
 
 
-def note_missing(plan: Plan, store: Store, frame: FramePlan, result: Stylized) -> None:
+def note_missing(plan: Plan, store: Store, frame: FramePlan, logged: int) -> None:
     """Say how many iterations of a finished frame its log does not have; its result does not depend on them."""
     count = plan.iterations_of(frame)
-    missing = 0 if frame.still else count - len(result.history)
+    missing = 0 if frame.still else count - logged
     if missing:
         store.note(
             f"metrics.jsonl was damaged; {missing} of {count} iterations of {frame.name} are left out of the "
@@ -62,7 +71,7 @@ def note_missing(plan: Plan, store: Store, frame: FramePlan, result: Stylized) -
         )
 
 
-def _history(store: Store, name: str) -> list[dict]:
+def history_of(store: Store, name: str) -> list[dict[str, Any]]:
     """The log of a frame; an iteration that was logged by a killed run and then repeated counts once."""
     entries = {(entry["octave"], entry["iteration"]): entry for entry in store.entries(name)}
     return [{key: value for key, value in entries[at].items() if key != "frame"} for at in sorted(entries)]

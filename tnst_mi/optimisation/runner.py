@@ -22,7 +22,7 @@ from tnst_mi.optimisation.items.state import Current, Items
 from tnst_mi.optimisation.octave import reached
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Progress, Stylized
-from tnst_mi.optimisation.results import note_missing, result_of
+from tnst_mi.optimisation.results import history_of, note_missing, result_of
 
 #: Bytes of device memory for items where the caller does not know how much is free.
 CACHE_BYTES = 1 << 28
@@ -115,7 +115,7 @@ class SequenceOptimisation:
                     # The result may share memory with items that are being written.
                     store.finish()
                     result = self._result(frame, items, problem)
-                    note_missing(plan, self._store, frame, result)
+                    note_missing(plan, self._store, frame, len(result.history))
                     waiting.popleft()
                     self._finished |= {frame.index}
                     yield frame.index, result
@@ -176,7 +176,9 @@ class SequenceOptimisation:
     # ---------------------------------------------------------------- progress and results
 
     def _result(self, frame: FramePlan, items: Items | None, problem: OctaveProblem | None) -> Stylized:
-        return result_of(self._plan, self._store, frame, self._frames[frame.index], items, problem)
+        scales = {} if items is None else self._store.numbers(f"scales.{items.level}") or {}
+        history = history_of(self._store, frame.name)
+        return result_of(self._plan, frame, self._frames[frame.index], items, problem, history, scales)
 
     def _report(self, items: Items) -> None:
         """Report the iterations whose losses have been read."""

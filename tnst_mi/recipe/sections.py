@@ -227,6 +227,9 @@ class Resources:
     searched for (tnst-mi weights lists the places)."""
     variant: Annotated[str | None, Unset(Choice(("cuda_ad_rgb", "llvm_ad_rgb")))] = None
     """Mitsuba variant: GPU or CPU. If not set, the GPU if one is available."""
+    threads: Annotated[int | None, Unset(Integer(1, 1024))] = None
+    """CPU threads of the network, which decide the last bits of what it computes: one per core if not set. A run that
+    is resumed keeps those with which it began."""
     format: Annotated[str | None, Unset(Choice(("npz", "vol", "uni", "vdb")))] = None
     """File format of the results; the input's format if not set."""
     carry: Annotated[str, Names()] = "all"

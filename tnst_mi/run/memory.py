@@ -146,7 +146,7 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe, state
     return int(1.25 * math.prod(shape) * count * by_cell)
 
 
-def cache_bytes(need: Need, free: int, count: int, recipe: Recipe) -> int:
+def cache_bytes(need: Need, free: int, count: int, recipe: Recipe, processes: int = 1) -> int:
     """Bytes of device memory in which a run may keep items, so that a window is not read again for every frame.
 
     At most what the items take: of `count` frames with a window, of one frame without. And of what the run leaves free,
@@ -154,15 +154,31 @@ def cache_bytes(need: Need, free: int, count: int, recipe: Recipe) -> int:
     """
     share = 4 if torch_device().type == "cpu" else 2
     items = working_bytes(need.shape, count if recipe.window > 1 else 1, recipe)
-    return max(0, min(items, (free - need.total) // share))
+    return max(0, min(items, (_of_each(free, processes) - need.total) // share))
 
 
-def require_memory(need: Need, free: int) -> str:
+def _of_each(free: int, processes: int) -> int:
+    """What each of several processes may take; each has a GPU of its own."""
+    return free // processes if torch_device().type == "cpu" else free
+
+
+def require_memory(need: Need, free: int, processes: int = 1) -> str:
     """Check that a run fits into the free memory, and return a line that says how much of it the run takes.
+
+    Args:
+        need: of one process.
+        free: memory, in bytes.
+        processes: how many share the work.
 
     Raises:
         InputError: the run does not fit.
     """
+    free = _of_each(free, processes)
+    if need.total > free and processes > 1:
+        raise InputError(
+            f"memory: each of {processes} processes needs about {need.total / 1e9:.1f} GB and {free / 1e9:.1f} GB are "
+            "free for it; take fewer processes, resample the frames, or free some memory"
+        )
     if need.total > free:
         size = "×".join(str(n) for n in reversed(need.shape))
         largest = need.largest_that_fits(free)
@@ -173,7 +189,8 @@ def require_memory(need: Need, free: int) -> str:
             f"memory: frames of {size} cells need about {need.total / 1e9:.1f} GB and {free / 1e9:.1f} GB are free; "
             f"{fits}: resample the frames or free some memory"
         )
-    return f"memory: about {need.total / 1e9:.1f} GB of {free / 1e9:.1f} GB that are free"
+    each = f"for each of {processes} processes " if processes > 1 else ""
+    return f"memory: {each}about {need.total / 1e9:.1f} GB of {free / 1e9:.1f} GB that are free"
 
 
 def free_bytes() -> int:

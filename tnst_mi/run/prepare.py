@@ -20,7 +20,7 @@ from tnst_mi.io.files.frame_numbers import frame_step
 from tnst_mi.io.formats import FORMATS, held
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
-from tnst_mi.machine.backend import activate
+from tnst_mi.machine.backend import activate, network_threads
 from tnst_mi.machine.disk import require_names, require_space
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.weights import find_weights
@@ -65,7 +65,7 @@ _WORTH_TELLING = 50_000_000
 _DENSEST = 1e15
 
 #: Entries of its earlier record that a resumed run keeps.
-_KEPT = ("started", "frames", "sequence", "results", "seconds", "peak_memory_bytes")
+_KEPT = ("started", "frames", "sequence", "results", "seconds", "peak_memory_bytes", "threads", "cluster")
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,7 @@ def prepare(
     overwrite: bool = False,
     start_from: Path | None = None,
     network: Network | None = None,
+    processes: int = 1,
     progress: bool = False,
 ) -> Prepared:
     """Check everything that can be checked before the work starts; nothing is written.
@@ -148,6 +149,7 @@ def prepare(
         overwrite: replace the run in `out`.
         start_from: the folder of an earlier run to go on from, or None.
         network: judges the images; None loads the one that the recipe names.
+        processes: how many on this machine share the work, and its memory.
         progress: show a progress bar on stderr while frames are read.
 
     Raises:
@@ -172,6 +174,7 @@ def prepare(
             f"together, expected fewer than {LARGEST_COUNT}; take fewer views"
         )
     variant = activate(recipe.variant)
+    threads = network_threads(recipe.threads)
     # Layers, tags and pictures are checked before the frames: if all frames are empty, nothing else would check them.
     network = network or load_network(recipe)
     objectives = [objective_of(target.recipe) for target in targets]
@@ -179,7 +182,7 @@ def prepare(
     saved = max(objective.bind(network.model, *trial_size).saved_bytes for objective in objectives)
     saved /= math.prod(trial_size)
     need, free = Need(shape, recipe, len(sequence), saved, on_disk=out is not None), free_bytes()
-    memory, cache = require_memory(need, free), cache_bytes(need, free, len(sequence), recipe)
+    memory, cache = require_memory(need, free, processes), cache_bytes(need, free, len(sequence), recipe, processes)
     if cache >= _WORTH_TELLING:
         memory += f", and up to {cache / 1e9:.2g} GB to keep what is read again"
     readable = Readable(sequence, recipe.skip_bad, recipe.window)
@@ -218,6 +221,7 @@ def prepare(
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": environment.versions(),
         "device": environment.device(variant),
+        "threads": threads,
         "recipe": recipe_digest(recipe),
         "seed": recipe.seed,
         "weights": {
@@ -250,6 +254,7 @@ def prepare(
         require_same_masks(targets, target_records or [], earlier, out)
         require_same_shots(record, earlier, out)
         record |= {key: earlier[key] for key in _KEPT if key in earlier}
+        network_threads(record["threads"])
     elif out is not None:
         require_space(out, working_bytes(shape, len(sequence), recipe, states=True))
     plan = plan_of(

@@ -46,11 +46,12 @@ class ProgressBar:
         self._bar.set_description_str(
             f"{progress.frame} octave {progress.octave + 1}/{progress.octaves}", refresh=False
         )
-        self._bar.set_postfix_str(
-            f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}",
-            refresh=False,
-        )
         self._bar.n += 1
+        postfix = f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}"
+        if progress.workers:
+            each = (self._bar.n - self._bar.initial) / max(now - self._begun, _REDRAWN) / progress.workers
+            postfix += f", {progress.workers} workers, {each:.2g} it/s each"
+        self._bar.set_postfix_str(postfix, refresh=False)
         if now - self._drawn >= _REDRAWN or progress.done == progress.total:
             self._bar.refresh()
             self._drawn = now

@@ -110,6 +110,8 @@ def resumable_run(
         pictures = _known(run.get("results", {}), PICTURES)
         run["inputs"], run["files"] = dict(run["inputs"]), dict(run["files"])
         earlier_format = run.get("format", suffix[1:])
+        if run.get("threads", 1) not in range(1, 1025) or not isinstance(run.get("cluster", []), list):
+            raise ValueError(run["threads"])
         earlier_weights = run["weights"]["sha256"]
     except DAMAGE:
         raise InputError(f"{out / 'run.json'}: damaged, so the run cannot be resumed; {ELSEWHERE}") from None

@@ -63,8 +63,8 @@ class DeviceStore:
 
     def generation(self, group: str, frame: int) -> int:
         """The newest generation of an item; −1 if it does not exist."""
-        written = self._written.get((group, frame))
-        return self.backing.generation(group, frame) if written is None else written
+        # The store may not have it yet, or have a later one from elsewhere.
+        return max(self._written.get((group, frame), -1), self.backing.generation(group, frame))
 
     def has(self, group: str, frame: int, generation: int) -> bool:
         """Whether an item is there in this generation."""

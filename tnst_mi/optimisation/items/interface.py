@@ -22,7 +22,8 @@ class Store(ABC):
         bytes_read, bytes_written: of arrays, so far.
     """
 
-    bytes_read = bytes_written = 0
+    bytes_read: int = 0
+    bytes_written: int = 0
 
     @abstractmethod
     def generation(self, group: str, frame: int) -> int:

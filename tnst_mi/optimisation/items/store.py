@@ -242,15 +242,19 @@ class FolderStore(Store):
             self._entries.add(entry)
 
     def entries(self, frame: str) -> list[dict[str, Any]]:
-        """See `Store`; the files are read once, and what is logged from then on is kept, if nobody else logs."""
-        if not self._alone:
-            return self._all_entries().of(frame)
-        if self._entries is None:
-            self._entries = self._all_entries()
-        return self._entries.of(frame)
+        """See `Store`; the files are read once, and what is logged or heard of from then on is kept."""
+        return self._all_entries.of(frame)
 
+    def heard(self, entry: dict[str, Any]) -> None:
+        """Take note of an entry that another process has added to its log."""
+        self._all_entries.add(entry)
+
+    @property
     def _all_entries(self) -> Log:
-        return Log.read([self.folder / "metrics.jsonl", *sorted(self.folder.glob("log/*.jsonl"))], self._run)
+        if self._entries is None:
+            paths = [self.folder / "metrics.jsonl", *sorted(self.folder.glob("log/*.jsonl"))]
+            self._entries = Log.read(paths, self._run)
+        return self._entries
 
     @property
     def _numbers(self) -> Path:

@@ -1,0 +1,319 @@
+"""The processes that carry out the tasks of a run, and Dask, which has them do so.
+
+A task is given to Dask once all that it needs has been done, and forgotten once it has been done itself: what a process
+has computed is in the folder of the run, so of a process that dies, only the task that it was at is done again. Which
+process does what is left to Dask's scheduler; it is asked to give neighbouring frames to the same process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from distributed import Client, Future, KilledWorker
+
+from tnst_mi.cluster import member
+from tnst_mi.cluster.graph import urgency
+from tnst_mi.cluster.member import RefusedError
+from tnst_mi.cluster.tasks import FINISH, SCALES, Task, Told
+from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.optimisation.plan import Plan
+
+#: Seconds between two looks at which processes are there, and after which it is said that there are none.
+_LOOK, _PATIENCE = 1.0, 10.0
+
+#: How long an answer of Dask is waited for at once: Ctrl-C is noticed in between.
+_MOMENT = 0.2
+
+
+@dataclass(frozen=True)
+class Done:
+    """A task has been done, with what it returns."""
+
+    task: Task
+    result: Any
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An iteration of a frame has been done, with its entry for the log."""
+
+    entry: dict[str, Any]
+
+
+@dataclass
+class Share:
+    """What a process has done of a run."""
+
+    name: str
+    host: str
+    since: float = field(default_factory=time.perf_counter)
+    until: float | None = None
+    tasks: int = 0
+    seconds: float = 0.0
+    read: int = 0
+    written: int = 0
+
+    def record(self) -> dict[str, Any]:
+        """For run.json: the tasks, the time that they took, bytes of items, and the share of its time without task."""
+        there = (time.perf_counter() if self.until is None else self.until) - self.since
+        return {
+            "worker": self.name,
+            "host": self.host,
+            "tasks": self.tasks,
+            "seconds": round(self.seconds, 3),
+            "bytes_read": self.read,
+            "bytes_written": self.written,
+            "idle": round(max(0.0, 1 - self.seconds / there), 4) if there > 0 else None,
+        }
+
+
+class Crew:
+    """The processes of a cluster that work on a run.
+
+    Args:
+        client: of the cluster.
+        order: what the processes are told of it, pickled.
+        plan: of the run.
+        say: how to say something to the user.
+        grows: whether other processes may come when there are none.
+
+    Attributes:
+        shares: what each process has done, by its address.
+        times: by kind of task and octave: tasks, seconds, bytes read and written.
+    """
+
+    def __init__(self, client: Client, order: bytes, plan: Plan, say: Callable[[str], None], grows: bool) -> None:
+        self._client, self._order, self._plan, self._say, self._grows = client, order, plan, say, grows
+        self.shares: dict[str, Share] = {}
+        self.times: dict[tuple[str, int], list[float]] = {}
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        #: Processes that may do tasks, in the order of their coming; those that have been asked to join; and refused.
+        self._members: list[str] = []
+        self._joining: dict[str, Future] = {}
+        self._refused: dict[str, str] = {}
+        self._given: dict[Task, tuple[Future, Told]] = {}
+        self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
+        self._begun = time.perf_counter()
+        self._begin()
+
+    def _begin(self) -> None:
+        #: Names the run in the cluster.
+        self._run = uuid.uuid4().hex[:12]
+        self._delivery = member.Delivery(self._run, member.decisive_versions(), self._order)
+        self._client.register_plugin(self._delivery)
+        self._client.subscribe_topic(member.topic_of(self._run), lambda event: self._events.put(event[1]))
+
+    def begin_again(self) -> None:
+        """Take all tasks back, and let the processes forget what they know of the run."""
+        self.close()
+        self._members, self._joining, self._looked = [], {}, 0.0
+        self._begin()
+
+    @property
+    def members(self) -> int:
+        """Number of processes that may do tasks."""
+        return len(self._members)
+
+    def give(self, tasks: Mapping[Task, Told]) -> None:
+        """Have some tasks done, as soon as there is somebody to do them."""
+        for task in sorted(tasks, key=lambda task: urgency(task, len(self._plan.frames))):
+            self._give(task, tasks[task])
+
+    def _give(self, task: Task, told: Told) -> None:
+        self._attempts += 1
+        home = self._home(task.frame)
+        future = self._client.submit(
+            member.perform,
+            self._run,
+            task,
+            told,
+            # Dask learns from its beginning how long such a task takes.
+            key=f"{task.kind}{task.level}-{self._run}-{task.frame}-{task.iteration}-{self._attempts}",
+            workers=None if home is None else [home],
+            allow_other_workers=home is not None,
+            priority=-urgency(task, len(self._plan.frames)),
+            pure=False,
+        )
+        self._given[task] = future, told
+        future.add_done_callback(lambda future: self._events.put((task, future)))
+
+    def _home(self, frame: int) -> str | None:
+        """Where the neighbours of a frame are: each process has a part of the sequence."""
+        return self._members[frame * len(self._members) // len(self._plan.frames)] if self._members else None
+
+    def answers(self) -> Iterator[Done | Entry | None]:
+        """What happens next, again and again as long as tasks are given; None after a moment without news.
+
+        Raises:
+            InputError: a frame cannot be computed, or no process may take part.
+            StoppedError: the cluster is gone, or nobody is left; or a process says so.
+            OSError: as the process that could not read or write.
+        """
+        while self._given:
+            self._look()
+            try:
+                event = self._events.get(timeout=_MOMENT)
+            except queue.Empty:
+                yield None
+                continue
+            if isinstance(event, dict):
+                if "entry" in event:
+                    yield Entry(event["entry"])
+                else:
+                    self._count(event["worker"], event["took"])
+                continue
+            task, future = event
+            if self._given.get(task, (None,))[0] is not future:
+                continue  # it was taken back
+            _, told = self._given.pop(task)
+            if future.status == "finished":
+                # What most tasks return is nothing, which need not be asked for.
+                result = future.result() if task.kind in _WITH_RESULT else None
+                future.release()
+                yield Done(task, result)
+            else:
+                self._failed(task, told, future)
+
+    def _failed(self, task: Task, told: Told, future: Future) -> None:
+        """Give a task again that its process was not fit for; raise what cannot be helped."""
+        error = _error(future)
+        if isinstance(error, RefusedError):
+            self._refuse(error.member, str(error))
+            self._give(task, told)
+            return
+        if error is None:
+            raise _gone(self._client)
+        if isinstance(error, KilledWorker):
+            raise InputError(
+                f"{task.described(self._plan)}: {error.allowed_failures + 1} processes have died at it; see what they "
+                "have written on stderr, and go on with --resume"
+            )
+        if isinstance(error, InputError | OSError | StoppedError):
+            raise error
+        raise InputError(f"{task.described(self._plan)}: {type(error).__name__}: {error}") from error
+
+    def _count(self, address: str, took: dict[str, Any]) -> None:
+        share = self.shares.get(address)
+        if share is not None:
+            share.tasks += 1
+            share.seconds += took["seconds"]
+            share.read += took["read"]
+            share.written += took["written"]
+        numbers = 1, took["seconds"], took["read"], took["written"]
+        total = self.times.setdefault((took["kind"], took["level"]), [0.0] * 4)
+        total[:] = [before + now for before, now in zip(total, numbers, strict=True)]
+
+    # ---------------------------------------------------------------- who is there
+
+    def _look(self) -> None:
+        """Ask processes that are new to join, and note which have left."""
+        for address, future in list(self._joining.items()):
+            if future.done():
+                del self._joining[address]
+                self._joined(address, future)
+        if time.monotonic() - self._looked < _LOOK:
+            return
+        self._looked = time.monotonic()
+        if self._client.status != "running":
+            raise _gone(self._client)
+        there = self._client.scheduler_info(n_workers=-1)["workers"]
+        hosts = [about["host"] for about in there.values()]
+        for address in [address for address in self._members if address not in there]:
+            self._members.remove(address)
+            self.shares[address].until = time.perf_counter()
+        for address in [address for address in self._joining if address not in there]:
+            self._joining.pop(address).cancel()
+        for address, about in there.items():
+            if address in self._members or address in self._joining or address in self._refused:
+                continue
+            key = f"join-{self._run}-{address}-{time.monotonic_ns()}"
+            self.shares.setdefault(address, Share(str(about["name"]), str(about["host"])))
+            self._joining[address] = self._client.submit(
+                member.join, self._run, hosts.count(about["host"]), key=key, workers=[address], priority=1, pure=False
+            )
+        self._require_somebody()
+
+    def _joined(self, address: str, future: Future) -> None:
+        if future.status == "finished":
+            self._members.append(address)
+            return
+        error = _error(future)
+        if error is not None:
+            self._refuse(address, str(error) if isinstance(error, RefusedError) else f"{type(error).__name__}: {error}")
+
+    def _refuse(self, address: str, reason: str) -> None:
+        """Say why a process cannot take part, once, and do without it."""
+        if address not in self._refused:
+            self._refused[address] = reason
+            self._say(f"worker {address}: refused: {reason}")
+            if address in self._members:
+                self._members.remove(address)
+            self._client.retire_workers([address], close_workers=True, remove=True)
+
+    def _require_somebody(self) -> None:
+        """Say that there is nobody to do the tasks; without hope, end the run."""
+        if self._members or self._joining:
+            self._alone_since = time.monotonic()
+        elif time.monotonic() - self._alone_since > _PATIENCE:
+            if not self._grows:
+                reasons = "; ".join(dict.fromkeys(self._refused.values()))
+                if reasons:
+                    raise InputError(f"no worker can take part: {reasons}")
+                raise StoppedError("all workers have ended; see what they have written, and go on with --resume")
+            self._say("no workers: waiting for some (dask worker SCHEDULER --nthreads 1 --memory-limit 0)")
+            self._alone_since = float("inf")
+
+    # ---------------------------------------------------------------- the end
+
+    def take_back(self) -> None:
+        """Forget the tasks that are given; those that a process is at go on, to the same bits."""
+        futures = [future for future, _ in self._given.values()]
+        self._given = {}
+        with contextlib.suppress(Exception):  # without a scheduler there is nothing to take back
+            self._client.cancel(futures, force=True)
+
+    def close(self) -> None:
+        """Leave the cluster as it was."""
+        self.take_back()
+        with contextlib.suppress(Exception):
+            self._client.unsubscribe_topic(member.topic_of(self._run))
+            self._client.unregister_worker_plugin(self._delivery.name)
+
+    def record(self, address: str) -> dict[str, Any]:
+        """What run.json says of the cluster and of what each process has done, in all and by kind of task."""
+        kinds = {
+            f"{kind} {level + 1}": {
+                "tasks": int(tasks),
+                "seconds": round(seconds / tasks, 6),
+                "bytes_read": round(read / tasks),
+                "bytes_written": round(written / tasks),
+            }
+            for (kind, level), (tasks, seconds, read, written) in sorted(self.times.items())
+        }
+        return {
+            "address": address,
+            "seconds": round(time.perf_counter() - self._begun, 3),
+            "workers": [share.record() for share in self.shares.values() if share.tasks],
+            "tasks": kinds,
+        }
+
+
+#: Kinds of tasks that return something.
+_WITH_RESULT = (SCALES, FINISH)
+
+
+def _error(future: Future) -> BaseException | None:
+    """What a task raised; None if it was not done, since the scheduler is gone."""
+    error: Any = future.exception() if future.status == "error" else None
+    return error
+
+
+def _gone(client: Client) -> StoppedError:
+    address = client.scheduler.address if client.scheduler is not None else "the scheduler"
+    return StoppedError(f"{address}: the scheduler is gone; start it again, and go on with --resume, nothing is lost")

@@ -1,0 +1,231 @@
+"""A process that carries out tasks of runs: what it is told of a run, and the checks with which it joins.
+
+A process that would come to other bits, or to none, is refused by a line that says why.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+from distributed import Worker, WorkerPlugin, get_worker
+
+from tnst_mi.cluster.tasks import Task, Told, Workplace, carry_out
+from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine import environment
+from tnst_mi.machine.backend import activate, network_threads
+from tnst_mi.machine.lock import LOCK
+from tnst_mi.machine.turns import turn
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.weights import find_weights
+from tnst_mi.optimisation.items.device_store import DeviceStore
+from tnst_mi.optimisation.items.store import FolderStore
+from tnst_mi.run.folder import WORK, RunFolder
+from tnst_mi.run.work import Work
+
+#: Packages whose versions decide bits.
+DECISIVE = ("tnst_mi", "mitsuba", "drjit", "torch", "numpy")
+
+
+class RefusedError(InputError):
+    """A process cannot take part in a run; the message says why.
+
+    Attributes:
+        member: the address of the process.
+    """
+
+    def __init__(self, message: str, member: str) -> None:
+        super().__init__(message)
+        self.member = member
+
+    def __reduce__(self) -> tuple[type[RefusedError], tuple[str, str]]:
+        """As another process gets it."""
+        return RefusedError, (str(self), self.member)
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a process is told of a run.
+
+    Attributes:
+        work: of the run.
+        identity: of the run, see `run.record.run_identity`.
+        lock: the contents of the lock of its folder, as long as it goes on.
+        weights: the file of the network, or the name of one that ships with the package.
+        weights_digest: its SHA-256.
+        variant: of Mitsuba.
+        threads: of torch on the CPU.
+    """
+
+    work: Work
+    identity: str
+    lock: bytes
+    weights: str
+    weights_digest: str
+    variant: str
+    threads: int
+
+
+class Delivery(WorkerPlugin):
+    """Brings an order to all processes of a cluster, also to those that come later.
+
+    Args:
+        run: names the run among others of the cluster.
+        versions: of `DECISIVE` packages.
+        order: pickled: it is read by processes of the same versions only.
+    """
+
+    def __init__(self, run: str, versions: dict[str, str], order: bytes) -> None:
+        self.name, self._run = f"tnst_mi-{run}", run
+        self._delivered = versions, order
+
+    def setup(self, worker: Worker) -> None:
+        """Keep the order until it is needed."""
+        _delivered[self._run] = self._delivered
+
+    def teardown(self, worker: Worker) -> None:
+        """Forget the order."""
+        _delivered.pop(self._run, None)
+        _leave(self._run)
+
+
+#: By run: versions and the pickled order.
+_delivered: dict[str, tuple[dict[str, str], bytes]] = {}
+
+#: By run: where its tasks are carried out. One at a time, since each takes memory for the network.
+_joined: dict[str, Workplace] = {}
+
+
+def join(run: str, sharing: int) -> None:
+    """Take part in a run, before its first task.
+
+    Args:
+        run: names it.
+        sharing: how many processes share the cores of this machine.
+
+    Raises:
+        RefusedError: this process cannot.
+    """
+    with turn():
+        _workplace(run)
+        dr.set_thread_count(max(1, _cores() // sharing))
+
+
+def perform(run: str, task: Task, told: Told) -> Any:
+    """Carry out a task of a run, and report what it took.
+
+    Raises:
+        RefusedError: this process cannot take part in the run.
+        InputError, OSError, StoppedError: see `carry_out`.
+    """
+    since = time.perf_counter()
+    with turn():
+        place = _workplace(run)
+        worker, topic, backing = get_worker(), topic_of(run), place.backing
+        read, written = backing.bytes_read, backing.bytes_written
+
+        def report(entry: dict[str, Any]) -> None:
+            worker.log_event(topic, {"entry": entry})
+
+        result = carry_out(task, told, place, report)
+        took = {
+            "kind": task.kind,
+            "level": task.level,
+            "seconds": time.perf_counter() - since,
+            "read": backing.bytes_read - read,
+            "written": backing.bytes_written - written,
+        }
+        worker.log_event(topic, {"worker": worker.address, "took": took})
+    return result
+
+
+def topic_of(run: str) -> str:
+    """The topic of what processes report of a run."""
+    return f"tnst_mi-{run}"
+
+
+def decisive_versions() -> dict[str, str]:
+    """The versions of the packages that decide bits."""
+    versions = environment.versions()
+    return {name: str(versions[name]) for name in DECISIVE}
+
+
+def _workplace(run: str) -> Workplace:
+    if run not in _joined:
+        for other in list(_joined):
+            _leave(other)
+        address = get_worker().address
+        try:
+            _joined[run] = _entered(run)
+        except RefusedError:
+            raise
+        except (InputError, OSError, StoppedError) as error:
+            raise RefusedError(str(error), address) from None
+    return _joined[run]
+
+
+def _leave(run: str) -> None:
+    if place := _joined.pop(run, None):
+        place.store.close()
+
+
+def _entered(run: str) -> Workplace:
+    """Where tasks of a run are carried out, once it is certain that they can be.
+
+    Raises:
+        InputError: they cannot.
+    """
+    worker = get_worker()
+    if worker.state.nthreads != 1:
+        raise InputError(f"it has {worker.state.nthreads} threads, expected 1; start it with --nthreads 1")
+    versions, pickled = _delivered[run]
+    for name, expected in versions.items():
+        if (own := decisive_versions()[name]) != expected:
+            raise InputError(f"it has {name} {own}, and the run {expected}; install the same")
+    order: Order = pickle.loads(pickled)
+    work, out = order.work, order.work.out
+    assert out is not None
+    activate(order.variant)
+    network_threads(order.threads)
+    may_write = _Lock(out, order.lock)
+    may_write()
+    weights = find_weights(order.weights)
+    network = GoogLeNet.from_file(weights.path)
+    if network.sha256 != order.weights_digest:
+        raise InputError(f"{weights.path}: is another network than that of the run; give it the same file")
+    first = next(iter(work.unchanged))
+    if first.name != work.names[0]:
+        raise InputError(f"{first.name}: is not {work.names[0]}, the first frame of the run")
+    member = f"{platform.node()}.{os.getpid()}.{worker.address.rpartition(':')[2]}"
+    backing = FolderStore(out / WORK, order.identity, may_write, member=member)
+    folder = RunFolder(out, work.recipe, suffix=work.suffix, may_write=may_write, joining=True)
+    return Workplace(work, network, DeviceStore(backing, work.cache_bytes), folder)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class _Lock:
+    """Checks, before anything is written, that the run still goes on in its folder, which all processes share."""
+
+    out: Path
+    expected: bytes
+
+    def __call__(self) -> None:
+        try:
+            found = (self.out / LOCK).read_bytes()
+        except OSError as error:
+            raise StoppedError(
+                f"{self.out}: is not the folder of the run on {platform.node()} ({error.strerror}); share it, by the "
+                "same path on all machines"
+            ) from None
+        if found != self.expected:
+            raise StoppedError(f"{self.out}: its run has ended, or another goes on there, so nothing more is written")
