@@ -87,7 +87,7 @@ class LocalProcesses(Cluster):
     @contextmanager
     def connected(self, say: Say, frames: int) -> Iterator[Client]:
         """See `Cluster`; with GPUs, each process has one of its own."""
-        import dask
+        import dask.config
         from distributed import Nanny, Scheduler, SpecCluster
 
         from tnst_mi.machine.backend import on_gpu

@@ -99,6 +99,8 @@ class Crew:
         self._refused: dict[str, str] = {}
         self._given: dict[Task, tuple[Future, Told]] = {}
         self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
+        #: Whether all processes have left, and none has come since.
+        self._deserted = False
         self._begun = time.perf_counter()
         self._begin()
 
@@ -188,7 +190,11 @@ class Crew:
             self._give(task, told)
             return
         if error is None:
-            raise _gone(self._client)
+            if self._client.status != "running":
+                raise _gone(self._client)
+            # Its process died once it was done, before Dask had told so.
+            self._give(task, told)
+            return
         if isinstance(error, KilledWorker):
             raise InputError(
                 f"{task.described(self._plan)}: {error.allowed_failures + 1} processes have died at it; see what they "
@@ -224,9 +230,11 @@ class Crew:
             raise _gone(self._client)
         there = self._client.scheduler_info(n_workers=-1)["workers"]
         hosts = [about["host"] for about in there.values()]
-        for address in [address for address in self._members if address not in there]:
+        left = [address for address in self._members if address not in there]
+        for address in left:
             self._members.remove(address)
             self.shares[address].until = time.perf_counter()
+        self._deserted |= bool(left) and not self._members
         for address in [address for address in self._joining if address not in there]:
             self._joining.pop(address).cancel()
         for address, about in there.items():
@@ -242,6 +250,11 @@ class Crew:
     def _joined(self, address: str, future: Future) -> None:
         if future.status == "finished":
             self._members.append(address)
+            if self._deserted:
+                # Dask keeps tasks for the process that was asked for, though others are allowed, if there was none.
+                given, self._deserted = {task: told for task, (_, told) in self._given.items()}, False
+                self.take_back()
+                self.give(given)
             return
         error = _error(future)
         if error is not None:
@@ -275,15 +288,16 @@ class Crew:
         """Forget the tasks that are given; those that a process is at go on, to the same bits."""
         futures = [future for future, _ in self._given.values()]
         self._given = {}
-        with contextlib.suppress(Exception):  # without a scheduler there is nothing to take back
+        if self._client.status == "running":  # else there is nothing to take back, and waiting for it takes long
             self._client.cancel(futures, force=True)
 
     def close(self) -> None:
         """Leave the cluster as it was."""
         self.take_back()
-        with contextlib.suppress(Exception):
+        if self._client.status == "running":
             self._client.unsubscribe_topic(member.topic_of(self._run))
-            self._client.unregister_worker_plugin(self._delivery.name)
+            with contextlib.suppress(OSError, RuntimeError):  # a process, or the scheduler, ends meanwhile
+                self._client.unregister_worker_plugin(self._delivery.name)
 
     def record(self, address: str) -> dict[str, Any]:
         """What run.json says of the cluster and of what each process has done, in all and by kind of task."""

@@ -28,14 +28,15 @@ class ProgressBar:
         """Prepare the bar of one run; what is known of its work is that of `TimeLeft`."""
         self._shown, self._time_left = shown, TimeLeft(octaves, cells, frames)
         self._bar: tqdm | None = None
+        self._first = 0
         self._begun = self._drawn = time.perf_counter()
 
     def advance(self, progress: Progress) -> None:
         """Show one more iteration."""
         if self._bar is None:
             # A resumed run begins where the earlier one stopped.
-            begin = progress.done - 1
-            self._bar = progress_bar(total=progress.total, initial=begin, unit="it", disable=not self._shown)
+            self._first = progress.done - 1
+            self._bar = progress_bar(total=progress.total, initial=self._first, unit="it", disable=not self._shown)
             self._begun = time.perf_counter()
         now = time.perf_counter()
         left = tqdm.format_interval(self._time_left.after(progress.octave, progress.done, progress.total))
@@ -49,7 +50,7 @@ class ProgressBar:
         self._bar.n += 1
         postfix = f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}"
         if progress.workers:
-            each = (self._bar.n - self._bar.initial) / max(now - self._begun, _REDRAWN) / progress.workers
+            each = (self._bar.n - self._first) / max(now - self._begun, _REDRAWN) / progress.workers
             postfix += f", {progress.workers} workers, {each:.2g} it/s each"
         self._bar.set_postfix_str(postfix, refresh=False)
         if now - self._drawn >= _REDRAWN or progress.done == progress.total:
