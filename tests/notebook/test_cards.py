@@ -26,7 +26,7 @@ from tnst_mi.run.inputs import reference_density
 
 __all__ = ["optimiser"]
 
-HOSTILE = '<script>alert("1")</script>&\'"'
+HOSTILE = '<script>alert("1")<b>&\'"'
 
 RECIPE = {"style": ["spirals"], "weights": "patterns", "octaves": 1, "iterations": 1, "views": 1}
 
@@ -130,7 +130,7 @@ def test_a_result_shows_before_and_after(optimiser: FakeOptimiser, tmp_path: Pat
 def test_pictures_that_no_file_has_are_those_of_a_run_with_files(keys: dict[str, object], tmp_path: Path) -> None:
     frames = [replace(frame, placement=Placement(0.1, (0.0, 0.0, 0.0))) for frame in moving_smoke(2)]
     shots = {
-        str(number): {"position": [azimuth, -6, 2], "target": [0.5, 0.4, 0.6], "fov": 30.0}
+        str(number): {"position": [azimuth, -6, 2], "target": [0.5, 0.4, 0.6], "fov": 30.0, "aspect": 1.25}
         for number, azimuth in ((5, 3.0), (6, -2.0))
     }
     (tmp_path / "shot.json").write_text(json.dumps({"up_axis": "z", "frames": shots}), "utf-8")

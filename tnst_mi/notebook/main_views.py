@@ -39,13 +39,12 @@ class ShownFrame:
     told: str = ""
 
 
-def shown_frames(frames: Sequence[Frame]) -> list[ShownFrame]:
+def shown_frames(frames: list[Frame]) -> list[ShownFrame]:
     """Frames as the network sees them by default, in the unit of density of a run, the brightest pixel of all white."""
-    frames = list(frames)
     factor = reference_density(frames).scale("auto")
     with own_variant():
         views = [main_view(scaled(frame.density, factor), by_cell(Recipe(), frame.density.shape)) for frame in frames]
-    exposure = exposure_for(max(float(view.max()) for view in views))
+    exposure = exposure_for(max((float(view.max()) for view in views), default=0.0))
     return [ShownFrame(frame.name, (exposure * view,)) for frame, view in zip(frames, views, strict=True)]
 
 

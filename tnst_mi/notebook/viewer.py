@@ -11,6 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from string import Template
+from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -76,11 +77,14 @@ def view(shown: Result | Frame | Sequence[Frame]) -> Viewer:
         count = len(shown.run["frames"])
         frames = shown_results(shown, on_sheet(count, _MOST_FRAMES))
     else:
-        given = [shown] if isinstance(shown, Frame) else shown
-        if not isinstance(given, Sequence) or not all(isinstance(frame, Frame) for frame in given):
+        given: Any = [shown] if isinstance(shown, Frame) else shown
+        # Frames in files are read on access.
+        chosen = (
+            [given[index] for index in on_sheet(len(given), _MOST_FRAMES)] if isinstance(given, Sequence) else [None]
+        )
+        if not all(isinstance(frame, Frame) for frame in chosen):
             raise InputError(f"view: a {type(shown).__name__} given, expected a result, a tnst_mi.Frame, or several")
-        count = len(given)
-        frames = shown_frames([given[index] for index in on_sheet(count, _MOST_FRAMES)])
+        count, frames = len(given), shown_frames(chosen)
     if not frames:
         raise InputError("view: no frame given, expected one or more")
     return viewer_of(frames, count)
