@@ -11,7 +11,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from string import Template
-from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -77,17 +76,25 @@ def view(shown: Result | Frame | Sequence[Frame]) -> Viewer:
         count = len(shown.run["frames"])
         frames = shown_results(shown, on_sheet(count, _MOST_FRAMES))
     else:
-        given: Any = [shown] if isinstance(shown, Frame) else shown
-        # Frames in files are read on access.
-        chosen = (
-            [given[index] for index in on_sheet(len(given), _MOST_FRAMES)] if isinstance(given, Sequence) else [None]
-        )
-        if not all(isinstance(frame, Frame) for frame in chosen):
-            raise InputError(f"view: a {type(shown).__name__} given, expected a result, a tnst_mi.Frame, or several")
-        count, frames = len(given), shown_frames(chosen)
+        chosen, count = _chosen(shown)
+        frames = shown_frames(chosen)
     if not frames:
         raise InputError("view: no frame given, expected one or more")
     return viewer_of(frames, count)
+
+
+def _chosen(shown: object) -> tuple[list[Frame], int]:
+    """The frames that are shown, and out of how many; those in files are read on access.
+
+    Raises:
+        InputError: they are no frames.
+    """
+    given = [shown] if isinstance(shown, Frame) else shown
+    if isinstance(given, Sequence):
+        chosen = [given[index] for index in on_sheet(len(given), _MOST_FRAMES)]
+        if all(isinstance(frame, Frame) for frame in chosen):
+            return chosen, len(given)
+    raise InputError(f"view: a {type(shown).__name__} given, expected a result, a tnst_mi.Frame, or several")
 
 
 def viewer_of(frames: Sequence[ShownFrame], count: int) -> Viewer:
