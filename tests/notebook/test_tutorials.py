@@ -6,6 +6,7 @@ import ast
 import json
 import re
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +53,13 @@ class Ran:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where temporary files go, figures being drawn without a window."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str) -> Iterator[Path]:
+    """Where temporary files go; figures are drawn without a window, and the variant is what it was in the end."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     plt.switch_backend("agg")
-    return tmp_path
+    tnst_mi.activate("llvm_ad_rgb")
+    yield tmp_path
+    tnst_mi.activate(variant)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -106,4 +109,3 @@ def test_the_notebook_for_researchers(folder: Path) -> None:
     assert len(names["deviations"]) == 4 and max(names["deviations"].values()) < 1e-3
     assert names["echoed"].loss_after < 1.2 * names["echoed"].loss_before < 0
     assert ran.figures == 3 and len(ran.shown) == 2
-    assert tnst_mi.activate() == "llvm_ad_rgb"

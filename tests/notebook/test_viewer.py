@@ -108,6 +108,13 @@ def test_what_is_no_frame_is_refused(shown: object, message: str) -> None:
         tnst_mi.view(shown)
 
 
+def test_a_result_whose_pictures_are_gone_is_refused(optimiser: FakeOptimiser, tmp_path: Path) -> None:
+    result = tnst_mi.stylize(Frame(np.ones(SHAPE), name="smoke"), RECIPE, tmp_path, progress=False)
+    (tmp_path / "images" / "smoke_before.exr").write_bytes(b"")
+    with pytest.raises(InputError, match=r"smoke_before\.exr"):
+        tnst_mi.view(result)
+
+
 @pytest.fixture(scope="module")
 def browser() -> str:
     """Chromium, or a skip where there is none."""

@@ -16,9 +16,9 @@ _LONGEST = 2000
 
 
 class _Cards:
-    """What makes the HTML of an object; None before the package has been imported."""
+    """What makes the HTML of an object; set when the package is imported."""
 
-    of: Callable[[object], str] | None = None
+    of: Callable[[object], str]
 
 
 def show_by(card: Callable[[object], str]) -> None:
@@ -32,8 +32,6 @@ class NotebookDisplay:
     def _repr_html_(self) -> str:
         """What a notebook shows; never raises: without a picture of the object, it is its text and the reason."""
         try:
-            if _Cards.of is None:
-                raise RuntimeError("nothing has been said to make it")
             return _Cards.of(self)
         except Exception as error:
             return f"<pre>{html.escape(_text(self))}\n\nnot shown as a picture: {html.escape(_reason(error))}</pre>"
