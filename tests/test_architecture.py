@@ -27,7 +27,7 @@ FLOORS = (
     "optimisation",
     "compare atlas",
     "run",
-    "batch",
+    "notebook batch",
     "commands",
     "cli",
     "__init__ __main__",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.address_space import allows_reading, require_address_space
+from tnst_mi.machine.notebook_display import show_by
 from tnst_mi.resources import VERSION
 
 __version__ = VERSION
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from tnst_mi.io import load_frames, save_frames
     from tnst_mi.machine.backend import activate
     from tnst_mi.network.googlenet import GoogLeNet
+    from tnst_mi.notebook.viewer import view
     from tnst_mi.recipe.recipe import Recipe
     from tnst_mi.rendering.cameras.camera import Camera
     from tnst_mi.rendering.cameras.views import sample_views
@@ -47,6 +49,7 @@ _PUBLIC = {
     "save_frames": "io",
     "stylize": "run.api",
     "velocity": "fields.potentials",
+    "view": "notebook.viewer",
 }
 
 __all__ = [
@@ -64,6 +67,7 @@ __all__ = [
     "save_frames",
     "stylize",
     "velocity",
+    "view",
 ]
 
 
@@ -99,6 +103,12 @@ def _prepare() -> None:
     if mi.variant() is not None:
         _register_plugins(None, mi.variant())
 
+
+def _card(shown: object) -> str:
+    return importlib.import_module("tnst_mi.notebook.cards").card(shown)
+
+
+show_by(_card)
 
 # Without it nothing works, but the command and the public names can say why.
 if allows_reading():

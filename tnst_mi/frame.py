@@ -10,6 +10,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.geometry.placement import Placement
+from tnst_mi.machine.notebook_display import NotebookDisplay
 
 __all__ = ["Frame", "Note", "Placement"]
 
@@ -31,14 +32,15 @@ class Note:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Frame(NotebookDisplay):
     """A density grid with its velocity, obstacles, other grids, name and placement.
 
     Two faults that simulations leave in their files are mended, with a note: negative densities down to 1e-6 of the
     largest density, which are rounding errors, become 0; so do velocities that are no numbers in cells without smoke
     (at most 1e-6 of the largest density), where they do not matter.
 
-    Grids are indexed (z, y, x) with y up and values at cell centres; a 2-D grid has D = 1.
+    Grids are indexed (z, y, x) with y up and values at cell centres; a 2-D grid has D = 1. A notebook shows the main
+    view and what is in the frame.
 
     Attributes:
         density: (D, H, W) float32, finite, not negative.

@@ -22,6 +22,7 @@ import tomlkit
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.gate import decoding
+from tnst_mi.machine.notebook_display import NotebookDisplay
 from tnst_mi.recipe.expectation import expectation
 from tnst_mi.recipe.flag_values import value_of_flag
 from tnst_mi.recipe.keyframes import (
@@ -46,8 +47,10 @@ _View = tuple[float, float] | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Recipe(Reading, Resources, Method, Goals):
+class Recipe(Reading, Resources, Method, Goals, NotebookDisplay):
     """Everything that determines a stylization, apart from the frames themselves.
+
+    A notebook shows its pictures, and the keys that are not as by default.
 
     Some keys (`tnst_mi.recipe.keyframes.KEYABLE`) accept a table {frame number: value} instead of a single value. Their
     attributes then hold the value at the first frame of the table; `style` holds the pictures of all its frames.

@@ -13,6 +13,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import own_variant
+from tnst_mi.machine.notebook_display import NotebookDisplay
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.carry import carried
 from tnst_mi.run.inputs import Frames
@@ -23,8 +24,10 @@ from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(NotebookDisplay):
     """The result of a stylization, one entry per frame. Arrays that were written to files are read on access.
+
+    A notebook shows the main views before and after, and what became of loss and mass.
 
     Attributes:
         densities: stylized densities, (D, H, W) float32, blended as the recipe says.
@@ -36,6 +39,7 @@ class Result:
         history: one dict per iteration: octave, iteration, loss, terms, seconds.
         run: the contents of run.json.
         out: the folder of the results, or None.
+        recipe: as it was run, with absolute paths.
     """
 
     densities: Sequence[np.ndarray]
@@ -45,6 +49,7 @@ class Result:
     history: list[list[dict[str, Any]]]
     run: dict[str, Any]
     out: Path | None
+    recipe: Recipe
 
 
 def stylize(
@@ -117,4 +122,5 @@ def _stylized(
         grids = StoredGrids(prepared.out, names, prepared.suffix, prepared.frames)
     elif len(densities) == len(prepared.frames) > 1:
         record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
-    return Result(densities, velocities, grids, prepared.frames_named(names), history, record, prepared.out)
+    frames = prepared.frames_named(names)
+    return Result(densities, velocities, grids, frames, history, record, prepared.out, prepared.recipe)

@@ -162,9 +162,9 @@ def plot_sequence(
         FigureCanvasAgg(figure).print_png(str(temporary))
 
 
-def on_sheet(count: int) -> list[int]:
-    """Indices of the frames of `count` on a contact sheet: up to 12, evenly spread from the first to the last."""
-    chosen = min(count, _ON_SHEET)
+def on_sheet(count: int, most: int = _ON_SHEET) -> list[int]:
+    """Indices of `most` frames of `count`, or of all if they are fewer, evenly spread from the first to the last."""
+    chosen = min(count, most)
     return [i * (count - 1) // max(chosen - 1, 1) for i in range(chosen)]
 
 
