@@ -68,7 +68,7 @@ class Clock:
 
 def test_long_sequences_show_twelve_frames_at_most_every_thirty_seconds() -> None:
     names, gallery, clock = [f"f_{i:03d}" for i in range(100)], Gallery(), Clock()
-    live, rendered = LivePictures(gallery, names, SIZE, clock=clock), Rendered(names)
+    live, rendered = LivePictures(gallery, dict(enumerate(names)), SIZE, clock=clock), Rendered(names)
     live.octave_done(rendered)
     clock.now = PAUSE - 1
     live.octave_done(rendered)
@@ -82,7 +82,7 @@ def test_long_sequences_show_twelve_frames_at_most_every_thirty_seconds() -> Non
 
 def test_finished_frames_take_their_places_on_the_sheet() -> None:
     names, gallery, clock = ["a", "b", "c"], Gallery(), Clock()
-    live, rendered = LivePictures(gallery, names, SIZE, finished=["a"], clock=clock), Rendered(names)
+    live, rendered = LivePictures(gallery, dict(enumerate(names)), SIZE, finished=["a"], clock=clock), Rendered(names)
     live.octave_done(rendered)
     assert rendered.asked == [[1, 2]]
     live.frame_done("b", VIEW, VIEW)
@@ -94,7 +94,7 @@ def test_finished_frames_take_their_places_on_the_sheet() -> None:
 
 def test_a_sheet_shows_finished_frames_beside_others() -> None:
     names, gallery, clock = ["a", "b", "c"], Gallery(), Clock()
-    live = LivePictures(gallery, names, SIZE, clock=clock)
+    live = LivePictures(gallery, dict(enumerate(names)), SIZE, clock=clock)
     live.octave_done(Rendered(names))
     clock.now = PAUSE
     live.frame_done("b", VIEW, VIEW)
@@ -103,7 +103,7 @@ def test_a_sheet_shows_finished_frames_beside_others() -> None:
 
 def test_a_single_frame_is_shown_after_every_octave_and_has_no_sheet() -> None:
     gallery = Gallery()
-    live = LivePictures(gallery, ["a"], SIZE, clock=Clock())
+    live = LivePictures(gallery, {0: "a"}, SIZE, clock=Clock())
     for _ in range(3):
         live.octave_done(Rendered(["a"]))
     assert gallery.written == ["a"] * 3 and gallery.sheets == []

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 from distributed import Worker, WorkerPlugin, get_worker
 
 from tnst_mi.cluster.tasks import Task, Told, Workplace, carry_out
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine import environment
-from tnst_mi.machine.backend import activate, network_threads
+from tnst_mi.machine.backend import activate, kernel_threads, network_threads
 from tnst_mi.machine.lock import LOCK
 from tnst_mi.machine.turns import turn
 from tnst_mi.network.googlenet import GoogLeNet
@@ -114,7 +113,7 @@ def join(run: str, sharing: int) -> None:
     """
     with turn():
         _workplace(run)
-        dr.set_thread_count(max(1, _cores() // sharing))
+        kernel_threads(_cores() // (1 if _has_cores_of_its_own() else sharing))
 
 
 def perform(run: str, task: Task, told: Told) -> Any:
@@ -206,6 +205,10 @@ def _entered(run: str) -> Workplace:
     backing = FolderStore(out / WORK, order.identity, may_write, member=member)
     folder = RunFolder(out, work.recipe, suffix=work.suffix, may_write=may_write, joining=True)
     return Workplace(work, network, DeviceStore(backing, work.cache_bytes), folder)
+
+
+def _has_cores_of_its_own() -> bool:
+    return _cores() < (os.cpu_count() or 1)
 
 
 def _cores() -> int:

@@ -114,12 +114,21 @@ def _share_threads() -> None:
     if not hasattr(os, "sched_getaffinity"):
         return
     threads = len(os.sched_getaffinity(0))
-    if dr.thread_count() != threads:
-        dr.set_thread_count(threads)
+    kernel_threads(threads)
     if "torch" in sys.modules:
         torch.set_num_threads(threads)
     else:
         os.environ.setdefault("OMP_NUM_THREADS", str(threads))
+
+
+def kernel_threads(count: int) -> None:
+    """Give Dr.Jit so many CPU threads, on which its results do not depend; two at least.
+
+    Where there is one, Dr.Jit computes in the thread that calls it, which does not flush denormal numbers to 0 as its
+    own threads do: last bits would differ.
+    """
+    if dr.thread_count() != max(2, count):
+        dr.set_thread_count(max(2, count))
 
 
 def network_threads(count: int | None = None) -> int:

@@ -220,6 +220,9 @@ class Resources:
     ] = None
     """Numbers of the first and the last frame of a sequence to take, or of one; with decimal points, such as 1.0:2.5,
     sub-frames are taken too. All whole frames if not set."""
+    context: Annotated[int, Integer(0, 1000)] = 0
+    """How many frame numbers before and after those of frames are stylized too, but not written: what others stylize as
+    neighbours of these, so that the parts of a sequence fit together (docs/cluster.md)."""
     weights: Annotated[
         str | None, Text(f"FILE|FOLDER|{PATTERNS}", f"a file or folder with GoogLeNet weights, or {PATTERNS}")
     ] = None

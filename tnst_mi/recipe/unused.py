@@ -65,6 +65,8 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
         yield ("quadrature",), 'it belongs to integrator = "emission_absorption"'
     if recipe.window == 1 or frames == 1:
         yield _OF_A_WINDOW, "there is no window"
+    if recipe.frames is None:
+        yield ("context",), "frames are not selected"
     if frames == 1:
         yield ("fps",), "there is one frame"
 

@@ -120,7 +120,8 @@ def _stylized(
         densities = StoredArrays(prepared.out, "density", names, prepared.suffix, prepared.frames)
         velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix, prepared.frames)
         grids = StoredGrids(prepared.out, names, prepared.suffix, prepared.frames)
-    elif len(densities) == len(prepared.frames) > 1:
-        record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, record["frames"])
+    elif len(densities) == len(prepared.wanted) > 1:
+        frames = (prepared.moving[index] for index in prepared.wanted)
+        record["sequence"] = sequence_record(prepared.recipe, frames, densities, record["frames"])
     frames = prepared.frames_named(names)
     return Result(densities, velocities, grids, frames, history, record, prepared.out, prepared.recipe)

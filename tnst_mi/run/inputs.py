@@ -31,7 +31,10 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
         InputError: there are none, or they cannot be used.
     """
     if isinstance(frames, str | Path):
-        return open_frames(frames, recipe.frame_range, conventions_of(recipe))
+        span = recipe.frame_range
+        if span is not None:
+            span = span[0] - recipe.context, span[1] + recipe.context
+        return open_frames(frames, span, conventions_of(recipe))
     if recipe.frames is not None:
         raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
     for key in Reading.__annotations__:

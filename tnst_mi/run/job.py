@@ -97,7 +97,7 @@ class Run(Iterator[FinishedFrame]):
         self.prepared = prepared
         self._optimiser = optimiser or partial(SequenceOptimisation, cache_bytes=prepared.cache_bytes)
         self.record: dict[str, Any] = copy.deepcopy(dict(prepared.record))
-        shape, left = prepared.plan.shape, len(prepared.measures) - len(self.record["frames"])
+        shape, left = prepared.plan.shape, len(prepared.wanted) - len(self.record["frames"])
         self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, shape), math.prod(shape), left)
         self._interrupted = False
         self._frames = self._stylized()
@@ -154,7 +154,7 @@ class Run(Iterator[FinishedFrame]):
             recipe, may_write = prepared.recipe, lock.require_held
             folder = RunFolder(prepared.out, recipe, prepared.overwrite, prepared.suffix, finished, may_write)
             store = FolderStore(folder.work, run_identity(recipe, self.record), may_write, self._bar.say)
-        if len(finished) == len(prepared.frames) and (len(prepared.frames) == 1 or "sequence" in self.record):
+        if len(finished) == len(prepared.wanted) and (len(prepared.wanted) == 1 or "sequence" in self.record):
             self.record["status"] = "done"
             if folder is not None:
                 # The earlier run may have been killed before it cleaned up.
@@ -167,8 +167,11 @@ class Run(Iterator[FinishedFrame]):
             self._bar.say(line)
         if prepared.network.fallback:
             announce_fallback()
-        done = [index for index, name in enumerate(prepared.names) if name in finished]
-        live = None if folder is None else LivePictures(folder, prepared.names, prepared.plan.full.size, finished)
+        names, wanted = prepared.names, prepared.wanted
+        done = [index for index, name in enumerate(names) if name in finished or index in prepared.context]
+        live = None
+        if folder is not None:
+            live = LivePictures(folder, {index: names[index] for index in wanted}, prepared.plan.full.size, finished)
         with closing(self._computed(folder, store, live, done)) as frames:
             for frame in frames:
                 self.record["frames"].append(frame.record)
@@ -209,13 +212,14 @@ class Run(Iterator[FinishedFrame]):
     def _conclude(self, folder: RunFolder) -> None:
         """Write the results for all frames together, and clean up."""
         prepared = self.prepared
-        names = prepared.names
+        names = [prepared.names[index] for index in prepared.wanted]
         place = {name: index for index, name in enumerate(names)}
         self.record["frames"].sort(key=lambda record: place[record["name"]])
         if len(names) > 1:
+            frames = (prepared.moving[index] for index in prepared.wanted)
             densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]
-            self.record["sequence"] = sequence_record(prepared.recipe, prepared.moving, densities, records)
+            self.record["sequence"] = sequence_record(prepared.recipe, frames, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
             self.record["results"] = folder.recorded_pictures()
         folder.write_run(self.record)

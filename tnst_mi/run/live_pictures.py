@@ -6,7 +6,7 @@ They have the names that the results will have, and their places are taken by th
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class LivePictures:
 
     Args:
         folder: of the run.
-        names: of all frames, in their order.
+        names: of the frames that have results, by their indices, in their order.
         size: rows and columns of the pictures of results, to which those of coarser octaves are enlarged.
         finished: names of the frames that have been written already.
         clock: seconds that pass.
@@ -33,13 +33,14 @@ class LivePictures:
     def __init__(
         self,
         folder: RunFolder,
-        names: Sequence[str],
+        names: Mapping[int, str],
         size: tuple[int, int],
         finished: Collection[str] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._names, self._size, self._clock = folder, names, size, clock
-        self._chosen, self._finished = on_sheet(len(names)), set(finished)
+        every = list(names)
+        self._chosen, self._finished = [every[place] for place in on_sheet(len(every))], set(finished)
         #: The pictures of the contact sheet so far.
         self._shown: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         if len(names) > 1:

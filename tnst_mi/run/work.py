@@ -26,6 +26,7 @@ class Work:
         cache_bytes: memory that a process may take besides, see `run.memory.cache_bytes`.
         out: the folder of the results, or None.
         suffix: file suffix of the results, of the recipe's format or else of the input's, if that can be written.
+        context: indices of frames that are stylized for the sake of their neighbours, and have no results.
     """
 
     recipe: Recipe
@@ -36,6 +37,7 @@ class Work:
     cache_bytes: int
     out: Path | None
     suffix: str
+    context: frozenset[int]
 
     @property
     def unchanged(self) -> Sequence[Frame]:
@@ -46,6 +48,11 @@ class Work:
     def moving(self) -> Sequence[Frame]:
         """The same with velocities that lead from each to the next, which may not be the next of the simulation."""
         return self.unchanged if self.step == 1 else ScaledFrames(self.unchanged, velocity_factor=self.step)
+
+    @property
+    def wanted(self) -> list[int]:
+        """The indices of the frames that have results."""
+        return [index for index in range(len(self.measures)) if index not in self.context]
 
     @property
     def names(self) -> list[str]:
