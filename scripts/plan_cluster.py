@@ -1,11 +1,12 @@
 """How fast a shot would be on more workers than there are at hand, and what it asks of the network and the disk.
 
-    python scripts/plan_cluster.py MEASURED.json [--frames 24 120 1000] [--workers 1 2 4 8 16 32 64] [--plot PLAN.png]
-    python scripts/plan_cluster.py MEASURED.json --frames 12 --workers 1 2 3 --per-machine 3 --cores 2
+    python scripts/plan_cluster.py OUT|MEASURED.toml [--frames 24 120 1000] [--workers 1 8 64] [--plot PLAN.png]
+    python scripts/plan_cluster.py OUT --frames 12 --workers 1 2 3 --per-machine 3 --cores 2
 
 The second line is this machine of two cores, to be compared with what was measured there. It is a simulation of the
-tasks of `tnst-mi stylize --cluster`, event by event: which task waits for which, one scheduler, workers that each take
-the tasks of a block of consecutive frames, and tasks of others when they have none. Printed is a table (Markdown):
+tasks of `tnst-mi stylize --cluster`, event by event: which task waits for which, a scheduler that does one thing at a
+time, workers that each take the tasks of a block of consecutive frames, and tasks of others when they have none.
+Printed is a table (Markdown):
 
     time        from the beginning of the run to its end
     speed-up    against one worker
@@ -14,32 +15,35 @@ the tasks of a block of consecutive frames, and tasks of others when they have n
                 that is slower than that is what the run will wait for, and the table does not know it
     store       what OUT/.work takes at most; "results": what the results in OUT take
 
-What was measured comes from a file in TOML or JSON. Bytes are those of one task of a frame whose window is whole, read
-by a worker that has nothing yet:
+What was measured is read from OUT, the folder of a run on a cluster (`--cluster local:1` is one), which does not tell
+the seconds of --prepare, --conclude, --scheduler and --latency, nor the sizes of the input's files, which are not in
+the table then. Or it comes from a file in TOML or JSON:
 
     window = 5                    # 1 where each frame is stylized by itself
     iterations = [20, 20]         # of each octave
     prepare_seconds = 4.0         # the coordinator's, before the first task: these four may be left out
     conclude_seconds = 3.0        # and after the last
-    scheduler_seconds = 0.001     # the scheduler's, for each task
+    scheduler_seconds = 0.001     # the scheduler's and the coordinator's, for each task
     latency_seconds = 0.004       # from the end of a task to the start of one that waited for it
 
-    [[tasks.own]]                 # the first octave
+    [[tasks.step]]                # the first octave
     seconds = 0.9                 # on a core of one's own
-    bytes_read = 2_400_000        # bytes may be left out
-    bytes_written = 600_000
-
-    [[tasks.own]]                 # the second octave
+    bytes_written = 600_000       # 0, if it is left out
+    bytes_read = 2_400_000        # by a task whose window is whole and whose worker has nothing yet; without, all
+                                  # that the items have that it needs
+    [[tasks.step]]                # the second octave
     seconds = 3.1
 
-Kinds of tasks, of which a list has an entry for each octave: with a window enter, gain, calibrate, own and average;
-without, enter, calibrate and octave (all iterations of a frame); and finish, whose list has one. Needed are enter, own
-and average, or octave; a run that has no tasks of another kind leaves it out.
+Kinds of tasks, of which a list has an entry for each octave, are those of run.json: with a window inputs, fields,
+gain, scales, step and average; without, inputs, fields, scales and iterate (all iterations of a frame); and finish,
+whose list has one. gain, scales and finish may be missing. Files of the input are what `inputs` reads in the first
+octave, results what `finish` writes.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import io
 import math
 import sys
@@ -48,6 +52,7 @@ from pathlib import Path
 
 from cluster_plan.graph import graph_of
 from cluster_plan.measured import Measured, read_measured
+from cluster_plan.recorded import measured_by
 from cluster_plan.simulation import Cluster, Prediction, simulate
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -57,6 +62,14 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.terminal import amount
 
 FRAMES, WORKERS = (24, 120, 1000), (1, 2, 4, 8, 16, 32, 64)
+
+#: Flags that take the place of what was measured.
+_SECONDS = {
+    "prepare": "of the coordinator before the first task",
+    "conclude": "of the coordinator after the last",
+    "scheduler": "of the scheduler for each task",
+    "latency": "from the end of a task to the start of one that waited for it",
+}
 
 _HEAD = ("frames", "workers", "time", "speed-up", "idle", "read", "written", "rate", "store", "results")
 
@@ -69,7 +82,7 @@ def main() -> int:
     arguments = parsed()
     try:
         require(arguments)
-        measured = read_measured(arguments.measured)
+        measured = found_in(arguments)
         with naming(arguments.measured):
             plan = planned(measured, arguments)
         if arguments.plot is not None:
@@ -85,7 +98,7 @@ def main() -> int:
 def parsed() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("measured", type=Path, metavar="MEASURED", help="what was measured: a .toml or .json file")
+    parser.add_argument("measured", type=Path, metavar="MEASURED", help="the folder of a run, or a .toml or .json file")
     parser.add_argument("--frames", type=int, nargs="+", default=FRAMES, metavar="N", help="lengths of the shot")
     parser.add_argument("--workers", type=int, nargs="+", default=WORKERS, metavar="N", help="of one thread each")
     parser.add_argument("--per-machine", type=int, default=1, metavar="N", help="workers that share a machine (1)")
@@ -99,6 +112,8 @@ def parsed() -> argparse.Namespace:
         metavar="BYTES",
         help="what a worker keeps of what it has read or written (0)",
     )
+    for name, what in _SECONDS.items():
+        parser.add_argument(f"--{name}", type=float, metavar="SECONDS", help=f"{what} (as measured, else 0)")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="also draw speed-up and network")
     return parser.parse_args()
 
@@ -109,18 +124,32 @@ def require(arguments: argparse.Namespace) -> None:
     Raises:
         InputError: one is too small.
     """
-    for name, least in (("frames", 1), ("workers", 1), ("per_machine", 1), ("cores", 1), ("cache", 0)):
+    leasts = dict.fromkeys(("frames", "workers", "per_machine", "cores"), 1) | dict.fromkeys(("cache", *_SECONDS), 0)
+    for name, least in leasts.items():
         given = getattr(arguments, name)
-        for value in given if isinstance(given, Sequence) else [given]:
+        for value in given if isinstance(given, Sequence) else [given] if given is not None else []:
             if not value >= least:
                 raise InputError(f"--{name.replace('_', '-')} {value}: expected {least} or more")
+
+
+def found_in(arguments: argparse.Namespace) -> Measured:
+    """What was measured, with what the command line puts in its place.
+
+    Raises:
+        InputError: it cannot be used.
+        OSError: it cannot be read.
+    """
+    path = arguments.measured
+    measured = measured_by(path) if path.is_dir() else read_measured(path)
+    given = {f"{name}_seconds": getattr(arguments, name) for name in _SECONDS}
+    return dataclasses.replace(measured, **{key: value for key, value in given.items() if value is not None})
 
 
 def planned(measured: Measured, arguments: argparse.Namespace) -> Plan:
     """Simulate every number of frames on every number of workers, one worker among them.
 
     Raises:
-        InputError: a task reads, and nothing is there that it could read.
+        InputError: a task reads, and needs nothing that it could read.
     """
     plan: Plan = {}
     for frames in arguments.frames:

@@ -24,7 +24,7 @@ class Task(NamedTuple):
 
 @dataclass
 class Graph:
-    """The tasks, the most urgent first: each stands after those that it waits for.
+    """The tasks, each after those that it waits for, and but for results in the order in which they are urgent.
 
     Attributes:
         frames: how many there are.
@@ -48,13 +48,17 @@ class Graph:
             self.followers[earlier].append(place)
         return place
 
+    def urgency(self, place: int) -> int:
+        """The smaller, the earlier a task should be done: results as early as they can be."""
+        return place - len(self.tasks) if self.tasks[place].kind == "finish" else place
+
 
 def graph_of(measured: Measured, frames: int) -> Graph:
     """The graph of a shot of so many frames, all of which are changed.
 
-    An octave begins when the one before has ended everywhere, since the scales of its loss are pooled over the
-    sequence; for the same reason no frame has its first step before all are calibrated. Within an octave a frame waits
-    for its window alone.
+    An octave begins when the one before has ended everywhere, since the scales of its loss are measured over the whole
+    sequence; for the same reason no frame has its first step before all have been measured. Then a frame waits for its
+    window alone.
     """
     graph, every = Graph(frames), range(frames)
     windows = [window_of(frame, frames, measured.window) for frame in every]
@@ -70,22 +74,23 @@ def graph_of(measured: Measured, frames: int) -> Graph:
     for octave, iterations in enumerate(measured.iterations):
         if octave > 0:
             before = after_all(octave, before)
-        if measured.has("enter", octave):
-            before = one_each("enter", octave, 0, before)
-        gains: list[list[int]] = [[] for _ in every]
+        inputs = one_each("inputs", octave, 0, before)
+        entered = one_each("fields", octave, 0, inputs)
         if measured.has("gain", octave):
-            gains = one_each("gain", octave, 0, [[place for i in window for place in before[i]] for window in windows])
-        if measured.has("calibrate", octave):
-            before = after_all(octave, one_each("calibrate", octave, 0, before))
+            entered += one_each(
+                "gain", octave, 0, [[place for i in window for place in inputs[i]] for window in windows]
+            )
+        before = after_all(octave, entered)
+        if measured.has("scales", octave):
+            before = after_all(octave, one_each("scales", octave, 0, before))
         if measured.window == 1:
-            before = one_each("octave", octave, 0, before)
+            before = one_each("iterate", octave, 0, before)
             continue
         for k in range(iterations):
-            own = one_each("own", octave, k, before)
-            steps = [[place for i in window for place in own[i]] for window in windows]
-            if k == 0:
-                steps = [places + gain for places, gain in zip(steps, gains, strict=True)]
-            before = one_each("average", octave, k, steps)
+            steps = one_each("step", octave, k, before)
+            before = one_each(
+                "average", octave, k, [[place for i in window for place in steps[i]] for window in windows]
+            )
     last = len(measured.iterations) - 1
     if measured.has("finish", last):
         one_each("finish", last, 0, before)

@@ -11,11 +11,11 @@ from typing import Any
 
 from tnst_mi.errors import InputError, naming
 
-#: What a task of each kind does; by whether frames are stylized with a window.
-WINDOWED = ("enter", "gain", "calibrate", "own", "average", "finish")
-ALONE = ("enter", "calibrate", "octave", "finish")
+#: Kinds of tasks, as runs name them, with a window and without.
+WINDOWED = ("inputs", "fields", "gain", "scales", "step", "average", "finish")
+ALONE = ("inputs", "fields", "scales", "iterate", "finish")
 
-_REQUIRED = {True: ("enter", "own", "average"), False: ("octave",)}
+_REQUIRED = {True: ("inputs", "fields", "step", "average"), False: ("inputs", "fields", "iterate")}
 _KEYS = ("window", "iterations", "prepare_seconds", "conclude_seconds", "scheduler_seconds", "latency_seconds", "tasks")
 _COSTS = ("seconds", "bytes_read", "bytes_written")
 
@@ -26,12 +26,13 @@ class Cost:
 
     Attributes:
         seconds: on a core of its own.
-        bytes_read: by a task whose window is whole, if its worker has nothing yet.
+        bytes_read: by a task whose window is whole, if its worker has nothing yet; None for all of the items that it
+            needs, of which it may read a part only.
         bytes_written: into the shared folder.
     """
 
     seconds: float
-    bytes_read: float = 0.0
+    bytes_read: float | None = None
     bytes_written: float = 0.0
 
 

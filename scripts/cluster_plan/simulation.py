@@ -58,7 +58,7 @@ class Prediction:
 
 @dataclass
 class _Worker:
-    """A worker as the scheduler sees it; both lists are heaps of tasks.
+    """A worker as the scheduler sees it; both lists are heaps of tasks, with how urgent they are before them.
 
     Attributes:
         ready: tasks of its frames that have not been given to any worker.
@@ -69,8 +69,8 @@ class _Worker:
 
     cache: Cache
     machine: Machine
-    ready: list[int] = field(default_factory=list)
-    here: list[int] = field(default_factory=list)
+    ready: list[tuple[int, int]] = field(default_factory=list)
+    here: list[tuple[int, int]] = field(default_factory=list)
     given: int = 0
     busy: bool = False
 
@@ -87,7 +87,7 @@ def simulate(measured: Measured, graph: Graph, cluster: Cluster) -> Prediction:
     most urgent task that it has been given. One that has nothing to do takes a task from the one with the most.
 
     Raises:
-        InputError: a task reads, and nothing is there that it could read.
+        InputError: a task reads, and needs nothing that it could read.
     """
     return _Simulation(measured, graph, cluster).run()
 
@@ -123,7 +123,7 @@ class _Simulation:
             if what == "ends":
                 self._end(now, place, other)
             elif what == "arrives":
-                heapq.heappush(self._workers[place].here, other)
+                heapq.heappush(self._workers[place].here, (self._graph.urgency(other), other))
                 self._begin(now, place)
                 self._steal(now, latency)
             else:
@@ -168,7 +168,7 @@ class _Simulation:
                 ready += [f for f in self._graph.followers[place] if self._waits_for[f] == 0]
                 continue
             home = task.frame * len(self._workers) // self._graph.frames
-            heapq.heappush(self._workers[home].ready, place)
+            heapq.heappush(self._workers[home].ready, (self._graph.urgency(place), place))
             homes.add(home)
         for home in sorted(homes):
             self._fill(now, home, latency)
@@ -177,7 +177,7 @@ class _Simulation:
         """Give a worker tasks of its own, as many as it has room for."""
         worker = self._workers[place]
         while worker.ready and worker.given <= AHEAD:
-            self._send(now + latency, place, heapq.heappop(worker.ready))
+            self._send(now + latency, place, heapq.heappop(worker.ready)[1])
 
     def _steal(self, now: float, latency: float) -> None:
         """Give workers that have nothing tasks of those that have the most."""
@@ -187,9 +187,9 @@ class _Simulation:
                 break
             self._stolen += 1
             if victim.ready:
-                task = heapq.heappop(victim.ready)
+                _, task = heapq.heappop(victim.ready)
             else:
-                task = heapq.heappop(victim.here)
+                _, task = heapq.heappop(victim.here)
                 victim.given -= 1
             self._send(now + latency, place, task)
 
@@ -205,7 +205,7 @@ class _Simulation:
         worker = self._workers[place]
         if worker.busy or not worker.here:
             return
-        number = heapq.heappop(worker.here)
+        _, number = heapq.heappop(worker.here)
         task = self._graph.tasks[number]
         for item, generation, size in self._items.read(task):
             if not worker.cache.has(item, generation):

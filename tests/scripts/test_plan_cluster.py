@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import sys
 from pathlib import Path
@@ -13,22 +14,27 @@ import pytest
 from cluster_plan.graph import BARRIER, graph_of
 from cluster_plan.items import Cache, Item
 from cluster_plan.measured import Cost, Measured, read_measured
+from cluster_plan.recorded import measured_by
 from cluster_plan.simulation import Cluster, Prediction, simulate
 from PIL import Image
+
+from tnst_mi import InputError, Recipe
 
 #: Seconds are sums of powers of two, so that their sums are exact in whatever order.
 WINDOWED = Measured(
     window=5,
     iterations=(3, 2),
     costs={
-        ("enter", 0): Cost(0.25, 700, 500),
-        ("enter", 1): Cost(0.5, 800, 3000),
+        ("inputs", 0): Cost(0.25, 700, 400),
+        ("inputs", 1): Cost(0.5, 700, 2400),
+        ("fields", 0): Cost(0.25, None, 100),
+        ("fields", 1): Cost(0.5, 100, 600),
         ("gain", 0): Cost(0.125, 5 * 400, 10),
         ("gain", 1): Cost(0.25, 5 * 2400, 60),
-        ("calibrate", 0): Cost(0.5, 500),
-        ("calibrate", 1): Cost(1.0, 3000),
-        ("own", 0): Cost(1.0, 500, 30),
-        ("own", 1): Cost(4.0, 3000, 180),
+        ("scales", 0): Cost(0.5, 500),
+        ("scales", 1): Cost(1.0, 3000),
+        ("step", 0): Cost(1.0, 500, 30),
+        ("step", 1): Cost(4.0, 3000, 180),
         ("average", 0): Cost(0.5, 100 + 10 + 5 * (400 + 30), 100),
         ("average", 1): Cost(2.0, 600 + 60 + 5 * (2400 + 180), 600),
         ("finish", 1): Cost(8.0, 1300, 4000),
@@ -37,11 +43,14 @@ WINDOWED = Measured(
     conclude_seconds=32.0,
 )
 ALONE = Measured(
-    1, (5, 5), {("octave", 0): Cost(2.0, 700, 100), ("octave", 1): Cost(6.0, 800, 600), ("finish", 1): Cost(1.0)}
+    1,
+    (5, 5),
+    {("inputs", 0): Cost(0.0), ("inputs", 1): Cost(0.0), ("fields", 0): Cost(0.0), ("fields", 1): Cost(0.0)}
+    | {("iterate", 0): Cost(2.0), ("iterate", 1): Cost(6.0), ("finish", 1): Cost(1.0)},
 )
 
 #: Tasks of each frame: their kinds, and how many of each.
-COUNTS = {("own", 0): 3, ("average", 0): 3, ("own", 1): 2, ("average", 1): 2}
+COUNTS = {("step", 0): 3, ("average", 0): 3, ("step", 1): 2, ("average", 1): 2}
 
 
 def predicted(measured: Measured, frames: int, **cluster: float) -> Prediction:
@@ -65,17 +74,17 @@ def test_one_worker_takes_the_sum_of_all_times(measured: Measured, counts: dict)
 
 
 def test_as_many_workers_as_can_be_used_take_the_longest_way_through_the_graph() -> None:
-    # Gains are computed beside the calibration, and are the shorter.
-    octaves = 0.25 + 0.5 + 3 * (1.0 + 0.5), 0.5 + 1.0 + 2 * (4.0 + 2.0)
+    # Gains are computed beside the fields, and are the shorter.
+    octaves = 0.25 + 0.25 + 0.5 + 3 * (1.0 + 0.5), 0.5 + 0.5 + 1.0 + 2 * (4.0 + 2.0)
     assert predicted(WINDOWED, 9, workers=18).seconds == serial(WINDOWED) + sum(octaves) + 8.0
 
 
 def test_a_task_that_waits_begins_by_the_latency_later() -> None:
     costs = {of: cost for of, cost in WINDOWED.costs.items() if of[0] != "gain"}
     measured = dataclasses.replace(WINDOWED, costs=costs, latency_seconds=1 / 64)
-    # From the first task to the last: enter, calibrate, two for each iteration; and finish.
-    links = 2 + 2 * 3 + 2 + 2 * 2
-    without = 0.25 + 0.5 + 3 * 1.5 + 0.5 + 1.0 + 2 * 6.0 + 8.0
+    # From the first task to the last: inputs, fields, scales, two for each iteration; and finish.
+    links = 3 + 2 * 3 + 3 + 2 * 2
+    without = 0.5 + 0.5 + 3 * 1.5 + 1.0 + 1.0 + 2 * 6.0 + 8.0
     assert predicted(measured, 9, workers=9).seconds == pytest.approx(
         serial(measured) + without + links / 64, rel=1e-12
     )
@@ -83,9 +92,9 @@ def test_a_task_that_waits_begins_by_the_latency_later() -> None:
 
 def test_one_worker_with_much_to_do_does_not_wait_for_latency() -> None:
     measured = dataclasses.replace(WINDOWED, latency_seconds=1 / 64)
-    # Only where the sequence is waited for: both barriers of an octave, and those before and after the averages.
+    # Only where all frames are waited for: before the second octave, and before and after the scales of both.
     found, without = predicted(measured, 20), predicted(WINDOWED, 20)
-    assert without.seconds < found.seconds <= without.seconds + 14 / 64
+    assert without.seconds + 5 / 64 <= found.seconds <= without.seconds + 10 / 64
 
 
 def test_the_scheduler_does_one_thing_at_a_time() -> None:
@@ -104,9 +113,9 @@ def test_frames_without_a_window_are_shared_out(workers: int) -> None:
 
 def test_a_frame_too_many_is_a_frame_that_others_wait_for() -> None:
     found = predicted(ALONE, 13, workers=4)
-    # Meanwhile they finish theirs.
-    assert found.seconds == math.ceil(13 / 4) * 8.0 + 1.0
-    assert found.idle == pytest.approx(1 - 13 * 9.0 / (4 * 33.0))
+    # They may finish theirs meanwhile, or before.
+    assert math.ceil(13 / 4) * 8.0 + 1.0 <= found.seconds <= math.ceil(13 / 4) * 9.0
+    assert found.idle == pytest.approx(1 - 13 * 9.0 / (4 * found.seconds))
 
 
 @pytest.mark.parametrize("measured", [WINDOWED, ALONE])
@@ -139,7 +148,7 @@ def test_machines_do_not_slow_each_other_down() -> None:
 def test_without_a_cache_every_byte_is_read_over_the_network() -> None:
     frames, found = 7, predicted(WINDOWED, 7)
     at_ends = 2 + 1 + 0 + 0 + 0 + 1 + 2  # frames that windows lack
-    read = sum(frames * cost.bytes_read * COUNTS.get(of, 1) for of, cost in WINDOWED.costs.items())
+    read = sum(frames * (cost.bytes_read or 0) * COUNTS.get(of, 1) for of, cost in WINDOWED.costs.items())
     read -= at_ends * (400 + 2400)  # gains
     read -= at_ends * (3 * (400 + 30) + 2 * (2400 + 180))  # averages
     assert found.bytes_read == pytest.approx(read)
@@ -149,11 +158,15 @@ def test_without_a_cache_every_byte_is_read_over_the_network() -> None:
 
 def test_one_worker_that_forgets_nothing_reads_the_frames_once_and_nothing_else() -> None:
     assert predicted(WINDOWED, 7, cache_bytes=math.inf).bytes_read == 7 * 700
-    unread = {
-        of: dataclasses.replace(cost, bytes_read=0.0) if of == ("enter", 0) else cost
-        for of, cost in WINDOWED.costs.items()
-    }
-    assert predicted(dataclasses.replace(WINDOWED, costs=unread), 7, cache_bytes=math.inf).bytes_read == 0
+    costs = WINDOWED.costs | {("inputs", 0): Cost(1.0, 0.0, 400), ("inputs", 1): Cost(1.0, 0.0, 2400)}
+    assert predicted(dataclasses.replace(WINDOWED, costs=costs), 7, cache_bytes=math.inf).bytes_read == 0
+
+
+def test_what_is_not_said_to_be_read_is_all_that_is_needed() -> None:
+    costs = {of: dataclasses.replace(cost, bytes_read=None) for of, cost in WINDOWED.costs.items()}
+    costs["inputs", 0] = WINDOWED.costs["inputs", 0]
+    found = predicted(dataclasses.replace(WINDOWED, costs=costs), 7)
+    assert found.bytes_read == pytest.approx(predicted(WINDOWED, 7).bytes_read)
 
 
 def test_two_workers_that_forget_nothing_read_what_the_other_writes() -> None:
@@ -175,7 +188,7 @@ def test_the_store_holds_two_octaves_while_frames_enter_the_second() -> None:
     # One worker finds all steps before the first average.
     of_one = Measured(5, (3,), {(kind, 0): cost for (kind, octave), cost in WINDOWED.costs.items() if octave == 0})
     assert predicted(of_one, 10).store_bytes == 10 * (400 + 100 + 10 + 30)
-    assert predicted(WINDOWED, 10).store_bytes == 10 * (400 + 100 + 10) + 10 * (2400 + 600)
+    assert predicted(WINDOWED, 10).store_bytes == 10 * (400 + 100 + 10) + 10 * (2400 + 600 + 60)
 
 
 def test_a_cache_keeps_what_was_used_last() -> None:
@@ -196,9 +209,10 @@ TOML = """
 window = 3
 iterations = [2]
 latency_seconds = 0.5
-tasks.enter = [{seconds = 1, bytes_written = 10}]
-tasks.own = [{seconds = 2, bytes_read = 10, bytes_written = 5}]
-tasks.average = [{seconds = 1, bytes_written = 5}]
+tasks.inputs = [{seconds = 1, bytes_written = 10}]
+tasks.fields = [{seconds = 1}]
+tasks.step = [{seconds = 2, bytes_read = 10, bytes_written = 5}]
+tasks.average = [{seconds = 1}]
 """
 
 
@@ -207,7 +221,7 @@ def test_measurements_are_read_as_documented(tmp_path: Path) -> None:
     path.write_text(TOML)
     found = read_measured(path)
     assert found.window == 3 and found.iterations == (2,) and found.latency_seconds == 0.5
-    assert found.costs["own", 0] == Cost(2.0, 10.0, 5.0) and not found.has("finish", 0)
+    assert found.costs["step", 0] == Cost(2.0, 10.0, 5.0) and not found.has("finish", 0)
 
 
 @pytest.mark.parametrize(
@@ -216,13 +230,13 @@ def test_measurements_are_read_as_documented(tmp_path: Path) -> None:
         (("window = 3", "window = 4"), "window = 4: expected an odd number"),
         (("window = 3", "windows = 3"), "unknown key 'windows'"),
         (("iterations = [2]", "iterations = []"), "iterations"),
-        (("iterations = [2]", "iterations = [2, 2]"), "tasks.enter: expected a list of 2"),
-        (("seconds = 2", "seconds = -2"), "tasks.own: seconds = -2: expected a number of 0 or more"),
-        (("seconds = 2", "seconds = nan"), "tasks.own: seconds = nan"),
-        (("seconds = 2, ", ""), "tasks.own: seconds is missing"),
-        (("tasks.own", "tasks.octave"), "tasks: unknown key 'octave'"),
+        (("iterations = [2]", "iterations = [2, 2]"), "tasks.inputs: expected a list of 2"),
+        (("seconds = 2", "seconds = -2"), "tasks.step: seconds = -2: expected a number of 0 or more"),
+        (("seconds = 2", "seconds = nan"), "tasks.step: seconds = nan"),
+        (("seconds = 2, ", ""), "tasks.step: seconds is missing"),
+        (("tasks.step", "tasks.iterate"), "tasks: unknown key 'iterate'"),
         (("tasks.average", "tasks.finish"), "tasks: average is missing"),
-        (("bytes_written = 10", "bytes_written = 0"), "tasks.own: bytes_read = 10 in octave 0, but nothing"),
+        (("bytes_written = 10", "bytes_written = 0"), "tasks.step: bytes_read = 10 in octave 0, but it needs nothing"),
         (("window = 3", "window = "), "not valid TOML"),
     ],
 )
@@ -234,10 +248,7 @@ def test_what_cannot_be_used_is_said_in_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / "measured.toml"
-    # Fields without a size, so that what enters is what there is to be read.
-    path.write_text(
-        TOML.replace("average = [{seconds = 1, bytes_written = 5}]", "average = [{seconds = 1}]").replace(*wrong)
-    )
+    path.write_text(TOML.replace(*wrong))
     monkeypatch.setattr(sys, "argv", ["plan_cluster.py", str(path), "--frames", "4"])
     assert plan_cluster.main() == 2
     out, err = capsys.readouterr()
@@ -265,7 +276,49 @@ def test_the_table_and_the_plot(
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert head.startswith("| frames | workers | time | speed-up |")
     assert [row[:2] for row in cells] == [[frames, workers] for frames in ("6", "60") for workers in ("1", "2", "6")]
-    # 60 frames: 7 s each; one worker waits for 0.5 s only where all frames wait for one.
-    assert cells[3][2:4] == ["7:00", "1.00"] and cells[4][3] in ("1.99", "2.00")
+    # 60 frames of 8 s each, and half a second where all wait for the last one that enters.
+    assert cells[3][2:4] == ["8:00", "1.00"] and cells[4][3] in ("1.99", "2.00")
     with Image.open(plot) as picture:
         assert np.asarray(picture.convert("L")).std() > 10
+
+
+def recorded(folder: Path, *parts: dict) -> Path:
+    """The folder of a run on a cluster, in as many parts as it was resumed."""
+    tasks = [{"address": "local:1", "tasks": part} for part in parts]
+    (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "cluster": tasks}))
+    (folder / "recipe.toml").write_text(Recipe(style=["spirals"], window=3, octaves=1, iterations=2).to_toml())
+    (folder / "density").mkdir()
+    (folder / "density" / "frame_0001.npz").write_bytes(bytes(1200))
+    return folder
+
+
+def took(tasks: int, seconds: float, written: int = 0) -> dict:
+    return {"tasks": tasks, "seconds": seconds, "bytes_read": 1, "bytes_written": written}
+
+
+def test_a_run_on_a_cluster_is_measured(tmp_path: Path) -> None:
+    kinds = ("inputs", "fields", "average", "finish")
+    first = {f"{kind} 1": took(12, 1.0, 10) for kind in kinds} | {"step 1": took(18, 2.0, 50)}
+    found = measured_by(recorded(tmp_path, first, {"step 1": took(6, 4.0, 50)}))
+    assert (found.window, found.iterations) == (3, (2,))
+    assert found.cost("step", 0) == Cost((18 * 2.0 + 6 * 4.0) / 24, None, 50.0)
+    assert found.cost("finish", 0) == Cost(1.0, None, 100.0)
+    assert not found.has("gain", 0)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({}, "no tasks of inputs 1"),
+        ({"inputs 1": 5}, "tasks of inputs 1: damaged"),
+        ({"inputs 1": {"tasks": 5}}, "tasks of inputs 1: damaged"),
+    ],
+)
+def test_a_record_that_lacks_something_is_refused(part: dict, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"run.json: .*{said}"):
+        measured_by(recorded(tmp_path, part))
+
+
+def test_a_run_without_a_cluster_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the run was none on a cluster"):
+        measured_by(recorded(tmp_path))
