@@ -16,8 +16,8 @@ Printed is a table (Markdown):
     store       what OUT/.work takes at most; "results": what the results in OUT take
 
 What was measured is read from OUT, the folder of a run on a cluster (`--cluster local:1` is one), which does not tell
-the seconds of --prepare, --conclude, --scheduler and --latency, nor the sizes of the input's files, which are not in
-the table then. Or it comes from a file in TOML or JSON:
+the seconds of --scheduler and --latency, nor the sizes of the input's files, which are not in the table then. Or it
+comes from a file in TOML or JSON:
 
     window = 5                    # 1 where each frame is stylized by itself
     iterations = [20, 20]         # of each octave

@@ -16,6 +16,7 @@ from tnst_mi.recipe.recipe import Recipe
 def measured_by(folder: Path) -> Measured:
     """The measurements of a run; if it was resumed, of all its parts.
 
+    What the coordinator did before its workers came and after they left counts as preparation.
     How many bytes its tasks have read depends on what their workers had kept, and is left out: see `Cost`.
 
     Raises:
@@ -27,7 +28,8 @@ def measured_by(folder: Path) -> Measured:
         run = json.loads(path.read_text("utf-8"))
         parts = [part["tasks"] for part in run.get("cluster", ())]
         windowed = len(run["frames"]) > 1
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        serial = run["seconds"] - sum(max(map(_seconds_there, part["workers"])) for part in run.get("cluster", ()))
+    except (ValueError, TypeError, KeyError, AttributeError, ZeroDivisionError, RecursionError):
         raise InputError(f"{path}: is not the record of a run") from None
     if not parts:
         raise InputError(f"{path}: the run was none on a cluster; give one that had --cluster local:1 or another")
@@ -44,7 +46,13 @@ def measured_by(folder: Path) -> Measured:
     finish = "finish", recipe.octaves - 1
     if (last := costs[finish]) is not None:
         costs[finish] = replace(last, bytes_written=_result_bytes(folder) / len(run["frames"]))
-    return Measured(window, iterations, {of: cost for of, cost in costs.items() if cost is not None})
+    costs = {of: cost for of, cost in costs.items() if cost is not None}
+    return Measured(window, iterations, costs, prepare_seconds=max(serial, 0.0))
+
+
+def _seconds_there(worker: dict[str, Any]) -> float:
+    """How long a worker was there."""
+    return worker["seconds"] / (1 - worker["idle"])
 
 
 def _result_bytes(folder: Path) -> float:

@@ -284,8 +284,9 @@ def test_the_table_and_the_plot(
 
 def recorded(folder: Path, *parts: dict) -> Path:
     """The folder of a run on a cluster, in as many parts as it was resumed."""
-    tasks = [{"address": "local:1", "tasks": part} for part in parts]
-    (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "cluster": tasks}))
+    workers = [{"seconds": 30.0, "idle": 0.25}, {"seconds": 24.0, "idle": 0.2}]
+    cluster = [{"address": "local:2", "workers": workers, "tasks": part} for part in parts]
+    (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "seconds": 90.0, "cluster": cluster}))
     (folder / "recipe.toml").write_text(Recipe(style=["spirals"], window=3, octaves=1, iterations=2).to_toml())
     (folder / "density").mkdir()
     (folder / "density" / "frame_0001.npz").write_bytes(bytes(1200))
@@ -304,6 +305,8 @@ def test_a_run_on_a_cluster_is_measured(tmp_path: Path) -> None:
     assert found.cost("step", 0) == Cost((18 * 2.0 + 6 * 4.0) / 24, None, 50.0)
     assert found.cost("finish", 0) == Cost(1.0, None, 100.0)
     assert not found.has("gain", 0)
+    # Twice, one of the workers was there for 40 s.
+    assert found.prepare_seconds == 10.0
 
 
 @pytest.mark.parametrize(
