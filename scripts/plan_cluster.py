@@ -21,8 +21,9 @@ comes from a file in TOML or JSON:
 
     window = 5                    # 1 where each frame is stylized by itself
     iterations = [20, 20]         # of each octave
-    prepare_seconds = 4.0         # the coordinator's, before the first task: these four may be left out
+    prepare_seconds = 4.0         # the coordinator's, before the first task: these five may be left out
     conclude_seconds = 3.0        # and after the last
+    coordinator_seconds = 0.1     # for each frame, beside these
     scheduler_seconds = 0.001     # the scheduler's and the coordinator's, for each task
     latency_seconds = 0.004       # from the end of a task to the start of one that waited for it
 
@@ -67,6 +68,7 @@ FRAMES, WORKERS = (24, 120, 1000), (1, 2, 4, 8, 16, 32, 64)
 _SECONDS = {
     "prepare": "of the coordinator before the first task",
     "conclude": "of the coordinator after the last",
+    "coordinator": "of the coordinator for each frame, beside these",
     "scheduler": "of the scheduler for each task",
     "latency": "from the end of a task to the start of one that waited for it",
 }

@@ -16,7 +16,8 @@ WINDOWED = ("inputs", "fields", "gain", "scales", "step", "average", "finish")
 ALONE = ("inputs", "fields", "scales", "iterate", "finish")
 
 _REQUIRED = {True: ("inputs", "fields", "step", "average"), False: ("inputs", "fields", "iterate")}
-_KEYS = ("window", "iterations", "prepare_seconds", "conclude_seconds", "scheduler_seconds", "latency_seconds", "tasks")
+_SECONDS = ("prepare_seconds", "conclude_seconds", "coordinator_seconds", "scheduler_seconds", "latency_seconds")
+_KEYS = ("window", "iterations", *_SECONDS, "tasks")
 _COSTS = ("seconds", "bytes_read", "bytes_written")
 
 
@@ -46,6 +47,7 @@ class Measured:
         costs: by kind and octave; those of "finish" by the last octave.
         prepare_seconds: what the coordinator does before the first task.
         conclude_seconds: what it does after the last.
+        coordinator_seconds: what it does before or after them for each frame, beside that.
         scheduler_seconds: what the scheduler, which does one thing at a time, does for each task.
         latency_seconds: from the end of a task, as the scheduler knows it, to the start of one that waited for it.
     """
@@ -55,8 +57,13 @@ class Measured:
     costs: dict[tuple[str, int], Cost]
     prepare_seconds: float = 0.0
     conclude_seconds: float = 0.0
+    coordinator_seconds: float = 0.0
     scheduler_seconds: float = 0.0
     latency_seconds: float = 0.0
+
+    def serial_seconds(self, frames: int) -> float:
+        """What the coordinator does while there are no tasks."""
+        return self.prepare_seconds + self.conclude_seconds + frames * self.coordinator_seconds
 
     def has(self, kind: str, octave: int) -> bool:
         """Whether there are tasks of a kind in an octave."""
@@ -106,7 +113,7 @@ def measured_of(found: Any) -> Measured:
         for octave, entry in zip(octaves, entries, strict=True):
             _require_keys(f"tasks.{kind}", entry, _COSTS, ("seconds",))
             costs[kind, octave] = Cost(**{key: _amount(f"tasks.{kind}: {key}", entry[key]) for key in entry})
-    others = {key: _amount(key, found[key]) for key in _KEYS if key.endswith("_seconds") and key in found}
+    others = {key: _amount(key, found[key]) for key in _SECONDS if key in found}
     return Measured(window, tuple(iterations), costs, **others)
 
 

@@ -16,8 +16,8 @@ from tnst_mi.recipe.recipe import Recipe
 def measured_by(folder: Path) -> Measured:
     """The measurements of a run; if it was resumed, of all its parts.
 
-    What the coordinator did before its workers came and after they left counts as preparation.
-    How many bytes its tasks have read depends on what their workers had kept, and is left out: see `Cost`.
+    Waiting for the first workers takes as long for any number of frames; what the coordinator does without a cluster, it
+    does for each. How many bytes tasks have read depends on what their workers had kept, and is left out: see `Cost`.
 
     Raises:
         InputError: it is no run on a cluster, or its record is damaged or lacks a kind of task.
@@ -28,7 +28,9 @@ def measured_by(folder: Path) -> Measured:
         run = json.loads(path.read_text("utf-8"))
         parts = [part["tasks"] for part in run.get("cluster", ())]
         windowed = len(run["frames"]) > 1
-        serial = run["seconds"] - sum(max(map(_seconds_there, part["workers"])) for part in run.get("cluster", ()))
+        together = sum(part["seconds"] for part in run.get("cluster", ()))
+        there = sum(max(map(_seconds_there, part["workers"]), default=0.0) for part in run.get("cluster", ()))
+        alone = run["seconds"] - together
     except (ValueError, TypeError, KeyError, AttributeError, ZeroDivisionError, RecursionError):
         raise InputError(f"{path}: is not the record of a run") from None
     if not parts:
@@ -47,7 +49,13 @@ def measured_by(folder: Path) -> Measured:
     if (last := costs[finish]) is not None:
         costs[finish] = replace(last, bytes_written=_result_bytes(folder) / len(run["frames"]))
     costs = {of: cost for of, cost in costs.items() if cost is not None}
-    return Measured(window, iterations, costs, prepare_seconds=max(serial, 0.0))
+    return Measured(
+        window,
+        iterations,
+        costs,
+        prepare_seconds=max(together - there, 0.0),
+        coordinator_seconds=max(alone, 0.0) / len(run["frames"]),
+    )
 
 
 def _seconds_there(worker: dict[str, Any]) -> float:

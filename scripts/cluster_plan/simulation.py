@@ -129,7 +129,7 @@ class _Simulation:
             else:
                 self._known(now, place, other, latency)
         return Prediction(
-            self._measured.prepare_seconds + now + self._measured.conclude_seconds,
+            now + self._measured.serial_seconds(self._graph.frames),
             1 - self._busy / (now * len(self._workers)) if now > 0 else 0.0,
             self._read,
             self._written,

@@ -105,6 +105,11 @@ def test_the_scheduler_does_one_thing_at_a_time() -> None:
     assert sum(task.kind != BARRIER for task in graph_of(measured, 8).tasks) == tasks
 
 
+def test_more_frames_are_more_work_for_the_coordinator() -> None:
+    found = predicted(dataclasses.replace(WINDOWED, coordinator_seconds=2.0), 9, workers=18)
+    assert found.seconds == predicted(WINDOWED, 9, workers=18).seconds + 9 * 2.0
+
+
 @pytest.mark.parametrize("workers", [1, 2, 3, 4, 6, 12])
 def test_frames_without_a_window_are_shared_out(workers: int) -> None:
     found = predicted(ALONE, 12, workers=workers)
@@ -285,8 +290,8 @@ def test_the_table_and_the_plot(
 def recorded(folder: Path, *parts: dict) -> Path:
     """The folder of a run on a cluster, in as many parts as it was resumed."""
     workers = [{"seconds": 30.0, "idle": 0.25}, {"seconds": 24.0, "idle": 0.2}]
-    cluster = [{"address": "local:2", "workers": workers, "tasks": part} for part in parts]
-    (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "seconds": 90.0, "cluster": cluster}))
+    cluster = [{"address": "local:2", "seconds": 41.0, "workers": workers, "tasks": part} for part in parts]
+    (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "seconds": 88.0, "cluster": cluster}))
     (folder / "recipe.toml").write_text(Recipe(style=["spirals"], window=3, octaves=1, iterations=2).to_toml())
     (folder / "density").mkdir()
     (folder / "density" / "frame_0001.npz").write_bytes(bytes(1200))
@@ -305,8 +310,8 @@ def test_a_run_on_a_cluster_is_measured(tmp_path: Path) -> None:
     assert found.cost("step", 0) == Cost((18 * 2.0 + 6 * 4.0) / 24, None, 50.0)
     assert found.cost("finish", 0) == Cost(1.0, None, 100.0)
     assert not found.has("gain", 0)
-    # Twice, one of the workers was there for 40 s.
-    assert found.prepare_seconds == 10.0
+    # Twice, one of the workers was there for 40 s of 41 s.
+    assert found.prepare_seconds == 2.0 and found.coordinator_seconds == 0.5
 
 
 @pytest.mark.parametrize(
