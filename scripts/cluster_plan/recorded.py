@@ -16,8 +16,9 @@ from tnst_mi.recipe.recipe import Recipe
 def measured_by(folder: Path) -> Measured:
     """The measurements of a run; if it was resumed, of all its parts.
 
-    Waiting for the first workers takes as long for any number of frames; what the coordinator does without a cluster, it
-    does for each. How many bytes tasks have read depends on what their workers had kept, and is left out: see `Cost`.
+    Waiting for the first workers takes as long for any number of frames; what the coordinator does without a cluster,
+    it does for each. How many bytes tasks have read depends on what their workers had kept, and is left out: see
+    `Cost`.
 
     Raises:
         InputError: it is no run on a cluster, or its record is damaged or lacks a kind of task.
