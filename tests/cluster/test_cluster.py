@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import _thread
 import json
 import random
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,11 +16,13 @@ from moving_smoke import moving_smoke
 
 pytest.importorskip("distributed", reason="needs tnst_mi[cluster]")
 
+import dask.config
 import psutil
 from dask_cluster import Processes, processes
 
 from tnst_mi.cluster import crew, member
 from tnst_mi.cluster.address import cluster_of
+from tnst_mi.cluster.connecting import connected
 from tnst_mi.cluster.run import ClusterRun
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.sequence import save_frame
@@ -186,8 +190,6 @@ def test_a_frame_that_cannot_be_computed_ends_the_run_by_its_name(
     smoke: Path, weights: Path, cluster: Processes, tmp_path: Path
 ) -> None:
     """Its file changes in the middle; the others are not asked again and again."""
-    import shutil
-
     own = tmp_path / "smoke"
     shutil.copytree(smoke, own)
 
@@ -220,8 +222,6 @@ def test_a_full_disk_is_a_clear_stop_that_resumes(
 def test_ctrl_c_leaves_a_run_that_goes_on(
     smoke: Path, weights: Path, cluster: Processes, alone: Callable[..., Any], tmp_path: Path
 ) -> None:
-    import _thread
-
     def report(progress: Progress) -> None:
         if progress.done == 10:
             _thread.interrupt_main()
@@ -277,7 +277,7 @@ def test_without_any_fit_worker_the_run_says_why(
         ("local:0", "expected local:N with N from 1 to 256"),
         ("local", "expected local:N"),
         ("local:two", "expected local:N"),
-        ("http://host:1", "expected local:N, tcp://HOST:PORT, or a batch system"),
+        ("http://host:1", "expected local:N, tcp://HOST:PORT, or slurm"),
         ("tcp://host", "expected local:N, tcp://HOST:PORT"),
         ("slurm:none.toml", "none.toml: cannot be read"),
     ],
@@ -300,11 +300,9 @@ def test_a_file_of_a_batch_system_says_how_many_jobs(tmp_path: Path) -> None:
 
 
 def test_where_no_scheduler_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    import dask.config
-
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "0.3s"}),
         pytest.raises(InputError, match="no scheduler answers there"),
-        cluster_of("tcp://127.0.0.1:9").connected(print, 1),
+        connected(cluster_of("tcp://127.0.0.1:9"), print, 1),
     ):
         pass

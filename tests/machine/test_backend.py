@@ -103,11 +103,11 @@ def test_all_allowed_cores_and_no_others_are_used(monkeypatch: pytest.MonkeyPatc
         for allowed in ({0}, {0, 1, 2}):
             monkeypatch.setattr(os, "sched_getaffinity", lambda process, allowed=allowed: allowed)
             tnst_mi.activate()
-            assert dr.thread_count() == torch.get_num_threads() == len(allowed)
+            assert torch.get_num_threads() == len(allowed) and dr.thread_count() == max(2, len(allowed))
     finally:
         monkeypatch.undo()
         tnst_mi.activate()
-    assert dr.thread_count() == torch.get_num_threads() == cores
+    assert torch.get_num_threads() == cores and dr.thread_count() == max(2, cores)
 
 
 def test_torch_shares_the_variant_s_memory(variant: str) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from tnst_mi.cluster.address import Cluster
+from tnst_mi.cluster.connecting import connected
 from tnst_mi.cluster.crew import Crew
 from tnst_mi.cluster.member import Order
 from tnst_mi.cluster.progression import Progression
@@ -42,7 +43,7 @@ class ClusterRun(Run):
         assert folder is not None and isinstance(store, FolderStore)
         store.share()
         prepared, plan = self.prepared, self.prepared.plan
-        with deferred_interrupt() as interrupt, self._cluster.connected(self._bar.say, len(plan.alive)) as client:
+        with deferred_interrupt() as interrupt, connected(self._cluster, self._bar.say, len(plan.alive)) as client:
             crew = Crew(client, self._order(folder), plan, self._bar.say, self._cluster.grows)
             progression = Progression(plan, store, prepared.network.model, crew, interrupt, self._bar.advance)
             try:

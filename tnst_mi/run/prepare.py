@@ -38,6 +38,7 @@ from tnst_mi.run.carry import chosen, require_there
 from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
+    Measure,
     digests,
     file_digests,
     measured,
