@@ -12,7 +12,7 @@ import queue
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from distributed import Client, Future, KilledWorker
@@ -20,6 +20,7 @@ from distributed import Client, Future, KilledWorker
 from tnst_mi.cluster import member
 from tnst_mi.cluster.graph import urgency
 from tnst_mi.cluster.member import RefusedError
+from tnst_mi.cluster.shares import Shares
 from tnst_mi.cluster.tasks import FINISH, SCALES, Task, Told
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.optimisation.plan import Plan
@@ -40,37 +41,10 @@ class Done:
 
 
 @dataclass(frozen=True)
-class Entry:
+class Iterated:
     """An iteration of a frame has been done, with its entry for the log."""
 
     entry: dict[str, Any]
-
-
-@dataclass
-class Share:
-    """What a process has done of a run."""
-
-    name: str
-    host: str
-    since: float = field(default_factory=time.perf_counter)
-    until: float | None = None
-    tasks: int = 0
-    seconds: float = 0.0
-    read: int = 0
-    written: int = 0
-
-    def record(self) -> dict[str, Any]:
-        """For run.json: the tasks, the time that they took, bytes of items, and the share of its time without task."""
-        there = (time.perf_counter() if self.until is None else self.until) - self.since
-        return {
-            "worker": self.name,
-            "host": self.host,
-            "tasks": self.tasks,
-            "seconds": round(self.seconds, 3),
-            "bytes_read": self.read,
-            "bytes_written": self.written,
-            "idle": round(max(0.0, 1 - self.seconds / there), 4) if there > 0 else None,
-        }
 
 
 class Crew:
@@ -84,14 +58,12 @@ class Crew:
         grows: whether other processes may come when there are none.
 
     Attributes:
-        shares: what each process has done, by its address.
-        times: by kind of task and octave: tasks, seconds, bytes read and written.
+        shares: what each process has done.
     """
 
     def __init__(self, client: Client, order: bytes, plan: Plan, say: Callable[[str], None], grows: bool) -> None:
         self._client, self._order, self._plan, self._say, self._grows = client, order, plan, say, grows
-        self.shares: dict[str, Share] = {}
-        self.times: dict[tuple[str, int], list[float]] = {}
+        self.shares = Shares()
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         #: Processes that may do tasks, in the order of their coming; those that have been asked to join; and refused.
         self._members: list[str] = []
@@ -101,7 +73,6 @@ class Crew:
         self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
         #: Whether all processes have left, and none has come since.
         self._deserted = False
-        self._begun = time.perf_counter()
         self._begin()
 
     def _begin(self) -> None:
@@ -149,7 +120,7 @@ class Crew:
         """Where the neighbours of a frame are: each process has a part of the sequence."""
         return self._members[frame * len(self._members) // len(self._plan.frames)] if self._members else None
 
-    def answers(self) -> Iterator[Done | Entry | None]:
+    def answers(self) -> Iterator[Done | Iterated | None]:
         """What happens next, again and again as long as tasks are given; None after a moment without news.
 
         Raises:
@@ -166,9 +137,9 @@ class Crew:
                 continue
             if isinstance(event, dict):
                 if "entry" in event:
-                    yield Entry(event["entry"])
+                    yield Iterated(event["entry"])
                 else:
-                    self._count(event["worker"], event["took"])
+                    self.shares.count(event["worker"], event["took"])
                 continue
             task, future = event
             if self._given.get(task, (None,))[0] is not future:
@@ -204,17 +175,6 @@ class Crew:
             raise error
         raise InputError(f"{task.described(self._plan)}: {type(error).__name__}: {error}") from error
 
-    def _count(self, address: str, took: dict[str, Any]) -> None:
-        share = self.shares.get(address)
-        if share is not None:
-            share.tasks += 1
-            share.seconds += took["seconds"]
-            share.read += took["read"]
-            share.written += took["written"]
-        numbers = 1, took["seconds"], took["read"], took["written"]
-        total = self.times.setdefault((took["kind"], took["level"]), [0.0] * 4)
-        total[:] = [before + now for before, now in zip(total, numbers, strict=True)]
-
     # ---------------------------------------------------------------- who is there
 
     def _look(self) -> None:
@@ -233,7 +193,7 @@ class Crew:
         left = [address for address in self._members if address not in there]
         for address in left:
             self._members.remove(address)
-            self.shares[address].until = time.perf_counter()
+            self.shares.left(address)
         self._deserted |= bool(left) and not self._members
         for address in [address for address in self._joining if address not in there]:
             self._joining.pop(address).cancel()
@@ -241,7 +201,7 @@ class Crew:
             if address in self._members or address in self._joining or address in self._refused:
                 continue
             key = f"join-{self._run}-{address}-{time.monotonic_ns()}"
-            self.shares.setdefault(address, Share(str(about["name"]), str(about["host"])))
+            self.shares.came(address, str(about["name"]), str(about["host"]))
             self._joining[address] = self._client.submit(
                 member.join, self._run, hosts.count(about["host"]), key=key, workers=[address], priority=1, pure=False
             )
@@ -298,24 +258,6 @@ class Crew:
             self._client.unsubscribe_topic(member.topic_of(self._run))
             with contextlib.suppress(OSError, RuntimeError):  # a process, or the scheduler, ends meanwhile
                 self._client.unregister_worker_plugin(self._delivery.name)
-
-    def record(self, address: str) -> dict[str, Any]:
-        """What run.json says of the cluster and of what each process has done, in all and by kind of task."""
-        kinds = {
-            f"{kind} {level + 1}": {
-                "tasks": int(tasks),
-                "seconds": round(seconds / tasks, 6),
-                "bytes_read": round(read / tasks),
-                "bytes_written": round(written / tasks),
-            }
-            for (kind, level), (tasks, seconds, read, written) in sorted(self.times.items())
-        }
-        return {
-            "address": address,
-            "seconds": round(time.perf_counter() - self._begun, 3),
-            "workers": [share.record() for share in self.shares.values() if share.tasks],
-            "tasks": kinds,
-        }
 
 
 #: Kinds of tasks that return something.

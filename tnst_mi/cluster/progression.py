@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing
 from typing import Any
 
-from tnst_mi.cluster.crew import Crew, Entry
+from tnst_mi.cluster.crew import Crew, Iterated
 from tnst_mi.cluster.graph import Needs, TaskGraph, entering, iterating, measuring
 from tnst_mi.cluster.tasks import AVERAGE, FIELDS, FINISH, GAIN, INPUTS, ITERATE, SCALES, STEP, Task, Told
 from tnst_mi.losses.evaluation import rms_scales
@@ -128,7 +128,7 @@ class Progression:
         for answer in self._crew.answers():
             if self._interrupt.requested:
                 raise KeyboardInterrupt
-            if isinstance(answer, Entry):
+            if isinstance(answer, Iterated):
                 self._heard(answer.entry)
             elif answer is not None:
                 yield from self._noted(answer.task, answer.result)

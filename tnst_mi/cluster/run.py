@@ -55,7 +55,7 @@ class ClusterRun(Run):
                 self._interrupted = True
             finally:
                 crew.close()
-                self.record["cluster"] = [*self.record.get("cluster", ()), crew.record(self._cluster.address)]
+                self.record["cluster"] = [*self.record.get("cluster", ()), crew.shares.record(self._cluster.address)]
 
     def _order(self, folder: RunFolder) -> bytes:
         """What the processes of the cluster are told, pickled."""

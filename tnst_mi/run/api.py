@@ -121,7 +121,7 @@ def _stylized(
         velocities = StoredArrays(prepared.out, "velocity", names, prepared.suffix, prepared.frames)
         grids = StoredGrids(prepared.out, names, prepared.suffix, prepared.frames)
     elif len(densities) == len(prepared.wanted) > 1:
-        frames = (prepared.moving[index] for index in prepared.wanted)
-        record["sequence"] = sequence_record(prepared.recipe, frames, densities, record["frames"])
+        moving = (prepared.moving[index] for index in prepared.wanted)
+        record["sequence"] = sequence_record(prepared.recipe, moving, densities, record["frames"])
     frames = prepared.frames_named(names)
     return Result(densities, velocities, grids, frames, history, record, prepared.out, prepared.recipe)
