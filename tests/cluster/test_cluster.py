@@ -21,13 +21,13 @@ import psutil
 from dask_cluster import Processes, processes
 
 from tnst_mi.cluster import crew, member
-from tnst_mi.cluster.address import cluster_of
 from tnst_mi.cluster.connecting import connected
 from tnst_mi.cluster.run import ClusterRun
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.sequence import save_frame
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.cluster_address import cluster_of
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 

@@ -13,10 +13,10 @@ from typing import Any
 import dask.config
 from distributed import Client, Nanny, Scheduler, SpecCluster
 
-from tnst_mi.cluster.address import BATCH, Cluster
 from tnst_mi.errors import InputError
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import on_gpu
+from tnst_mi.run.cluster_address import BATCH, Cluster
 
 #: Environment in which local processes begin: Dask reports in many lines what the run says in one.
 _ENVIRONMENT = {"DASK_LOGGING__DISTRIBUTED": "critical"}

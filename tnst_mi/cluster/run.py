@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tnst_mi.cluster.address import Cluster
 from tnst_mi.cluster.connecting import connected
 from tnst_mi.cluster.crew import Crew
 from tnst_mi.cluster.member import Order
@@ -17,6 +16,7 @@ from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import LOCK
 from tnst_mi.optimisation.items.interface import Store
 from tnst_mi.optimisation.items.store import FolderStore
+from tnst_mi.run.cluster_address import Cluster
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.job import FinishedFrame, Run
 from tnst_mi.run.live_pictures import LivePictures

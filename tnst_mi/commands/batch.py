@@ -21,7 +21,7 @@ from tnst_mi.batch.jobs import (
 from tnst_mi.batch.page import write_page
 from tnst_mi.commands.base import given, say
 from tnst_mi.commands.run_arguments import BatchArguments
-from tnst_mi.commands.stylize import reported
+from tnst_mi.commands.stylize import processes_of, reported, run_of
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.lazy import LazyModule
@@ -29,14 +29,15 @@ from tnst_mi.machine.lock import locked
 from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
+from tnst_mi.run.cluster_address import cluster_of
 from tnst_mi.run.folder import holds_run
 from tnst_mi.run.request import requested_frames
 
 if TYPE_CHECKING:
-    from tnst_mi.run import job, prepare
+    from tnst_mi.run import prepare
 else:
-    # They import torch, and most mistakes are found without it.
-    job, prepare = LazyModule("tnst_mi.run.job"), LazyModule("tnst_mi.run.prepare")
+    # It imports torch, and most mistakes are found without it.
+    prepare = LazyModule("tnst_mi.run.prepare")
 
 
 def run(arguments: BatchArguments) -> int:
@@ -45,6 +46,8 @@ def run(arguments: BatchArguments) -> int:
     recipes = {file: _recipe(file, arguments) for file in arguments.files if file.suffix == ".toml"}
     jobs = jobs_of(recipes, [file for file in arguments.files if file.suffix != ".toml"], out)
     require_batch_folder(out)
+    if arguments.cluster is not None:
+        cluster_of(arguments.cluster)
     # All recipes and inputs are looked at before the first run, which may take hours.
     for each in jobs:
         requested_frames(
@@ -98,15 +101,17 @@ def _all_of(jobs: list[Job], out: Path, arguments: BatchArguments) -> int:
 
 def _one(each: Job, arguments: BatchArguments) -> int:
     """A run, from where it stopped; nothing if it has been done. 3 if it was interrupted."""
+    cluster = None if arguments.cluster is None else cluster_of(arguments.cluster)
     prepared = prepare.prepare(
         each.source,
         each.recipe,
         each.out,
         resume=_begun(each, arguments),
         overwrite=arguments.overwrite,
+        processes=processes_of(cluster),
         progress=True,
     )
-    return reported(job.Run(prepared), "the same command goes on")
+    return reported(run_of(prepared, cluster), "the same command goes on")
 
 
 def _begun(each: Job, arguments: BatchArguments) -> bool:

@@ -17,6 +17,8 @@ _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _InputFlags = recipe_flags(Reading.__annotations__)
 
+_Cluster = Annotated[str | None, tyro.conf.arg(metavar="local:N|tcp://…|slurm[:FILE]")]
+
 
 @dataclass(kw_only=True)
 class DemoArguments(Arguments):
@@ -46,7 +48,7 @@ class StylizeArguments(Arguments):
     """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
-    cluster: Annotated[str | None, tyro.conf.arg(metavar="local:N|tcp://…|slurm[:FILE]")] = None
+    cluster: _Cluster = None
     """Have several processes do the work, to the same bits: N on this machine, a Dask cluster by its scheduler's
     address, or jobs of a batch system (docs/cluster.md)."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
@@ -75,6 +77,9 @@ class BatchArguments(Arguments):
     """New or empty folder, or that of the batch to go on with; OUT/index.html shows the results."""
     overwrite: bool = False
     """Replace the runs in --out."""
+    cluster: _Cluster = None
+    """Have several processes do the work of each run: N on this machine, a Dask cluster by its scheduler's address, or
+    jobs of a batch system (docs/cluster.md)."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
     """How to get there, for all recipes, such as --quality draft."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)

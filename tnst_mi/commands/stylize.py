@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from tnst_mi.cluster.address import cluster_of
 from tnst_mi.commands.base import given, say
 from tnst_mi.commands.run_arguments import StylizeArguments
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.cluster_address import Cluster, cluster_of
 from tnst_mi.run.folder import input_of_run
 from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
@@ -55,14 +55,24 @@ def run(arguments: StylizeArguments) -> int:
             resume=resume,
             overwrite=overwrite,
             start_from=begin,
-            processes=max(1, cluster.processes if cluster else 1),
+            processes=processes_of(cluster),
             progress=True,
         )
     except KeyboardInterrupt:
         raise StoppedError(
             "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
-    return reported(job.Run(prepared) if cluster is None else cluster_run.ClusterRun(prepared, cluster))
+    return reported(run_of(prepared, cluster))
+
+
+def processes_of(cluster: Cluster | None) -> int:
+    """How many processes of this machine do the work of a run."""
+    return 1 if cluster is None else max(1, cluster.processes)
+
+
+def run_of(prepared: prepare.Prepared, cluster: Cluster | None) -> job.Run:
+    """The run that was prepared, in this process or on a cluster."""
+    return job.Run(prepared) if cluster is None else cluster_run.ClusterRun(prepared, cluster)
 
 
 def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:

@@ -13,14 +13,19 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.machine.backend import own_variant
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.notebook_display import NotebookDisplay
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.carry import carried
+from tnst_mi.run.cluster_address import Cluster, cluster_of
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
 from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
+
+#: An optional part, which builds on what is here: loaded where it is asked for.
+cluster_run: Any = LazyModule("tnst_mi.cluster.run")
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ def stylize(
     out: str | Path | None = None,
     progress: bool = True,
     start_from: str | Path | None = None,
+    cluster: str | None = None,
 ) -> Result:
     """Stylize one frame or a sequence.
 
@@ -72,10 +78,12 @@ def stylize(
         progress: show a progress bar on stderr.
         start_from: the folder of an earlier run of the same frames and goals, such as a draft, to go on from
             (docs/preview.md); None to begin anew.
+        cluster: what has the work done by several processes, such as "local:2", for frames in files with `out`
+            (docs/cluster.md); None for this process alone. Scripts then need `if __name__ == "__main__":`.
 
     Raises:
-        InputError: the frames, the recipe, the weights, `out` or `start_from` cannot be used, and nothing is written;
-            or a frame has changed since the run began.
+        InputError: the frames, the recipe, the weights, `out`, `start_from` or `cluster` cannot be used, and nothing is
+            written; or a frame has changed since the run began.
         StoppedError: nothing more can be written to `out`; the run can be resumed there.
 
     Example:
@@ -95,19 +103,33 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
+    where = None if cluster is None else cluster_of(cluster)
+    if where is not None and (out is None or not isinstance(frames, str | Path)):
+        raise InputError(
+            f"cluster = {cluster!r}: its processes read frames from files and share the folder out; give both"
+        )
     with own_variant():
-        return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from))
+        return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from), where)
 
 
 def _stylized(
-    frames: Frames, recipe: Recipe, out: str | Path | None, progress: bool, start_from: Path | None
+    frames: Frames,
+    recipe: Recipe,
+    out: str | Path | None,
+    progress: bool,
+    start_from: Path | None,
+    cluster: Cluster | None,
 ) -> Result:
-    frames_done = Run(prepare(frames, recipe, out, progress=progress, start_from=start_from), progress)
+    processes = 1 if cluster is None else max(1, cluster.processes)
+    prepared = prepare(frames, recipe, out, progress=progress, start_from=start_from, processes=processes)
+    frames_done: Run = (
+        Run(prepared, progress) if cluster is None else cluster_run.ClusterRun(prepared, cluster, progress)
+    )
     densities: Sequence[np.ndarray] = []
     velocities: Sequence[np.ndarray] = []
     grids: Sequence[Mapping[str, np.ndarray]] = []
     history = []
-    prepared, record = frames_done.prepared, frames_done.record
+    record = frames_done.record
     with closing(frames_done):
         for frame in frames_done:
             history.append(frame.history)
