@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import _thread
 import json
+import pickle
 import random
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +80,14 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def stylized(
-    smoke: Path, recipe: Recipe, out: Path, address: str, report: Callable[[Progress], None] | None = None
+    smoke: Path,
+    recipe: Recipe,
+    out: Path,
+    address: str,
+    report: Callable[[Progress], None] | None = None,
+    shared: bool = True,
 ) -> ClusterRun:
-    run = ClusterRun(prepare(smoke, recipe, out, resume=True), cluster_of(address), progress=False)
+    run = ClusterRun(prepare(smoke, recipe, out, resume=True), cluster_of(address, shared), progress=False)
     if report is not None:
         run._bar.advance = report
     for _ in run:
@@ -115,6 +122,36 @@ def test_the_bits_are_those_of_one_process(
     if keys["window"] > 1:
         assert done["step 1"] == done["average 2"] == COUNT * 3
         assert all(0 <= worker["idle"] < 1 for worker in session["workers"]) and len(session["workers"]) == 2
+
+
+@pytest.mark.parametrize(
+    "keys", [{"window": 3}, {"window": 1}, {"window": 3, "semantic": [], "target": [{"mask": ["box(0,0,0,1,0.6,1)"]}]}]
+)
+def test_without_a_shared_folder_items_travel(
+    keys: dict[str, Any],
+    smoke: Path,
+    weights: Path,
+    cluster: Processes,
+    alone: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The workers are told of places that are not there."""
+    if "target" in keys:
+        keys = keys | {"target": [table | {"semantic": GOAL["semantic"]} for table in keys["target"]]}
+    own = ClusterRun._order
+
+    def elsewhere(self: ClusterRun, folder: Any) -> bytes:
+        order = pickle.loads(own(self, folder))
+        return pickle.dumps(replace(order, work=replace(order.work, out=Path("/nowhere"), frames=[])))
+
+    monkeypatch.setattr(ClusterRun, "_order", elsewhere)
+    run = stylized(smoke, recipe(weights, **keys), tmp_path / "out", cluster.address, shared=False)
+    assert contents(tmp_path / "out") == alone(**keys)
+    assert len(losses(tmp_path / "out")) == COUNT * 6
+    assert not list(Path(cluster.folder).glob("**/*.safetensors")), "workers keep nothing"
+    (session,) = run.record["cluster"]
+    assert not {"finish 2", "inputs 1"} & set(session["tasks"])
 
 
 def test_a_worker_that_is_killed_costs_what_it_was_at(

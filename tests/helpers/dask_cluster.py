@@ -24,7 +24,7 @@ class Processes:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
         command = [
             sys.executable,
             "-m",
@@ -41,7 +41,7 @@ class Processes:
 
     def add(self, *arguments: str, threads: int = 1, **environment: str) -> subprocess.Popen[str]:
         """One more worker."""
-        where = ["--local-directory", str(self._folder), self.address]
+        where = ["--local-directory", str(self.folder), self.address]
         command = [*_WORKER, *where, "--nthreads", str(threads), *arguments]
         self.workers.append(worker := self._started(command, **environment))
         assert worker.stderr is not None
@@ -62,7 +62,7 @@ class Processes:
 
     def _started(self, command: list[str], **environment: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [*command, "--local-directory", str(self._folder)]
+            [*command, "--local-directory", str(self.folder)]
             if "--no-nanny" in command
             else [*command, "--no-dashboard"],
             env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,

@@ -251,7 +251,7 @@ def test_too_many_open_files_are_no_damage(tmp_path: Path, monkeypatch: pytest.M
     def exhausted(*_: object, **__: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr("tnst_mi.optimisation.items.store.safe_open", exhausted)
+    monkeypatch.setattr("tnst_mi.optimisation.items.item.safe_open", exhausted)
     with pytest.raises(OSError, match="Too many open files"):
         store.read("fields.0", 1)
 

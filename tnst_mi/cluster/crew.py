@@ -11,7 +11,7 @@ import contextlib
 import queue
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from distributed import Client, Future, KilledWorker
 from tnst_mi.cluster import member
 from tnst_mi.cluster.graph import urgency
 from tnst_mi.cluster.member import RefusedError
+from tnst_mi.cluster.parcels import AHEAD, Parcel
 from tnst_mi.cluster.shares import Shares
 from tnst_mi.cluster.tasks import FINISH, SCALES, Task, Told
 from tnst_mi.errors import InputError, StoppedError
@@ -34,10 +35,11 @@ _MOMENT = 0.2
 
 @dataclass(frozen=True)
 class Done:
-    """A task has been done, with what it returns."""
+    """A task has been done, with what it returns, and what it has written if the folder of the run is not shared."""
 
     task: Task
     result: Any
+    parcels: Sequence[Parcel] = ()
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,23 @@ class Crew:
         plan: of the run.
         say: how to say something to the user.
         grows: whether other processes may come when there are none.
+        pack: the items that a task needs, if the processes do not share the folder of the run.
 
     Attributes:
         shares: what each process has done.
     """
 
-    def __init__(self, client: Client, order: bytes, plan: Plan, say: Callable[[str], None], grows: bool) -> None:
+    def __init__(
+        self,
+        client: Client,
+        order: bytes,
+        plan: Plan,
+        say: Callable[[str], None],
+        grows: bool,
+        pack: Callable[[Task], list[Parcel]] | None = None,
+    ) -> None:
         self._client, self._order, self._plan, self._say, self._grows = client, order, plan, say, grows
+        self._pack = pack
         self.shares = Shares()
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         #: Processes that may do tasks, in the order of their coming; those that have been asked to join; and refused.
@@ -70,6 +82,8 @@ class Crew:
         self._joining: dict[str, Future] = {}
         self._refused: dict[str, str] = {}
         self._given: dict[Task, tuple[Future, Told]] = {}
+        #: Those that wait for others to be done: with items, only some are sent at once.
+        self._waiting: dict[Task, Told] = {}
         self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
         #: Whether all processes have left, and none has come since.
         self._deserted = False
@@ -95,8 +109,15 @@ class Crew:
 
     def give(self, tasks: Mapping[Task, Told]) -> None:
         """Have some tasks done, as soon as there is somebody to do them."""
-        for task in sorted(tasks, key=lambda task: urgency(task, len(self._plan.frames))):
-            self._give(task, tasks[task])
+        self._waiting |= tasks
+        self._give_waiting()
+
+    def _give_waiting(self) -> None:
+        most = float("inf") if self._pack is None else AHEAD * max(1, len(self._members))
+        for task in sorted(self._waiting, key=lambda task: urgency(task, len(self._plan.frames))):
+            if len(self._given) >= most:
+                return
+            self._give(task, self._waiting.pop(task))
 
     def _give(self, task: Task, told: Told) -> None:
         self._attempts += 1
@@ -106,6 +127,7 @@ class Crew:
             self._run,
             task,
             told,
+            None if self._pack is None else self._pack(task),
             # Dask learns from its beginning how long such a task takes.
             key=f"{task.kind}{task.level}-{self._run}-{task.frame}-{task.iteration}-{self._attempts}",
             workers=None if home is None else [home],
@@ -147,9 +169,12 @@ class Crew:
             _, told = self._given.pop(task)
             if future.status == "finished":
                 # What most tasks return is nothing, which need not be asked for.
-                result = future.result() if task.kind in _WITH_RESULT else None
+                result, parcels = (future.result() if task.kind in _WITH_RESULT else None), ()
+                if self._pack is not None:
+                    result, parcels = future.result()
                 future.release()
-                yield Done(task, result)
+                yield Done(task, result, parcels)
+                self._give_waiting()
             else:
                 self._failed(task, told, future)
 
@@ -212,7 +237,8 @@ class Crew:
             self._members.append(address)
             if self._deserted:
                 # Dask keeps tasks for the process that was asked for, though others are allowed, if there was none.
-                given, self._deserted = {task: told for task, (_, told) in self._given.items()}, False
+                given = self._waiting | {task: told for task, (_, told) in self._given.items()}
+                self._deserted = False
                 self.take_back()
                 self.give(given)
             return
@@ -247,7 +273,7 @@ class Crew:
     def take_back(self) -> None:
         """Forget the tasks that are given; those that a process is at go on, to the same bits."""
         futures = [future for future, _ in self._given.values()]
-        self._given = {}
+        self._given, self._waiting = {}, {}
         if self._client.status == "running":  # else there is nothing to take back, and waiting for it takes long
             self._client.cancel(futures, force=True)
 

@@ -9,12 +9,14 @@ import os
 import pickle
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from distributed import Worker, WorkerPlugin, get_worker
 
+from tnst_mi.cluster.parcels import Parcel, made, packed, unpacked
 from tnst_mi.cluster.tasks import Task, Told, Workplace, carry_out
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine import environment
@@ -60,6 +62,7 @@ class Order:
         weights_digest: its SHA-256.
         variant: of Mitsuba.
         threads: of torch on the CPU.
+        shared: whether the processes share the folder of the run, and see its input.
     """
 
     work: Work
@@ -69,6 +72,7 @@ class Order:
     weights_digest: str
     variant: str
     threads: int
+    shared: bool
 
 
 class Delivery(WorkerPlugin):
@@ -116,8 +120,17 @@ def join(run: str, sharing: int) -> None:
         kernel_threads(_cores() // (1 if _has_cores_of_its_own() else sharing))
 
 
-def perform(run: str, task: Task, told: Told) -> Any:
+def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = None) -> Any:
     """Carry out a task of a run, and report what it took.
+
+    Args:
+        run: names it.
+        task: what to do.
+        told: what it needs besides items.
+        parcels: the items that it needs; None if they are in the shared folder.
+
+    Returns:
+        What `carry_out` does; with parcels, that and what the task has written.
 
     Raises:
         RefusedError: this process cannot take part in the run.
@@ -132,7 +145,12 @@ def perform(run: str, task: Task, told: Told) -> Any:
         def report(entry: dict[str, Any]) -> None:
             worker.log_event(topic, {"entry": entry})
 
+        unpacked(backing, parcels or ())
         result = carry_out(task, told, place, report)
+        if parcels is not None:
+            result = result, packed(backing, made(place.plan, task))
+            for item in [item for item, _ in (*parcels, *result[1])]:
+                backing.discard(*item)
         took = {
             "kind": task.kind,
             "level": task.level,
@@ -192,16 +210,21 @@ def _entered(run: str) -> Workplace:
     assert out is not None
     activate(order.variant)
     network_threads(order.threads)
-    may_write = _Lock(out, order.lock)
-    may_write()
     weights = find_weights(order.weights)
     network = GoogLeNet.from_file(weights.path)
     if network.sha256 != order.weights_digest:
         raise InputError(f"{weights.path}: is another network than that of the run; give it the same file")
-    first = next(iter(work.unchanged))
-    if first.name != work.names[0]:
-        raise InputError(f"{first.name}: is not {work.names[0]}, the first frame of the run")
     member = f"{platform.node()}.{os.getpid()}.{worker.address.rpartition(':')[2]}"
+    may_write: Callable[[], None] = _may_always
+    if order.shared:
+        may_write = _Lock(out, order.lock)
+        may_write()
+        first = next(iter(work.unchanged))
+        if first.name != work.names[0]:
+            raise InputError(f"{first.name}: is not {work.names[0]}, the first frame of the run")
+    else:
+        # Is removed with the process, as Dask's own files are.
+        out = Path(worker.local_directory) / f"tnst_mi-{run}"
     backing = FolderStore(out / WORK, order.identity, may_write, member=member)
     folder = RunFolder(out, work.recipe, suffix=work.suffix, may_write=may_write, joining=True)
     return Workplace(work, network, DeviceStore(backing, work.cache_bytes), folder)
@@ -213,6 +236,10 @@ def _has_cores_of_its_own() -> bool:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _may_always() -> None:
+    """What is in a folder of this process's own may be written."""
 
 
 @dataclass(frozen=True)

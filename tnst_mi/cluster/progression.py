@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing
 from typing import Any
 
 from tnst_mi.cluster.crew import Crew, Iterated
 from tnst_mi.cluster.graph import Needs, TaskGraph, entering, iterating, measuring
-from tnst_mi.cluster.tasks import AVERAGE, FIELDS, FINISH, GAIN, INPUTS, ITERATE, SCALES, STEP, Task, Told
+from tnst_mi.cluster.parcels import AT_HOME, Parcel, needed, packed, unpacked
+from tnst_mi.cluster.tasks import (
+    AVERAGE,
+    FIELDS,
+    FINISH,
+    GAIN,
+    INPUTS,
+    ITERATE,
+    SCALES,
+    STEP,
+    Task,
+    Told,
+    Workplace,
+    carry_out,
+)
 from tnst_mi.losses.evaluation import rms_scales
 from tnst_mi.machine.interrupt import Interrupt
 from tnst_mi.network.googlenet import GoogLeNet
@@ -38,6 +53,8 @@ class Progression:
         crew: has the tasks done.
         interrupt: whether the run is to end.
         on_iteration: called after every iteration of every frame.
+        home: where this process does what others cannot, if they do not share the folder of the run; None if they do.
+            It is given the store of items.
     """
 
     def __init__(
@@ -48,7 +65,10 @@ class Progression:
         crew: Crew,
         interrupt: Interrupt,
         on_iteration: Callable[[Progress], None],
+        home: Callable[[DeviceStore], Workplace] | None = None,
     ) -> None:
+        self._begin_home = home
+        self._home: Workplace | None = None
         self._plan, self._store, self._network, self._crew = plan, store, network, crew
         self._interrupt, self._on_iteration = interrupt, on_iteration
         self._level, self._scales = 0, dict[str, float]()
@@ -71,6 +91,7 @@ class Progression:
         finished = set(finished)
         with closing(DeviceStore(self._store, 0)) as store:
             mending = Mending(self._plan, store)
+            self._home = None if self._begin_home is None else self._begin_home(store)
             while len(finished) < len(self._plan.frames):
                 try:
                     for result in self._octaves(store, finished, on_octave):
@@ -123,19 +144,41 @@ class Progression:
 
     def _all(self, needs: Needs) -> Iterator[Result]:
         """Have tasks done, each once what it needs has been done."""
-        graph = TaskGraph(needs)
-        self._give(graph.ready)
-        for answer in self._crew.answers():
-            if self._interrupt.requested:
-                raise KeyboardInterrupt
-            if isinstance(answer, Iterated):
-                self._heard(answer.entry)
-            elif answer is not None:
-                yield from self._noted(answer.task, answer.result)
-                self._give(graph.done(answer.task))
+        graph, due = TaskGraph(needs), deque[Task]()
+        self._give(graph.ready, due)
+        while due or len(graph):
+            while due:
+                # What the others cannot do is done here, while they do theirs.
+                yield from self._noted(task := due.popleft(), self._done_here(task))
+                self._give(graph.done(task), due)
+            for answer in self._crew.answers():
+                if self._interrupt.requested:
+                    raise KeyboardInterrupt
+                if isinstance(answer, Iterated):
+                    self._heard(answer.entry)
+                elif answer is not None:
+                    unpacked(self._store, answer.parcels)
+                    yield from self._noted(answer.task, answer.result)
+                    self._give(graph.done(answer.task), due)
+                if due:
+                    break
+            assert due or not len(graph), "tasks are left that wait for nothing"
 
-    def _give(self, tasks: Iterable[Task]) -> None:
-        self._crew.give({task: self._told(task) for task in tasks})
+    def _give(self, tasks: Iterable[Task], due: deque[Task]) -> None:
+        """Give tasks to the crew, and put those that are done here with those that are due."""
+        at_home = [task for task in tasks if self._home is not None and task.kind in AT_HOME]
+        due.extend(at_home)
+        self._crew.give({task: self._told(task) for task in tasks if task not in at_home})
+
+    def _done_here(self, task: Task) -> Any:
+        assert self._home is not None
+        if self._interrupt.requested:
+            raise KeyboardInterrupt
+        return carry_out(task, self._told(task), self._home, self._heard)
+
+    def pack(self, task: Task) -> list[Parcel]:
+        """The items that a task needs."""
+        return packed(self._store, needed(self._plan, task, self._done.get(task.frame, 0)))
 
     def _told(self, task: Task) -> Told:
         """What whoever does a task has to be told."""

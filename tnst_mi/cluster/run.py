@@ -11,9 +11,12 @@ import numpy as np
 from tnst_mi.cluster.connecting import connected
 from tnst_mi.cluster.crew import Crew
 from tnst_mi.cluster.member import Order
+from tnst_mi.cluster.parcels import Parcel
 from tnst_mi.cluster.progression import Progression
+from tnst_mi.cluster.tasks import Task, Workplace
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import LOCK
+from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.interface import Store
 from tnst_mi.optimisation.items.store import FolderStore
 from tnst_mi.run.cluster_address import Cluster
@@ -44,8 +47,19 @@ class ClusterRun(Run):
         store.share()
         prepared, plan = self.prepared, self.prepared.plan
         with deferred_interrupt() as interrupt, connected(self._cluster, self._bar.say, len(plan.alive)) as client:
-            crew = Crew(client, self._order(folder), plan, self._bar.say, self._cluster.grows)
-            progression = Progression(plan, store, prepared.network.model, crew, interrupt, self._bar.advance)
+            network, shared = prepared.network.model, self._cluster.shared
+
+            def pack(task: Task) -> list[Parcel]:
+                return progression.pack(task)
+
+            def home(items: DeviceStore) -> Workplace:
+                return Workplace(prepared.work, network, items, folder)
+
+            order, say, grows = self._order(folder), self._bar.say, self._cluster.grows
+            crew = Crew(client, order, plan, say, grows, None if shared else pack)
+            progression = Progression(
+                plan, store, network, crew, interrupt, self._bar.advance, None if shared else home
+            )
             try:
                 for index, record, history in progression.results(done, live and live.octave_done):
                     if live is not None:
@@ -73,6 +87,7 @@ class ClusterRun(Run):
                 record["weights"]["sha256"],
                 record["device"]["variant"],
                 record["threads"],
+                self._cluster.shared,
             )
         )
 

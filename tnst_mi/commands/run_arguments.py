@@ -51,6 +51,8 @@ class StylizeArguments(Arguments):
     cluster: _Cluster = None
     """Have several processes do the work, to the same bits: N on this machine, a Dask cluster by its scheduler's
     address, or jobs of a batch system (docs/cluster.md)."""
+    unshared: bool = False
+    """With --cluster: its processes do not see --out and INPUT, so what they need is sent to them, and comes back."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
     """What to stylize towards."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)

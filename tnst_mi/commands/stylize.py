@@ -45,7 +45,9 @@ def run(arguments: StylizeArguments) -> int:
     for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     out, resume, overwrite, begin = arguments.out, arguments.resume, arguments.overwrite, arguments.start_from
-    cluster = None if arguments.cluster is None else cluster_of(arguments.cluster)
+    if arguments.unshared and arguments.cluster is None:
+        raise InputError("--unshared: says how processes of a cluster are reached; give --cluster too")
+    cluster = None if arguments.cluster is None else cluster_of(arguments.cluster, not arguments.unshared)
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(

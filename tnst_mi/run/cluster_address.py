@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,14 @@ class Cluster:
         processes: on this machine; 0 if they are elsewhere.
         options: of a batch system: keyword arguments of dask-jobqueue's cluster, and `jobs`, their number. Of what is
             not there, Dask's own configuration says what it is, and there are as many jobs as there is work for.
+        shared: whether its processes share the folder of the run, and see its input.
     """
 
     address: str
     kind: str
     processes: int = 0
     options: Mapping[str, Any] = field(default_factory=dict)
+    shared: bool = True
 
     @property
     def grows(self) -> bool:
@@ -43,8 +45,12 @@ class Cluster:
         return self.kind != "local"
 
 
-def cluster_of(address: str) -> Cluster:
+def cluster_of(address: str, shared: bool = True) -> Cluster:
     """The cluster that an address means; nothing is begun.
+
+    Args:
+        address: of the cluster.
+        shared: whether its processes share the folder of the run, and see its input.
 
     Raises:
         InputError: it means none, or Dask is not installed.
@@ -64,7 +70,7 @@ def cluster_of(address: str) -> Cluster:
     for package in ("distributed", *(["dask_jobqueue"] if kind in BATCH else [])):
         if importlib.util.find_spec(package) is None:
             raise InputError(f"--cluster {address}: {package} is not installed; pip install 'tnst_mi[cluster]'")
-    return cluster
+    return replace(cluster, shared=shared)
 
 
 def _options(file: Path) -> dict[str, Any]:

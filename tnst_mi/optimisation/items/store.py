@@ -1,14 +1,11 @@
 """The working state of a run, on disk or in memory.
 
 Items are written atomically, and the content of an item depends only on other items; so the items that a killed run
-leaves are a valid state, from which the run resumes by computing what is missing. On disk an item is one safetensors
-file, read without pickle and with its sizes checked:
+leaves are a valid state, from which the run resumes by computing what is missing. On disk an item is one file (`item`):
 
     GROUP/FRAME.GENERATION.safetensors        numbers.json        metrics.jsonl        log/MEMBER.jsonl
 
-It holds a checksum of each array together with the item's name and the run that it belongs to. So an item that is
-truncated, that has lost its contents with the power, or that has another's name is found when it is read. Numbers, and
-each line of the log, have a checksum too.
+Numbers, and each line of the log, have a checksum.
 
 Several processes may work on one state: each item is written by one of them, and each has a log of its own, so they
 need no locks.
@@ -23,13 +20,10 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from safetensors import safe_open
-from safetensors.numpy import save
-
 from tnst_mi.io.atomic import append, remove_folder, remove_unfinished, sync, written_whole
 from tnst_mi.optimisation.items.damage import DamagedItemError, reading, remove_misplaced
 from tnst_mi.optimisation.items.interface import Arrays, Store
+from tnst_mi.optimisation.items.item import Item
 from tnst_mi.optimisation.items.log import Log, log_line
 
 _ITEM = re.compile(r"(\d{6,9})\.(\d{6,9})\.safetensors")
@@ -168,30 +162,36 @@ class FolderStore(Store):
     ) -> Arrays:
         """See `Store`."""
         generation = self.generation(group, frame) if generation is None else generation
-        path = self._path(group, frame, generation)
-        with reading(path, group, frame, generation), safe_open(path, framework="numpy") as item:
-            written = item.metadata() or {}
-            found = {name: item.get_tensor(name) for name in item.keys() if names is None or name in names}
-        if names is not None and set(names) - set(found):
-            raise DamagedItemError(path, "arrays are missing", group, frame, generation)
-        for name, array in found.items():
-            if written.get(name) != self._checksum(path, name, array):
-                raise DamagedItemError(path, f"the checksum of {name} is another", group, frame, generation)
-            self.bytes_read += array.nbytes
+        item = Item(group, frame, generation)
+        found = item.read(self.folder / item.path, self._run, names)
+        self.bytes_read += sum(array.nbytes for array in found.values())
         return found
 
     def write(self, group: str, frame: int, generation: int, arrays: Arrays, durable: bool = False) -> None:
         """See `Store`."""
+        item = Item(group, frame, generation)
+        self.write_content(item, item.content(arrays, self._run), durable)
+        self.bytes_written += sum(array.nbytes for array in arrays.values())
+
+    def content(self, item: Item) -> bytes:
+        """What the file of an item holds, to be sent to another process.
+
+        Raises:
+            DamagedItemError: there is no such file.
+        """
+        path = self.folder / item.path
+        with reading(path, *item):
+            return path.read_bytes()
+
+    def write_content(self, item: Item, content: bytes, durable: bool = False) -> None:
+        """Write what the file of an item holds; see `write`."""
         self._may_write()
-        path = self._path(group, frame, generation)
-        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        checksums = {name: self._checksum(path, name, array) for name, array in arrays.items()}
+        group, frame, generation = item
         if durable and self._log.exists():
             sync(self._log)
-        with written_whole(path, durable) as temporary:
+        with written_whole(self.folder / item.path, durable) as temporary:
             # Written here rather than by the library, whose error does not show that the disk is full.
-            temporary.write_bytes(save(arrays, checksums))
-        self.bytes_written += sum(array.nbytes for array in arrays.values())
+            temporary.write_bytes(content)
         self.told(group, frame, generation)
         if self._alone:
             self.release(group, frame, generation)
@@ -269,17 +269,12 @@ class FolderStore(Store):
                 raise DamagedItemError(self._numbers, "the checksum is another")
             return everything
 
-    def _checksum(self, path: Path, name: str, array: np.ndarray) -> str:
-        """The checksum of an array (CRC-32), with what must not be another's: its run, its item, its name and form."""
-        form = json.dumps([self._run, path.parent.name, path.name, name, array.dtype.str, array.shape])
-        return f"{zlib.crc32(array.data, zlib.crc32(form.encode('utf-8'))):08x}"
-
     def _checksum_of(self, numbers: dict[str, dict[str, float]]) -> str:
         form = json.dumps([self._run, numbers], sort_keys=True)
         return f"{zlib.crc32(form.encode('utf-8')):08x}"
 
     def _path(self, group: str, frame: int, generation: int) -> Path:
-        return self.folder / group / f"{frame:06d}.{generation:06d}.safetensors"
+        return self.folder / Item(group, frame, generation).path
 
     def _find(self, keep_others: bool) -> None:
         """Take note of the items that are there: a killed run may leave earlier generations that are still needed."""
