@@ -125,7 +125,12 @@ def test_the_bits_are_those_of_one_process(
 
 
 @pytest.mark.parametrize(
-    "keys", [{"window": 3}, {"window": 1}, {"window": 3, "semantic": [], "target": [{"mask": ["box(0,0,0,1,0.6,1)"]}]}]
+    "keys",
+    [
+        {"window": 3},
+        {"window": 1},
+        {"window": 3, "semantic": [], "target": [{"mask": {"shape": "sphere", "centre": [5, 6, 4], "radius": 4}}]},
+    ],
 )
 def test_without_a_shared_folder_items_travel(
     keys: dict[str, Any],

@@ -90,6 +90,11 @@ class FrameFiles(Sequence[Frame]):
         return self._listing.numbers
 
     @property
+    def numbers_there(self) -> list[Number]:
+        """The numbers of all frames of the sequence, of which these may be a part."""
+        return sorted(number for number in self._listing.sequence.values() if number is not None)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was decided in choosing the files, to be said."""
         return self._listing.notes

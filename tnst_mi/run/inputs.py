@@ -31,10 +31,13 @@ def sequence_of(frames: Frames, recipe: Recipe) -> Sequence[Frame]:
         InputError: there are none, or they cannot be used.
     """
     if isinstance(frames, str | Path):
-        span = recipe.frame_range
-        if span is not None:
-            span = span[0] - recipe.context, span[1] + recipe.context
-        return open_frames(frames, span, conventions_of(recipe))
+        span, conventions = recipe.frame_range, conventions_of(recipe)
+        files = open_frames(frames, span, conventions)
+        if span is None or recipe.context == 0:
+            return files
+        first, last = span[0] - recipe.context, span[1] + recipe.context
+        there = [number for number in files.numbers_there if first <= number <= last and type(number) is type(span[0])]
+        return open_frames(frames, (there[0], there[-1]), conventions) if there else files
     if recipe.frames is not None:
         raise InputError(f"frames = {recipe.frames!r}: selects from a folder, but the frames were given as arrays")
     for key in Reading.__annotations__:

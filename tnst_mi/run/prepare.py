@@ -294,20 +294,11 @@ def prepare(
 
 
 def _context(recipe: Recipe, measures: Sequence[Measure]) -> frozenset[int]:
-    """The indices of the frames beside those that the recipe selects.
-
-    Raises:
-        InputError: there are no others.
-    """
+    """The indices of the frames beside those that the recipe selects."""
     if recipe.frame_range is None:
         return frozenset()
     first, last = recipe.frame_range
-    beside = frozenset(i for i, of in enumerate(measures) if of.number is not None and not first <= of.number <= last)
-    if len(beside) == len(measures):
-        raise InputError(
-            f"frames = {recipe.frames!r}: there are none of these numbers, only of the context beside them"
-        )
-    return beside
+    return frozenset(i for i, of in enumerate(measures) if of.number is not None and not first <= of.number <= last)
 
 
 def _suffix(recipe: Recipe, frames: Sequence[Frame]) -> str:
