@@ -43,7 +43,7 @@ def test_change_comes_nearer_to_the_target(frame: FramePlan, fields: Fields) -> 
     for _ in range(10):
         change = stylized(fields, density, H) - density
         distances.append(np.linalg.norm((change - target).numpy()))
-        fields = fields - step_towards(target, Current(frame, Inputs(density, mask), fields), 0.01, 14, H)
+        fields = fields - step_towards(target, Current(frame, Inputs(density, mask), fields, 0), 0.01, 14, H)
     assert (np.diff(distances) < 0).all()
     assert distances[-1] < 0.7 * distances[0]
 
@@ -52,7 +52,7 @@ def test_step_is_proportional_to_the_difference(frame: FramePlan, fields: Fields
     """Its direction is normalised; its length is that of a step of the stylization times the relative difference."""
     density = mi.TensorXf(blob(SHAPE, (5.5, 6.5, 4.5), 3))
     mask = mi.TensorXf(np.ones(SHAPE, np.float32))
-    now = Current(frame, Inputs(density, mask), fields)
+    now = Current(frame, Inputs(density, mask), fields, 0)
     change = frame.parameterisation.density(fields, density, H) - density
     other = mi.TensorXf(smooth_noise(np.random.default_rng(2), *SHAPE))
     steps = {}
