@@ -27,7 +27,7 @@ FLOORS = (
     "optimisation",
     "compare atlas",
     "run",
-    "batch",
+    "batch studio",
     "commands",
     "cli",
     "__init__ __main__",

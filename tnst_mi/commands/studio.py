@@ -1,0 +1,84 @@
+"""`tnst-mi studio`: a page in the browser to look, choose, try and render."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from tnst_mi.commands.arguments import StudioArguments
+from tnst_mi.commands.base import checked, given, say
+from tnst_mi.errors import InputError
+from tnst_mi.machine.backend import activate
+from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
+from tnst_mi.run.folder import holds_run
+from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.routes import StudioRoutes
+from tnst_mi.studio.server import StudioServer
+from tnst_mi.studio.session import Session
+
+#: What reaches no other machine.
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def run(arguments: StudioArguments) -> int:
+    """Serve the page until Ctrl-C."""
+    port = checked("port", arguments.port, Integer(0, 65535))
+    root, first = _places(arguments.input)
+    activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
+    session = Session(Places(root))
+    if first is not None:
+        session.open(first)
+    motifs = MotifBrowser(session.places, expanded(arguments.out) / "pictures")
+    server = StudioServer(arguments.host, port, StudioRoutes(session, motifs))
+    if arguments.host not in LOOPBACK:
+        say(
+            [
+                f"note: --host {arguments.host}: whoever reaches this machine there and has the URL can read the smoke "
+                f"below {session.places.root} and compute here; it is not encrypted. An ssh tunnel needs no --host"
+            ]
+        )
+    print(f"studio    {_url(arguments.host, server)}", flush=True)
+    serving = threading.Thread(target=server.serve_forever, daemon=True)
+    serving.start()
+    try:
+        # A join without a limit would not hear of Ctrl-C on every system.
+        while serving.is_alive():
+            serving.join(1.0)
+    except KeyboardInterrupt:
+        pass  # the way to end it
+    finally:
+        session.end()
+        server.shutdown()
+        server.server_close()
+    return 0
+
+
+def _places(shown: Path | None) -> tuple[Path, Path | None]:
+    """The folder below which things may be opened, and what is opened first.
+
+    Raises:
+        InputError: nothing is there.
+    """
+    if shown is None:
+        return Path.cwd(), None
+    if shown.is_dir():
+        if holds_run(shown):
+            return shown.resolve().parent, shown
+        return shown, shown if _has_frames(shown) else None
+    if not shown.parent.is_dir():
+        raise InputError(f"{shown}: no such file or folder")
+    return shown.parent, shown
+
+
+def _has_frames(folder: Path) -> bool:
+    """Whether a folder holds frames rather than folders of them and runs."""
+    entries = Places(folder).entries("")
+    return any(entry["kind"] == "frames" for entry in entries)
+
+
+def _url(host: str, server: StudioServer) -> str:
+    shown = f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{server.server_port}/?token={server.access.token}"

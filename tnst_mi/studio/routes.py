@@ -1,0 +1,123 @@
+"""What the page can ask for and do, by the paths of its URLs."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.pictures.png import eight_bits
+from tnst_mi.resources import DATA
+from tnst_mi.studio.messages import PageAnswer, PageRequest
+from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.server import UPLOAD
+from tnst_mi.studio.session import Session
+from tnst_mi.studio.sight import Sight
+
+#: The files of the page.
+_PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/studio.css": ("studio.css", "text/css; charset=utf-8"),
+    "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
+}
+
+#: Quality of JPEG while the camera moves, and when it is still.
+_MOVING, _STILL = 80, 92
+
+
+class StudioRoutes:
+    """Answers the requests of the page.
+
+    Args:
+        session: what all tabs share.
+        motifs: what can be chosen.
+    """
+
+    def __init__(self, session: Session, motifs: MotifBrowser) -> None:
+        self.session, self.motifs = session, motifs
+        self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
+            ("GET", "/events"): self._events,
+            ("GET", "/view"): self.view,
+            ("GET", "/files"): self._files,
+            ("GET", "/motifs"): self._motifs,
+            ("GET", "/thumbnail"): self._thumbnail,
+            ("POST", UPLOAD): self._upload,
+            ("POST", "/open"): self._open,
+            ("POST", "/set"): self._set,
+            ("POST", "/goal"): self._goal,
+        }
+
+    def __call__(self, request: PageRequest) -> PageAnswer:
+        """Answer a request.
+
+        Raises:
+            InputError: it cannot be done.
+        """
+        if request.method == "GET" and request.path in _PAGE:
+            name, kind = _PAGE[request.path]
+            return PageAnswer((DATA / "studio" / name).read_bytes(), kind)
+        if route := self._routes.get((request.method, request.path)):
+            return route(request)
+        return PageAnswer.of_json({"error": "nothing is there"}, 404)
+
+    def view(self, request: PageRequest) -> PageAnswer:
+        """A picture of what is opened, as JPEG; see `Sight.of_query` for the query."""
+        begun = time.perf_counter()
+        painter = self.session.opened_painter
+        sight = Sight.of_query(request.query, len(painter.opened.results.frames))
+        picture = painter.paint(sight, self.session.recipe())
+        body = jpeg(picture, _MOVING if sight.coarse else _STILL)
+        taken = f"{1e3 * (time.perf_counter() - begun):.1f}"
+        return PageAnswer(body, "image/jpeg", headers={"X-Milliseconds": taken})
+
+    def _events(self, request: PageRequest) -> PageAnswer:
+        return PageAnswer(kind="text/event-stream", events=self.session.news())
+
+    def _files(self, request: PageRequest) -> PageAnswer:
+        return PageAnswer.of_json(self.session.places.entries(request.query.get("at", "")))
+
+    def _motifs(self, request: PageRequest) -> PageAnswer:
+        weights = self.session.recipe().weights
+        return PageAnswer.of_json(self.motifs.found(request.query.get("find", ""), weights))
+
+    def _thumbnail(self, request: PageRequest) -> PageAnswer:
+        picture = self.motifs.thumbnail(request.query.get("style"), request.query.get("atlas"))
+        # As long as the studio runs, a name means the same picture.
+        return PageAnswer(picture, "image/png", headers={"Cache-Control": "max-age=300"})
+
+    def _upload(self, request: PageRequest) -> PageAnswer:
+        self.motifs.upload(request.query.get("name", ""), request.body)
+        return PageAnswer.of_json({})
+
+    def _open(self, request: PageRequest) -> PageAnswer:
+        self.session.open(self.session.places.within(_text(request.json(), "path")))
+        return PageAnswer.of_json({})
+
+    def _set(self, request: PageRequest) -> PageAnswer:
+        values = request.json()
+        self.session.set(_text(values, "key"), values.get("value"))
+        return PageAnswer.of_json({})
+
+    def _goal(self, request: PageRequest) -> PageAnswer:
+        values = request.json()
+        self.session.toggle(_text(values, "key"), _text(values, "goal"))
+        return PageAnswer.of_json({})
+
+
+def jpeg(picture: np.ndarray, quality: int) -> bytes:
+    """A picture (H, W) or (H, W, 3) in [0, 1] as JPEG."""
+    encoded = io.BytesIO()
+    Image.fromarray(eight_bits(picture)).save(encoded, "JPEG", quality=quality)
+    return encoded.getvalue()
+
+
+def _text(values: dict[str, Any], name: str) -> str:
+    value = values.get(name)
+    if not isinstance(value, str):
+        raise InputError(f"studio: {name} is missing, or no text")
+    return value

@@ -1,0 +1,143 @@
+"""What all tabs of the page share: what is opened, and what is set; each tab hears of every change."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError
+from tnst_mi.recipe.quality import FINAL
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.opened import opened
+from tnst_mi.studio.painting import SightPainter
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.settings import StudioSettings
+
+#: Seconds after which a connection without news is told that it is still one.
+_STILL_HERE = 15.0
+
+
+class Session:
+    """The state of a studio.
+
+    Args:
+        places: what may be opened.
+
+    Attributes:
+        settings: what is set.
+        painter: paints what is opened; None as long as nothing is.
+    """
+
+    def __init__(self, places: Places) -> None:
+        self.places, self.settings = places, StudioSettings()
+        self.painter: SightPainter | None = None
+        self._source: Path | None = None
+        self._news, self._version, self._ended = threading.Condition(), 0, False
+
+    def open(self, path: Path) -> None:
+        """Show densities or a run, whose recipe is taken over with its goals.
+
+        Raises:
+            InputError: nothing is there that can be shown.
+        """
+        found = opened(path)
+        with self._news:
+            self.painter = SightPainter(found)
+            if found.recipe is not None:
+                self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
+            record = found.results.record
+            self._source = path if record is None else _input_of(record)
+            self._change()
+
+    @property
+    def opened_painter(self) -> SightPainter:
+        """The painter of what is opened.
+
+        Raises:
+            InputError: nothing is.
+        """
+        if self.painter is None:
+            raise InputError("studio: nothing is opened; choose something on the left")
+        return self.painter
+
+    @property
+    def source(self) -> Path:
+        """The input that is stylized: what is opened, or what the opened run has stylized.
+
+        Raises:
+            InputError: nothing is opened, or the run had no file as its input.
+        """
+        self.opened_painter  # noqa: B018
+        if self._source is None:
+            raise InputError("studio: the input of this run was no file; open one")
+        return self._source
+
+    def set(self, key: str, value: object) -> None:
+        """Set a slider; see `StudioSettings.set`."""
+        with self._news:
+            self.settings.set(key, value)
+            self._change()
+
+    def toggle(self, key: str, goal: str) -> None:
+        """Add or remove a goal; see `StudioSettings.toggle`."""
+        with self._news:
+            self.settings.toggle(key, goal)
+            self._change()
+
+    def recipe(self) -> Recipe:
+        """The recipe as it is set."""
+        with self._news:
+            return self.settings.recipe
+
+    def state(self) -> dict[str, Any]:
+        """All that a tab has to know, as values for JSON."""
+        with self._news:
+            return {
+                "version": self._version,
+                "opened": None if self.painter is None else _described(self.painter, self.places),
+                **self.settings.described(),
+            }
+
+    def news(self) -> Iterator[str]:
+        """The state as JSON, now and whenever it has changed; empty texts while nothing changes."""
+        known = -1
+        while not self._ended:
+            with self._news:
+                self._news.wait_for(lambda known=known: self._version != known or self._ended, _STILL_HERE)
+                changed, known = self._version != known, self._version
+            yield json.dumps(self.state()) if changed else ""
+
+    def end(self) -> None:
+        """End all `news`."""
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    def _change(self) -> None:
+        self._version += 1
+        self._news.notify_all()
+
+
+def _input_of(record: Any) -> Path | None:
+    source = record.get("input")
+    return Path(source) if isinstance(source, str) else None
+
+
+def _described(painter: SightPainter, places: Places) -> dict[str, Any]:
+    results = painter.opened.results
+    d, h, w = painter.opened.shape
+    recipe = results.recipe or Recipe()
+    return {
+        "title": results.title,
+        "path": places.relative(results.path),
+        "run": results.record is not None,
+        "after": painter.opened.has_after,
+        "names": list(results.names),
+        "shape": [d, h, w],
+        "main_view": list(recipe.main_view[:2]),
+        "notes": list(results.notes),
+    }
