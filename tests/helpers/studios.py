@@ -70,7 +70,7 @@ class Studio:
 @contextmanager
 def running(root: Path, out: Path) -> Iterator[Studio]:
     """A studio below a folder."""
-    session = Session(Places(root))
+    session = Session(Places(root), out)
     routes = StudioRoutes(session, MotifBrowser(session.places, out / "pictures"))
     server = StudioServer("127.0.0.1", 0, routes)
     serving = threading.Thread(target=lambda: server.serve_forever(0.02), daemon=True)

@@ -28,10 +28,11 @@ def run(arguments: StudioArguments) -> int:
     port = checked("port", arguments.port, Integer(0, 65535))
     root, first = _places(arguments.input)
     activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
-    session = Session(Places(root))
+    out = expanded(arguments.out)
+    session = Session(Places(root), out)
     if first is not None:
         session.open(first)
-    motifs = MotifBrowser(session.places, expanded(arguments.out) / "pictures")
+    motifs = MotifBrowser(session.places, out / "pictures")
     server = StudioServer(arguments.host, port, StudioRoutes(session, motifs))
     if arguments.host not in LOOPBACK:
         say(
@@ -50,9 +51,10 @@ def run(arguments: StudioArguments) -> int:
     except KeyboardInterrupt:
         pass  # the way to end it
     finally:
-        session.end()
+        paused = session.end()
         server.shutdown()
         server.server_close()
+    say([f"paused    {out / name}; a studio with this --out goes on with it" for name in paused])
     return 0
 
 

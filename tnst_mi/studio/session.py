@@ -16,6 +16,7 @@ from tnst_mi.studio.opened import opened
 from tnst_mi.studio.painting import SightPainter
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.settings import StudioSettings
+from tnst_mi.studio.work import Workshop
 
 #: Seconds after which a connection without news is told that it is still one.
 _STILL_HERE = 15.0
@@ -26,17 +27,20 @@ class Session:
 
     Args:
         places: what may be opened.
+        out: the folder of the studio's tries and renders.
 
     Attributes:
+        workshop: these.
         settings: what is set.
         painter: paints what is opened; None as long as nothing is.
     """
 
-    def __init__(self, places: Places) -> None:
+    def __init__(self, places: Places, out: Path) -> None:
         self.places, self.settings = places, StudioSettings()
         self.painter: SightPainter | None = None
         self._source: Path | None = None
         self._news, self._version, self._ended = threading.Condition(), 0, False
+        self.workshop = Workshop(out, self._changed)
 
     def open(self, path: Path) -> None:
         """Show densities or a run, whose recipe is taken over with its goals.
@@ -51,7 +55,7 @@ class Session:
                 self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
             record = found.results.record
             self._source = path if record is None else _input_of(record)
-            self._change()
+            self._changed()
 
     @property
     def opened_painter(self) -> SightPainter:
@@ -80,23 +84,33 @@ class Session:
         """Set a slider; see `StudioSettings.set`."""
         with self._news:
             self.settings.set(key, value)
-            self._change()
+            self._changed()
 
     def toggle(self, key: str, goal: str) -> None:
         """Add or remove a goal; see `StudioSettings.toggle`."""
         with self._news:
             self.settings.toggle(key, goal)
-            self._change()
+            self._changed()
 
     def recipe(self) -> Recipe:
         """The recipe as it is set."""
         with self._news:
             return self.settings.recipe
 
+    def begin(self, kind: str) -> None:
+        """Begin a try or a render of what is opened, with the recipe as it is set; see `Workshop.begin`.
+
+        Raises:
+            InputError: there is nothing to stylize, or nothing to stylize towards.
+        """
+        self.workshop.begin(kind, self.source, self.recipe(), self.opened_painter.opened.shape)
+
     def state(self) -> dict[str, Any]:
         """All that a tab has to know, as values for JSON."""
+        work = self.workshop.described()
         with self._news:
             return {
+                "work": work,
                 "version": self._version,
                 "opened": None if self.painter is None else _described(self.painter, self.places),
                 **self.settings.described(),
@@ -111,15 +125,17 @@ class Session:
                 changed, known = self._version != known, self._version
             yield json.dumps(self.state()) if changed else ""
 
-    def end(self) -> None:
-        """End all `news`."""
+    def end(self) -> list[str]:
+        """End all `news`, and pause the tries; returns the names of those that ran."""
         with self._news:
             self._ended = True
             self._news.notify_all()
+        return self.workshop.end()
 
-    def _change(self) -> None:
-        self._version += 1
-        self._news.notify_all()
+    def _changed(self) -> None:
+        with self._news:
+            self._version += 1
+            self._news.notify_all()
 
 
 def _input_of(record: Any) -> Path | None:

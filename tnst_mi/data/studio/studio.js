@@ -275,15 +275,19 @@ function showMotifs() {
   for (const motif of motifs) {
     if (motif.kind !== kind) tiles.push(element("h3", kind = motif.kind));
     const tile = element("button", undefined, { title: `${motif.key} = ${motif.goal}` });
-    tile.dataset.goal = motif.goal;
+    Object.assign(tile.dataset, { key: motif.key, goal: motif.goal });
     if (motif.thumbnail) tile.append(element("img", undefined, { src: motif.thumbnail, alt: "", loading: "lazy" }));
     else tile.classList.add("wide");
     tile.append(motif.title);
-    tile.classList.toggle("on", chosen(motif));
     tile.addEventListener("click", () => post("goal", { key: motif.key, goal: motif.goal }));
     tiles.push(tile);
   }
   $("motifs").replaceChildren(...tiles);
+  markMotifs();
+}
+
+function markMotifs() {
+  for (const tile of $("motifs").querySelectorAll("button")) tile.classList.toggle("on", chosen(tile.dataset));
 }
 
 let finding = 0;
@@ -379,7 +383,7 @@ function jobCard(job) {
   image.addEventListener("error", () => { image.hidden = true; });
   const curve = element("canvas", undefined, { hidden: true }), line = element("p"), told = element("p", "", { className: "told" });
   const buttons = element("div", undefined, { className: "buttons" }), actions = {};
-  const labels = { pause: "pause", resume: "resume", open: "open", finish: "render this", remove: "remove" };
+  const labels = { pause: "pause", resume: "resume", open: "open", finish: "render this" };
   for (const [action, label] of Object.entries(labels)) {
     const button = actions[action] = element("button", label);
     button.dataset.action = action;
@@ -447,7 +451,7 @@ function told(next) {
   const key = state.opened && JSON.stringify([state.opened.title, state.opened.path, state.opened.names]);
   shownMode();
   showRecipe();
-  showMotifs();
+  markMotifs();
   showJobs();
   if (key && key !== shownTitle) {
     shownTitle = key;
