@@ -68,7 +68,7 @@ def test_the_main_view_is_what_the_network_sees(source: Path) -> None:
     darker = (expected > 0.1 * expected.max()) & (picture < 1)
     exposure = picture[darker][0] / expected[darker][0]
     assert darker.sum() > 5 and exposure > 0.2
-    np.testing.assert_allclose(picture, np.minimum(exposure * expected, 1.0), atol=2e-6)
+    np.testing.assert_allclose(picture, np.minimum(exposure * expected, 1.0), atol=2e-4)
 
 
 def test_all_frames_and_sides_have_one_exposure(run_folder: Path) -> None:

@@ -34,7 +34,7 @@ class LiveRun:
         self._time_left: TimeLeft | None = None
         self._left: float | None = None
         self._total: int | None = None
-        self._skipped = 0
+        self._skipped, self._timed = 0, False
 
     @property
     def losses(self) -> list[float]:
@@ -69,9 +69,12 @@ class LiveRun:
             self._read_on(log)
         if self._total is None and self._losses:
             self._plan()
+            return True
         changed = self.done != before
         if changed and self._time_left is not None and self._total is not None:
-            self._left = self._time_left.after(self.octaves[-1], min(self.done, self._total), self._total)
+            left = self._time_left.after(self.octaves[-1], min(self.done, self._total), self._total)
+            # The first time tells only when looking on began, not how long an iteration takes.
+            self._left, self._timed = left if self._timed else None, True
         return changed
 
     def _read_on(self, log: Path) -> None:

@@ -19,7 +19,6 @@ from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.processes import tail
 from tnst_mi.studio.server import UPLOAD
 from tnst_mi.studio.session import Session
-from tnst_mi.studio.sight import Sight
 from tnst_mi.studio.work import RENDERS, TRIES
 
 #: The files of the page.
@@ -76,11 +75,9 @@ class StudioRoutes:
         return PageAnswer.of_json({"error": "nothing is there"}, 404)
 
     def view(self, request: PageRequest) -> PageAnswer:
-        """A picture of what is opened, as JPEG; see `Sight.of_query` for the query."""
+        """A picture of what is opened, as JPEG; see `Session.paint`."""
         begun = time.perf_counter()
-        painter = self.session.opened_painter
-        sight = Sight.of_query(request.query, len(painter.opened.results.frames))
-        picture = painter.paint(sight, self.session.recipe())
+        sight, picture = self.session.paint(request.query)
         body = jpeg(picture, _MOVING if sight.coarse else _STILL)
         taken = f"{1e3 * (time.perf_counter() - begun):.1f}"
         return PageAnswer(body, "image/jpeg", headers={"X-Milliseconds": taken})

@@ -5,21 +5,27 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.lit import LitPainter
 from tnst_mi.studio.opened import opened
 from tnst_mi.studio.painting import SightPainter
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.settings import StudioSettings
+from tnst_mi.studio.sight import Sight
 from tnst_mi.studio.work import Workshop
 
 #: Seconds after which a connection without news is told that it is still one.
 _STILL_HERE = 15.0
+
+_NOTHING = "studio: nothing is opened; choose something on the left"
 
 
 class Session:
@@ -32,12 +38,13 @@ class Session:
     Attributes:
         workshop: these.
         settings: what is set.
-        painter: paints what is opened; None as long as nothing is.
+        painter, lit: paint what is opened; None as long as nothing is.
     """
 
     def __init__(self, places: Places, out: Path) -> None:
         self.places, self.settings = places, StudioSettings()
         self.painter: SightPainter | None = None
+        self.lit: LitPainter | None = None
         self._source: Path | None = None
         self._news, self._version, self._ended = threading.Condition(), 0, False
         self.workshop = Workshop(out, self._changed)
@@ -50,23 +57,12 @@ class Session:
         """
         found = opened(path)
         with self._news:
-            self.painter = SightPainter(found)
+            self.painter, self.lit = SightPainter(found), LitPainter(found)
             if found.recipe is not None:
                 self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
             record = found.results.record
             self._source = path if record is None else _input_of(record)
             self._changed()
-
-    @property
-    def opened_painter(self) -> SightPainter:
-        """The painter of what is opened.
-
-        Raises:
-            InputError: nothing is.
-        """
-        if self.painter is None:
-            raise InputError("studio: nothing is opened; choose something on the left")
-        return self.painter
 
     @property
     def source(self) -> Path:
@@ -75,7 +71,8 @@ class Session:
         Raises:
             InputError: nothing is opened, or the run had no file as its input.
         """
-        self.opened_painter  # noqa: B018
+        if self.painter is None:
+            raise InputError(_NOTHING)
         if self._source is None:
             raise InputError("studio: the input of this run was no file; open one")
         return self._source
@@ -92,6 +89,19 @@ class Session:
             self.settings.toggle(key, goal)
             self._changed()
 
+    def paint(self, query: Mapping[str, str]) -> tuple[Sight, np.ndarray]:
+        """What a tab wants to see, by the query of `Sight.of_query`, and its picture with values in [0, 1].
+
+        Raises:
+            InputError: nothing is opened, or it cannot be seen so.
+        """
+        with self._news:
+            painter, lit, recipe = self.painter, self.lit, self.settings.recipe
+        if painter is None or lit is None:
+            raise InputError(_NOTHING)
+        sight = Sight.of_query(query, len(painter.opened.results.frames))
+        return sight, lit.paint(sight) if sight.lit else painter.paint(sight, recipe)
+
     def recipe(self) -> Recipe:
         """The recipe as it is set."""
         with self._news:
@@ -103,7 +113,10 @@ class Session:
         Raises:
             InputError: there is nothing to stylize, or nothing to stylize towards.
         """
-        self.workshop.begin(kind, self.source, self.recipe(), self.opened_painter.opened.shape)
+        with self._news:
+            source, recipe, painter = self.source, self.settings.recipe, self.painter
+        assert painter is not None  # there is a source
+        self.workshop.begin(kind, source, recipe, painter.opened.shape)
 
     def state(self) -> dict[str, Any]:
         """All that a tab has to know, as values for JSON."""

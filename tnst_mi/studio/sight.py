@@ -27,6 +27,9 @@ FIELD = 30.0
 #: Edges of pictures in pixels.
 _SMALLEST, _LARGEST = 8, 2160
 
+#: Distance of the orthographic camera, in cells.
+_BEFORE_ALL = 2048.0
+
 #: Heights of pictures in cells.
 _NEAREST, _FARTHEST = 1.0, 1e5
 
@@ -95,7 +98,9 @@ class Sight:
     def camera(self) -> Camera:
         """The camera, in full-resolution cells around the grid's centre."""
         right, up, towards = camera_frame(self.azimuth, self.elevation)
-        distance = self.height / 2 / math.tan(math.radians(FIELD) / 2)
+        # Parallel rays start before all smoke, and above the ground of the studio.
+        slope = math.tan(math.radians(FIELD) / 2)
+        distance = self.height / 2 / slope if self.perspective else max(_BEFORE_ALL, 4 * self.height)
         to_world = np.eye(4)
         to_world[:3, :3] = np.stack([right, up, towards], axis=1)
         to_world[:3, 3] = distance * towards + self.pan[0] * right + self.pan[1] * up

@@ -4,7 +4,7 @@ const $ = (id) => document.getElementById(id);
 const MODES = ["before", "wipe", "after", "difference", "movement"];
 const COARSE_ROWS = 400; // of pictures while the camera moves
 const STILL_AFTER = 160; // milliseconds after which the camera counts as still
-const LIT_PASSES = 16; // of a path-traced picture, one after the other
+const LIT_PASSES = 32; // of a path-traced picture, one after the other
 
 let state = null; // what all tabs share, as the server tells it
 const view = { azimuth: 0, elevation: 0, height: 100, right: 0, up: 0 }; // this tab's camera
@@ -94,6 +94,7 @@ async function update() {
       const found = await Promise.all(shown.map((side) => picture(side, moving, lit)));
       shown.forEach((side, index) => { pictures[side] = found[index][0]; });
       complain("");
+      if (lit && pass < LIT_PASSES) wanted = true;
       const [d, h, w] = state.opened.shape;
       const total = Math.round(performance.now() - begun);
       $("status").textContent = `${w}×${h}×${d} cells · ${total} ms` + (lit ? ` · pass ${pass} of ${LIT_PASSES}` : "");
@@ -104,8 +105,6 @@ async function update() {
     if (moving && !wanted) {
       clearTimeout(stillTimer);
       stillTimer = setTimeout(() => look(false), STILL_AFTER);
-    } else if (lit && pass < LIT_PASSES) {
-      wanted = true;
     }
   }
   waiting = false;
@@ -203,7 +202,9 @@ function shownMode() {
     $(`mode-${name}`).disabled = !after && name !== "before";
   }
   $("wheel").hidden = mode !== "movement";
-  $("at").hidden = $("cut").value === "none";
+  const cut = $("cut").value !== "none";
+  $("at").hidden = !cut;
+  for (const id of ["lit", "perspective"]) $(id).parentElement.hidden = cut;
   $("lit").disabled = $("look").value === "network";
   if ($("lit").disabled) $("lit").checked = false;
 }
@@ -317,8 +318,8 @@ const rows = {};
 let sending = 0;
 
 function knobRow(knob) {
-  const row = element("div", undefined, { className: "knob" }), head = element("div", undefined, { className: "head" });
-  const name = element("button", knob.key, { title: knob.help }), value = element("output");
+  const row = element("div", undefined, { className: "knob" });
+  const name = element("button", knob.key, { title: `${knob.label}: ${knob.help}`, className: "key" }), value = element("output");
   const slider = element("input", undefined, { type: "range", id: `knob-${knob.key}` });
   const help = element("p", `${knob.help} (${knob.expected})`, { hidden: true });
   slider.setAttribute("aria-label", knob.label);
@@ -332,16 +333,15 @@ function knobRow(knob) {
     clearTimeout(sending);
     sending = setTimeout(() => post("set", { key: knob.key, value: asked() }), 60);
   });
-  head.append(element("span", knob.label), name, value);
+  row.append(name, slider, value);
   if (knob.word) {
     const word = element("button", knob.word, { title: `${knob.key} = "${knob.word}"` });
     word.addEventListener("click", () => post("set", { key: knob.key, value: knob.word }));
-    head.append(word);
+    row.append(word);
   }
   const back = element("button", "↺", { title: "as it was" });
   back.addEventListener("click", () => post("set", { key: knob.key, value: null }));
-  head.append(back);
-  row.append(head, slider, help);
+  row.append(back, help);
   $("knobs").append(row);
   return { row, slider, value, back };
 }
@@ -472,7 +472,7 @@ function told(next) {
 }
 
 const events = new EventSource("events");
-events.onmessage = (event) => { $("status").textContent = ""; told(JSON.parse(event.data)); };
-events.onerror = () => { $("status").textContent = "the studio does not answer"; };
+events.onmessage = (event) => { $("lost").hidden = true; told(JSON.parse(event.data)); };
+events.onerror = () => { $("lost").hidden = false; };
 list("");
 find();
