@@ -1,4 +1,7 @@
-"""The page in a headless browser, from its URL to a finished run; with pictures of it, if TNST_MI_SHOTS names a folder."""
+"""The page in a headless browser, from its URL to a finished run.
+
+TNST_MI_SHOTS may name a folder for pictures of it.
+"""
 
 from __future__ import annotations
 

@@ -23,9 +23,6 @@ from tnst_mi.studio.opened import AFTER, BEFORE, Opened, ShownGrid
 from tnst_mi.studio.sight import AS_SEEN, Sight
 from tnst_mi.studio.wheel import coloured
 
-#: By how much differences of exposed pictures are multiplied.
-DIFFERENCE_SCALE = 2.0
-
 #: Views whose brightest pixel is white, if it is the brightest.
 _MEASURED_FROM = ((0.0, 0.0), (90.0, 0.0), (45.0, 20.0))
 
@@ -47,6 +44,7 @@ class SightPainter:
         self.opened = opened
         self._moving: tuple[int, MovingSmoke] | None = None
         self._exposure = functools.lru_cache(maxsize=64)(self._measured_exposure)
+        self._difference_scale = functools.lru_cache(maxsize=64)(self._measured_difference)
 
     def paint(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         """A picture (rows, columns) or (rows, columns, 3), values for the display in [0, 1].
@@ -72,7 +70,7 @@ class SightPainter:
             return exposure * self._image(grid, grid.tensor, gamma, quadrature, sight.camera, size)
 
         if sight.mode == "difference":
-            return difference(np.clip(image(BEFORE), 0, 1), np.clip(image(AFTER), 0, 1), DIFFERENCE_SCALE)
+            return difference(image(BEFORE), image(AFTER), self._difference_scale(sight.frame, gamma, quadrature))
         if sight.mode == "movement":
             return self._movement(sight, np.clip(image(AFTER), 0, 1))
         return image(sight.mode)
@@ -96,6 +94,15 @@ class SightPainter:
             self._image(grid, grid.tensor, gamma, quadrature, view, None) for grid in grids for view in _MEASURED_FROM
         ]
         return exposure_for(max(float(image.max()) for image in images))
+
+    def _measured_difference(self, frame: int, gamma: float, quadrature: str) -> float:
+        """By how much exposed differences of a frame are multiplied: the largest in the front view has full colour."""
+        before, after = (
+            self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
+            for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
+        )
+        largest = self._exposure(gamma, quadrature) * float(np.abs(after - before).max())
+        return 1.0 / largest if largest > 0 else 1.0
 
     def _grid(self, side: str, sight: Sight) -> ShownGrid:
         frame = self.opened.frame(side, sight.frame)
@@ -149,7 +156,7 @@ class SightPainter:
             return oriented(self.opened.frame(side, sight.frame).full.density)
 
         if sight.mode == "difference":
-            picture = difference(np.clip(density(BEFORE), 0, 1), np.clip(density(AFTER), 0, 1), DIFFERENCE_SCALE)
+            picture = difference(density(BEFORE), density(AFTER), 1.0)
         elif sight.mode == "movement":
             picture = cut_movement(self._moving_smoke(sight.frame), oriented, name, density(AFTER))
         else:

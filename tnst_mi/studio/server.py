@@ -108,6 +108,9 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "tnst-mi", ""
     timeout = _IDLE
+    # An answer is sent at once, in one piece: the system would hold the second piece back until the first is confirmed,
+    # for 40 ms.
+    wbufsize, disable_nagle_algorithm = -1, True
     server: StudioServer  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def do_GET(self) -> None:
@@ -186,3 +189,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         for event in answer.events:
             self.wfile.write(f"data: {event}\n\n".encode() if event else b": still here\n\n")
+            self.wfile.flush()

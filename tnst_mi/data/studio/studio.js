@@ -3,6 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const MODES = ["before", "wipe", "after", "difference", "movement"];
 const COARSE_ROWS = 400; // of pictures while the camera moves
+const LIT_ROWS = 360; // of path-traced ones, which the next move has to wait for
 const STILL_AFTER = 160; // milliseconds after which the camera counts as still
 const LIT_PASSES = 32; // of a path-traced picture, one after the other
 
@@ -57,19 +58,18 @@ function sides() {
 
 function query(side, coarse, lit) {
   const width = canvas.clientWidth, height = canvas.clientHeight;
-  const shrink = Math.min(1, (coarse ? COARSE_ROWS : 1080) / height, 1920 / width) * (lit ? 0.6 : 1);
+  const shrink = Math.min(1, (coarse ? COARSE_ROWS : lit ? LIT_ROWS : 1080) / height, 1920 / width);
   return new URLSearchParams({
     frame: $("frame").value, mode: side, look: $("look").value, lit: lit ? 1 : 0,
     azimuth: view.azimuth, elevation: view.elevation, height: view.height, right: view.right, up: view.up,
     perspective: $("perspective").checked ? 1 : 0, cut: $("cut").value, at: $("at").value, coarse: coarse ? 1 : 0,
-    rows: Math.max(8, Math.round(height * shrink)), columns: Math.max(8, Math.round(width * shrink)), pass,
+    rows: Math.max(8, Math.round(height * shrink)), columns: Math.max(8, Math.round(width * shrink)),
   });
 }
 
 async function picture(side, coarse, lit) {
   const response = await answered(await fetch(`view?${query(side, coarse, lit)}`));
-  const taken = response.headers.get("X-Milliseconds");
-  return [await createImageBitmap(await response.blob()), taken];
+  return createImageBitmap(await response.blob());
 }
 
 // Asks for a picture, one at a time: what moves in the meantime is in the next one.
@@ -90,9 +90,10 @@ async function update() {
     if (lit) pass += 1;
     const begun = performance.now();
     try {
-      const shown = sides();
-      const found = await Promise.all(shown.map((side) => picture(side, moving, lit)));
-      shown.forEach((side, index) => { pictures[side] = found[index][0]; });
+      for (const side of sides()) {
+        if (lit && wanted) break; // something has moved
+        pictures[side] = await picture(side, moving, lit);
+      }
       complain("");
       if (lit && pass < LIT_PASSES) wanted = true;
       const [d, h, w] = state.opened.shape;
