@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import mitsuba as mi
@@ -43,8 +42,9 @@ class SightPainter:
     def __init__(self, opened: Opened) -> None:
         self.opened = opened
         self._moving: tuple[int, MovingSmoke] | None = None
-        self._exposure = functools.lru_cache(maxsize=64)(self._measured_exposure)
-        self._difference_scale = functools.lru_cache(maxsize=64)(self._measured_difference)
+        #: What has been measured, by γ and quadrature; a cache of methods would keep the frames for as long as itself.
+        self._exposures: dict[tuple[float, str], float] = {}
+        self._scales: dict[tuple[int, float, str], float] = {}
 
     def paint(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         """A picture (rows, columns) or (rows, columns, 3), values for the display in [0, 1].
@@ -83,26 +83,33 @@ class SightPainter:
             return of_frame.extinction, recipe.quadrature
         return looks.gamma(sight.look, shape), "paper"
 
-    def _measured_exposure(self, gamma: float, quadrature: str) -> float:
+    def _exposure(self, gamma: float, quadrature: str) -> float:
         """The same for all pictures of a γ: 1 / the brightest pixel of three frames, before, from three sides.
 
         They are the first, the middle and the last: a long sequence is not read as a whole before it is shown.
         """
-        last = len(self.opened.results.frames) - 1
-        grids = [self.opened.frame(BEFORE, index).full for index in sorted({0, (last + 1) // 2, last})]
-        images = [
-            self._image(grid, grid.tensor, gamma, quadrature, view, None) for grid in grids for view in _MEASURED_FROM
-        ]
-        return exposure_for(max(float(image.max()) for image in images))
+        if (key := (gamma, quadrature)) not in self._exposures:
+            last = len(self.opened.results.frames) - 1
+            grids = [self.opened.frame(BEFORE, index).full for index in sorted({0, (last + 1) // 2, last})]
+            self._exposures[key] = exposure_for(
+                max(
+                    float(self._image(grid, grid.tensor, gamma, quadrature, view, None).max())
+                    for grid in grids
+                    for view in _MEASURED_FROM
+                )
+            )
+        return self._exposures[key]
 
-    def _measured_difference(self, frame: int, gamma: float, quadrature: str) -> float:
+    def _difference_scale(self, frame: int, gamma: float, quadrature: str) -> float:
         """By how much exposed differences of a frame are multiplied: the largest in the front view has full colour."""
-        before, after = (
-            self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
-            for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
-        )
-        largest = self._exposure(gamma, quadrature) * float(np.abs(after - before).max())
-        return 1.0 / largest if largest > 0 else 1.0
+        if (key := (frame, gamma, quadrature)) not in self._scales:
+            before, after = (
+                self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
+                for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
+            )
+            largest = self._exposure(gamma, quadrature) * float(np.abs(after - before).max())
+            self._scales[key] = 1.0 / largest if largest > 0 else 1.0
+        return self._scales[key]
 
     def _grid(self, side: str, sight: Sight) -> ShownGrid:
         frame = self.opened.frame(side, sight.frame)
