@@ -26,7 +26,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 def run(arguments: StudioArguments) -> int:
     """Serve the page until Ctrl-C."""
     port = checked("port", arguments.port, Integer(0, 65535))
-    root, first = _places(arguments.input)
+    first, root = first_and_root(arguments.input)
     activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
     out = expanded(arguments.out)
     session = Session(Places(root), out)
@@ -58,21 +58,24 @@ def run(arguments: StudioArguments) -> int:
     return 0
 
 
-def _places(shown: Path | None) -> tuple[Path, Path | None]:
-    """The folder below which things may be opened, and what is opened first.
+def first_and_root(given: Path | None) -> tuple[Path | None, Path]:
+    """What is opened first, if anything, and the folder below which all that can be opened lies.
+
+    Args:
+        given: densities, a run, a folder of these, or None for the current folder.
 
     Raises:
         InputError: nothing is there.
     """
-    if shown is None:
-        return Path.cwd(), None
-    if shown.is_dir():
-        if holds_run(shown):
-            return shown.resolve().parent, shown
-        return shown, shown if _has_frames(shown) else None
-    if not shown.parent.is_dir():
-        raise InputError(f"{shown}: no such file or folder")
-    return shown.parent, shown
+    if given is None:
+        return None, Path.cwd()
+    if given.is_dir():
+        if holds_run(given):
+            return given, given.resolve().parent
+        return (given if _has_frames(given) else None), given
+    if not given.parent.is_dir():
+        raise InputError(f"{given}: no such file or folder")
+    return given, given.parent
 
 
 def _has_frames(folder: Path) -> bool:

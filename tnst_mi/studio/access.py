@@ -1,8 +1,9 @@
 """Who may talk to the studio: whoever has opened the URL with its token, from the studio's own page.
 
 The token is in the URL that is printed. It is exchanged for a cookie at once, so that it neither stays in the address
-bar nor goes to other servers; the cookie is sent with requests of the studio's own page alone (SameSite), and its name
-has the port in it, since browsers share cookies between all ports of a host.
+bar nor goes to other servers. Browsers send the cookie with what pages of this host ask for, and where a link leads to
+the page (SameSite=Lax: a stricter one would be missing where the URL is clicked in a terminal that is a page itself);
+its name has the port in it, since they share cookies between all ports of a host.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Access:
     @property
     def set_cookie(self) -> str:
         """The value of the header Set-Cookie that lets a browser in."""
-        return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
 
 
 def from_own_page(origin: str | None, host: str | None) -> bool:

@@ -23,7 +23,7 @@ from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.gate import decoding
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.network.class_names import class_names
-from tnst_mi.network.googlenet import LAYERS
+from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
@@ -86,7 +86,12 @@ class MotifBrowser:
         """
         wanted = text.strip().lower()
         motifs = [motif for motif in self._styles() if wanted in motif.title.lower()]
-        motifs += [Motif("tags", "tag", tag, tag) for tag in self.tags(weights) if wanted in tag.lower()][:_TAGS]
+        pictures = self._tag_pictures(weights)
+        motifs += [
+            Motif("tags", "tag", tag, tag, pictures.get(number))
+            for number, tag in enumerate(self.tags(weights))
+            if wanted in tag.lower()
+        ][:_TAGS]
         motifs += list(self._channels(wanted))[:_CHANNELS]
         return [asdict(motif) for motif in motifs]
 
@@ -104,6 +109,19 @@ class MotifBrowser:
                     short if first[short := name.split(",")[0].strip()] == 1 else name for name in names
                 ]
             return self._tags[weights]
+
+    def _tag_pictures(self, weights: str | None) -> dict[int, str]:
+        """URLs of the pictures of an atlas of the class scores of the network, by their numbers."""
+        flavour = find_weights(weights).flavour
+        return {
+            found.channel: self._picture_url(picture)
+            for atlas in self._atlases()
+            for found, picture in _channels_of(atlas)
+            if (found.layer, found.flavour) == (LOGITS, flavour)
+        }
+
+    def _picture_url(self, picture: Path) -> str:
+        return f"thumbnail?{urlencode({'atlas': self._places.relative(picture) or ''})}"
 
     def thumbnail(self, style: str | None, atlas: str | None) -> bytes:
         """A small PNG of a style picture by its name, or of a picture of an atlas by its path.
@@ -166,8 +184,8 @@ class MotifBrowser:
                 goal = f"{found.layer}:{found.channel}"
                 if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
                     seen.add(goal)
-                    url = f"thumbnail?{urlencode({'atlas': self._places.relative(picture) or ''})}"
-                    yield Motif("channels", "semantic", goal, goal.removeprefix("inception_"), url)
+                    title = goal.removeprefix("inception_")
+                    yield Motif("channels", "semantic", goal, title, self._picture_url(picture))
         if wanted and number is not None:
             for name in LAYERS:
                 goal = f"{name}:{number}"
@@ -184,19 +202,21 @@ class MotifBrowser:
 @dataclass(frozen=True)
 class _AtlasChannel:
     layer: str
+    flavour: str
     channel: int
 
 
 def _channels_of(atlas: Path) -> Iterator[tuple[_AtlasChannel, Path]]:
     """The channels of an atlas with their pictures; none of what is damaged."""
     try:
-        layer = json.loads((atlas / _ATLAS).read_text("utf-8")).get("layer")
+        described = json.loads((atlas / _ATLAS).read_text("utf-8"))
+        layer, flavour = str(described["layer"]), str(described["flavour"])
         pictures = sorted((atlas / "channels").glob("*_picture.png"))
-    except (OSError, ValueError, AttributeError, RecursionError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return
     for picture in pictures:
         if layer in LAYERS and (match := _PICTURE.fullmatch(picture.name)):
-            yield _AtlasChannel(layer, int(match[1])), picture
+            yield _AtlasChannel(layer, flavour, int(match[1])), picture
 
 
 def _thumbnail(image: GreyImage) -> bytes:
