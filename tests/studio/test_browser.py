@@ -186,6 +186,12 @@ def test_look_choose_try_and_compare(root: Path, tmp_path: Path, weights: Path, 
         assert other.page.locator("#knob-iterations").input_value() == "6"
         other.page.locator("#knob-iterations").fill("5")
         page.locator(".knob output", has_text="5").wait_for()
+        # A picture from outside.
+        Image.fromarray(np.random.default_rng(1).integers(0, 255, (40, 60), np.uint8)).save(tmp_path / "my fire.jpg")
+        page.locator("#find").fill("")
+        page.locator("#picture").set_input_files(tmp_path / "my fire.jpg")
+        page.locator("#motifs [data-key=style]", has_text="my_fire").click()
+        page.locator("#goals .goal", has_text="style my_fire").locator("button").click()
         # A try, whose loss falls while one looks on.
         page.locator("#try").click()
         page.locator(".job.running").wait_for()

@@ -444,7 +444,7 @@ function curve(drawn, losses, octaves) {
 
 /* ---- what the server tells ------------------------------------------------------------------------------------ */
 
-let shownTitle = null;
+let shownKey = null, shownShape = null;
 
 function told(next) {
   const before = state && JSON.stringify([state.knobs, state.opened]);
@@ -454,17 +454,20 @@ function told(next) {
   showRecipe();
   markMotifs();
   showJobs();
-  if (key && key !== shownTitle) {
-    shownTitle = key;
+  if (key && key !== shownKey) {
+    shownKey = key;
     $("hint").hidden = true;
     $("frame").max = state.opened.names.length - 1;
     $("frame").value = Math.min(Number($("frame").value), state.opened.names.length - 1);
     $("time").hidden = state.opened.names.length < 2;
     $("name").textContent = state.opened.names[Number($("frame").value)];
     document.title = `${state.opened.title} – tnst-mi studio`;
-    mode = state.opened.after ? "wipe" : "before";
+    if (state.opened.after && mode === "before") mode = "wipe";
     shownMode();
-    home();
+    // Results of one input are compared from where one is.
+    const shape = JSON.stringify(state.opened.shape);
+    if (shape === shownShape) look(); else home();
+    shownShape = shape;
     for (const row of $("files").children) row.classList.toggle("on", row.dataset.path === state.opened.path);
     if (state.opened.notes.length) complain(state.opened.notes.join(" "));
   } else if (before !== JSON.stringify([state.knobs, state.opened])) {
