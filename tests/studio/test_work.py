@@ -219,6 +219,31 @@ def test_a_log_is_read_as_it_grows(tmp_path: Path) -> None:
     assert live.losses == [5.0, 3.5, 9.0] and live.octaves == [0, 0, 1] and live.done == 4
 
 
+def test_of_a_sequence_the_shown_frame_is_tried_alone(
+    tmp_path: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    values = np.ones(SHAPE, np.float32)
+    save_frames(tmp_path / "root" / "smoke", [Frame(values, name=f"f_{n}", number=n) for n in (7, 8, 9, 10)])
+    with running(tmp_path / "root", tmp_path / "out") as studio:
+        studio.post("/open", path="smoke")
+        studio.session.settings.base = Recipe(weights=str(weights), frames="7:9")
+        studio.post("/goal", key="style", goal="net")
+        for values, frames in (({"alone": 1}, "8"), ({"alone": None}, "7:9"), ({}, "7:9")):
+            assert studio.post("/work", action="try", **values).status == 200
+            process = studio.session.workshop.work(told(studio)["id"]).process
+            assert Recipe.from_toml(process.recipe_file).frames == frames
+            assert (process.record.alone, process.record.frames) == (frames == "8", "7:9")
+            waited_for(lambda process=process: process.status() == "failed")
+        for alone in (-1, 4, "1", True, 1.5):
+            assert studio.post("/work", action="try", alone=alone).status == 400
+        # What has come out is of one frame, and what is set is for all of them.
+        monkeypatch.setattr(studio.session, "open", lambda folder: None)
+        studio.session.settings.base = Recipe(frames="8")
+        studio.session.open_work("tries/0001")
+        assert studio.session.recipe().frames == "7:9"
+
+
 def test_tries_are_numbered_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
     workshop = Workshop(tmp_path / "out", lambda: None)

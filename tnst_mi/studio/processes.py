@@ -42,6 +42,8 @@ class WorkRecord:
         source: the input.
         shape: (D, H, W) of its frames.
         start_from: the folder of the run that this one goes on from; None for the beginning.
+        alone: whether it is of the frame alone that was shown, of several.
+        frames: the recipe's key without that.
         pid, began: its latest process, by its number and the time when that began; 0 before the first.
         code: exit code of that process; None while it is not known.
         paused: whether the studio has asked it to pause.
@@ -50,6 +52,8 @@ class WorkRecord:
     source: str
     shape: tuple[int, int, int]
     start_from: str | None = None
+    alone: bool = False
+    frames: str | None = None
     pid: int = 0
     began: float = 0.0
     code: int | None = None
@@ -63,8 +67,11 @@ class WorkRecord:
             record = cls(**{**values, "shape": tuple(int(n) for n in values["shape"])})
         except DAMAGE:
             return None
-        kinds = (record.source, str), (record.pid, int), (record.began, int | float), (record.start_from, str | None)
-        sound = all(isinstance(value, kind) for value, kind in kinds) and len(record.shape) == 3 and record.pid >= 0
+        texts = isinstance(record.source, str) and all(
+            isinstance(text, str | None) for text in (record.start_from, record.frames)
+        )
+        numbers = isinstance(record.pid, int) and isinstance(record.began, int | float) and record.pid >= 0
+        sound = texts and numbers and len(record.shape) == 3
         return record if sound else None
 
     def write(self, path: Path) -> None:

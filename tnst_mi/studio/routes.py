@@ -119,13 +119,16 @@ class StudioRoutes:
         values, workshop = request.json(), self.session.workshop
         action = _text(values, "action")
         if action in ("try", "render"):
-            self.session.begin(TRIES if action == "try" else RENDERS)
+            alone = values.get("alone")
+            if not isinstance(alone, int | None) or isinstance(alone, bool):
+                raise InputError("studio: alone is the index of a frame, or nothing")
+            self.session.begin(TRIES if action == "try" else RENDERS, alone)
             return PageAnswer.of_json({})
         act = {
             "pause": workshop.pause,
             "resume": workshop.resume,
             "finish": workshop.finish,
-            "open": lambda name: self.session.open(workshop.work(name).process.folder),
+            "open": self.session.open_work,
         }.get(action)
         if act is None:
             raise InputError("studio: an action is try, render, pause, resume, finish or open")

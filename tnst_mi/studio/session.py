@@ -107,16 +107,37 @@ class Session:
         with self._news:
             return self.settings.recipe
 
-    def begin(self, kind: str) -> None:
-        """Begin a try or a render of what is opened, with the recipe as it is set; see `Workshop.begin`.
+    def open_work(self, name: str) -> None:
+        """Show what a try or a render has made, with its recipe, for as many frames as before.
 
         Raises:
-            InputError: there is nothing to stylize, or nothing to stylize towards.
+            InputError: there is no such work, or it has not finished a frame.
+        """
+        process = self.workshop.work(name).process
+        self.open(process.folder)
+        if process.record.alone:
+            with self._news:
+                self.settings.base = dataclasses.replace(self.settings.base, frames=process.record.frames)
+
+    def begin(self, kind: str, alone: int | None) -> None:
+        """Begin a try or a render of what is opened, with the recipe as it is set; see `Workshop.begin`.
+
+        Args:
+            kind: which of them.
+            alone: index of the only frame that is to be stylized; None for all.
+
+        Raises:
+            InputError: there is nothing to stylize, or nothing to stylize towards, or no such frame.
         """
         with self._news:
             source, recipe, painter = self.source, self.settings.recipe, self.painter
         assert painter is not None  # there is a source
-        self.workshop.begin(kind, source, recipe, painter.opened.shape)
+        numbers, number = painter.opened.results.numbers, None
+        if alone is not None and len(numbers) > 1:
+            if not 0 <= alone < len(numbers):
+                raise InputError(f"studio: frame {alone}: there are {len(numbers)}, from 0")
+            number = numbers[alone]
+        self.workshop.begin(kind, source, recipe, painter.opened.shape, number)
 
     def state(self) -> dict[str, Any]:
         """All that a tab has to know, as values for JSON."""

@@ -47,7 +47,7 @@ class Work:
     def __init__(self, name: str, process: RunProcess) -> None:
         self.name, self.process = name, process
         self.live = LiveRun(process.folder, process.recipe_file, process.record.shape)
-        self.goals = _goals(process.recipe_file)
+        self.goals, self.asked_at = _goals(process.recipe_file), _written_at(process.recipe_file)
         self.status = process.status()
         self._picture: str | None = None
         self.live.update()
@@ -140,13 +140,21 @@ class Workshop:
         self._watching = threading.Thread(target=self._watch, daemon=True)
         self._watching.start()
 
-    def begin(self, kind: str, source: Path, recipe: Recipe, shape: Shape) -> str:
+    def begin(self, kind: str, source: Path, recipe: Recipe, shape: Shape, alone: int | float | None = None) -> str:
         """Begin a try (a draft) or a render (the whole recipe), and return its name.
+
+        Args:
+            kind: `TRIES` or `RENDERS`.
+            source: the input.
+            recipe: for all frames.
+            shape: (D, H, W) of these.
+            alone: the number of the only frame that is to be stylized; None for all.
 
         Raises:
             InputError: the recipe has no goals.
         """
-        return self._begin(kind, WorkRecord(str(source.absolute()), shape), recipe)
+        record = WorkRecord(str(source.absolute()), shape, alone=alone is not None, frames=recipe.frames)
+        return self._begin(kind, record, recipe if alone is None else replace(recipe, frames=str(alone)))
 
     def finish(self, name: str) -> str:
         """Begin to render what a try has begun, from where it ended; returns the name.
@@ -195,7 +203,7 @@ class Workshop:
     def described(self) -> list[dict[str, Any]]:
         """What the page shows, the latest first."""
         with self._lock:
-            works = sorted(self._works.values(), key=lambda work: -work.process.recipe_file.stat().st_mtime)
+            works = sorted(self._works.values(), key=lambda work: -work.asked_at)
             return [work.described() for work in works]
 
     def end(self) -> list[str]:
@@ -259,6 +267,14 @@ def _goals(recipe_file: Path) -> str:
         return "a damaged recipe"
     names = [Path(shipped_name(name)).stem for name in recipe.style]
     return " + ".join([*names, *recipe.tag, *recipe.semantic]) or "a recipe of its own"
+
+
+def _written_at(file: Path) -> float:
+    """When a file was written; 0 if it is gone."""
+    try:
+        return file.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def _outcome(folder: Path) -> list[str]:

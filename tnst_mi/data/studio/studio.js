@@ -370,7 +370,10 @@ function showRecipe() {
 
 /* ---- tries and renders --------------------------------------------------------------------------------------- */
 
-$("try").addEventListener("click", () => post("work", { action: "try" }));
+$("try").addEventListener("click", () => {
+  const only = !$("alone").hidden && $("only").checked;
+  post("work", { action: "try", alone: only ? Number($("frame").value) : null });
+});
 $("render").addEventListener("click", () => post("work", { action: "render" }));
 
 const jobs = new Map();
@@ -459,7 +462,7 @@ function told(next) {
     $("hint").hidden = true;
     $("frame").max = state.opened.names.length - 1;
     $("frame").value = Math.min(Number($("frame").value), state.opened.names.length - 1);
-    $("time").hidden = state.opened.names.length < 2;
+    $("time").hidden = $("alone").hidden = state.opened.names.length < 2;
     $("name").textContent = state.opened.names[Number($("frame").value)];
     document.title = `${state.opened.title} – tnst-mi studio`;
     if (state.opened.after && mode === "before") mode = "wipe";
