@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tnst_mi.studio.opened import ShownFrame, pooled
+from tnst_mi.studio.opened import GridPair, pooled
 from tnst_mi.studio.wheel import coloured
 
 #: Share of the smoke that moves less far than what has the full colour.
@@ -33,7 +33,7 @@ class MovingSmoke:
     usual: float
 
     @classmethod
-    def of(cls, frame: ShownFrame, velocity: np.ndarray) -> MovingSmoke:
+    def of(cls, frame: GridPair, velocity: np.ndarray) -> MovingSmoke:
         """That of a frame and its v* (D, H, W, 3), in cells."""
         density = frame.full.density
         full = density[..., None] * velocity

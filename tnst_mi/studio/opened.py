@@ -47,7 +47,7 @@ class ShownGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class ShownFrame:
+class GridPair:
     """One side of a frame: its full grid, and a coarser one of large grids for while the camera moves."""
 
     full: ShownGrid
@@ -71,7 +71,7 @@ class Opened:
     shape: Shape
     density_scale: float
     size_limit: int
-    _frames: OrderedDict[tuple[str, int], ShownFrame] = field(default_factory=OrderedDict)
+    _frames: OrderedDict[tuple[str, int], GridPair] = field(default_factory=OrderedDict)
     _reading: threading.RLock = field(default_factory=threading.RLock)
 
     @property
@@ -79,7 +79,7 @@ class Opened:
         """Whether there is something before, and something after."""
         return self.results.record is not None and self.results.inputs is not None
 
-    def frame(self, side: str, index: int) -> ShownFrame:
+    def frame(self, side: str, index: int) -> GridPair:
         """One side of a frame; of an input, both are the same.
 
         Raises:
@@ -131,14 +131,14 @@ def opened(path: Path) -> Opened:
     return Opened(results, results.recipe, (d, h, w), factor, int(_SHARE * free_memory()))
 
 
-def _shown(density: np.ndarray) -> ShownFrame:
+def _shown(density: np.ndarray) -> GridPair:
     full = _shown_grid(density, 1.0)
     factor = 1
     while density.size > _COARSE_CELLS * factor**3:
         factor *= 2
     if factor == 1:
-        return ShownFrame(full, full)
-    return ShownFrame(full, _shown_grid(pooled(density, factor), float(factor)))
+        return GridPair(full, full)
+    return GridPair(full, _shown_grid(pooled(density, factor), float(factor)))
 
 
 def _shown_grid(density: np.ndarray, h: float) -> ShownGrid:
@@ -154,6 +154,6 @@ def pooled(density: np.ndarray, factor: int) -> np.ndarray:
     return padded.reshape(d, factor, h, factor, w, factor).mean((1, 3, 5), dtype=np.float32)
 
 
-def _bytes(frame: ShownFrame) -> int:
+def _bytes(frame: GridPair) -> int:
     # Of each grid one copy is on the host, and one on the device.
     return 2 * (frame.full.density.nbytes + (0 if frame.coarse is frame.full else frame.coarse.density.nbytes))

@@ -36,7 +36,7 @@ _INTERVAL, _PATIENCE = 0.4, 15.0
 _POINTS = 400
 
 
-class Work:
+class StudioWork:
     """A try or a render.
 
     Args:
@@ -189,7 +189,7 @@ class Workshop:
         self._busy.set()
         self._changed()
 
-    def work(self, name: str) -> Work:
+    def work(self, name: str) -> StudioWork:
         """The work of a name.
 
         Raises:
@@ -230,19 +230,19 @@ class Workshop:
             with written_whole(process.recipe_file) as temporary:
                 temporary.write_text(replace(recipe, quality=quality).to_toml(), "utf-8")
             process.start()
-            self._works[name] = Work(name, process)
+            self._works[name] = StudioWork(name, process)
         self._busy.set()
         self._changed()
         return name
 
-    def _found(self) -> list[Work]:
+    def _found(self) -> list[StudioWork]:
         """What earlier studios have begun in this folder."""
         found = []
         for file in sorted(self._out.glob("*/*.toml")):
             name = file.relative_to(self._out).with_suffix("").as_posix()
             record = WorkRecord.read(file.with_suffix(".json")) if _ID.fullmatch(name) else None
             if record is not None:
-                found.append(Work(name, RunProcess(file.with_suffix(""), record)))
+                found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))
         return found
 
     def _watch(self) -> None:
