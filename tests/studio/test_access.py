@@ -227,6 +227,17 @@ def test_where_it_cannot_listen_is_said(studio: Studio) -> None:
             StudioServer(host, port, lambda request: pytest.fail("is not asked"))
 
 
+def test_addresses_of_both_kinds_are_listened_on() -> None:
+    for host in ("127.0.0.1", "::1"):
+        try:
+            socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+        except OSError:
+            pytest.skip("this machine has no IPv6")
+        server = StudioServer(host, 0, lambda request: pytest.fail("is not asked"))
+        assert server.server_port > 0
+        server.server_close()
+
+
 def raw(studio: Studio, text: str) -> bytes:
     """The answer to what is no proper request."""
     with socket.create_connection(("127.0.0.1", studio.server.server_port), timeout=10) as connection:

@@ -72,6 +72,14 @@ def test_goals_are_added_and_removed() -> None:
         assert settings.recipe == before
 
 
+def test_goals_that_the_page_does_not_offer_stay(tmp_path: Path) -> None:
+    Image.fromarray(np.eye(8, dtype=np.uint8) * 255).save(tmp_path / "face.png")
+    settings = StudioSettings(Recipe(content=(str(tmp_path / "face.png"),)))
+    settings.toggle("style", "net")
+    assert settings.described()["other_goals"] == ["content"]
+    assert settings.recipe.content == (str(tmp_path / "face.png"),)
+
+
 def test_a_step_follows_from_lambda_as_in_a_recipe() -> None:
     settings = StudioSettings()
     settings.set("lam", 0.5)

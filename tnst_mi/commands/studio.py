@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import threading
 from pathlib import Path
 
@@ -85,5 +86,7 @@ def _has_frames(folder: Path) -> bool:
 
 
 def _url(host: str, server: StudioServer) -> str:
-    shown = f"[{host}]" if ":" in host else host
+    # An address that stands for all addresses of this machine leads nowhere.
+    named = platform.node() if host in ("", "0.0.0.0", "::") else host
+    shown = f"[{named}]" if ":" in named else named
     return f"http://{shown}:{server.server_port}/?token={server.access.token}"

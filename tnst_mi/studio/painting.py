@@ -147,9 +147,12 @@ class SightPainter:
         return coloured(mean(right), mean(up), brightness, moving.usual)
 
     def _moving_smoke(self, frame: int) -> MovingSmoke:
-        if self._moving is None or self._moving[0] != frame:
-            self._moving = frame, MovingSmoke.of(self.opened.frame(AFTER, frame), self.opened.velocity(frame))
-        return self._moving[1]
+        # Another tab's thread may want another frame in the meantime.
+        latest = self._moving
+        if latest is None or latest[0] != frame:
+            latest = frame, MovingSmoke.of(self.opened.frame(AFTER, frame), self.opened.velocity(frame))
+            self._moving = latest
+        return latest[1]
 
     def _cut(self, sight: Sight) -> np.ndarray:
         assert sight.cut is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -76,11 +75,9 @@ class StudioRoutes:
 
     def view(self, request: PageRequest) -> PageAnswer:
         """A picture of what is opened, as JPEG; see `Session.paint`."""
-        begun = time.perf_counter()
         sight, picture = self.session.paint(request.query)
         body = jpeg(picture, _MOVING if sight.coarse else _STILL)
-        taken = f"{1e3 * (time.perf_counter() - begun):.1f}"
-        return PageAnswer(body, "image/jpeg", headers={"X-Milliseconds": taken})
+        return PageAnswer(body, "image/jpeg")
 
     def _events(self, request: PageRequest) -> PageAnswer:
         return PageAnswer(kind="text/event-stream", events=self.session.news())

@@ -6,6 +6,7 @@ internet. Each connection has a thread, of which there are only so many; what co
 
 from __future__ import annotations
 
+import socket
 import socketserver
 import sys
 import threading
@@ -66,6 +67,7 @@ class StudioServer(ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int, routes: Routes) -> None:
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.routes = routes
         try:
             super().__init__((host, port), _Handler)
@@ -99,7 +101,7 @@ class StudioServer(ThreadingHTTPServer):
         """Nothing, if the browser has left in the middle; other errors in one line."""
         error = sys.exception()
         if not isinstance(error, OSError):
-            print(one_line(f"studio: {type(error).__name__}: {error}"), file=sys.stderr)
+            print(one_line(f"tnst-mi: studio: {type(error).__name__}: {error}"), file=sys.stderr)
 
 
 class _Handler(BaseHTTPRequestHandler):

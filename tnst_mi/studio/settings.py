@@ -16,6 +16,9 @@ from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 #: Keys that name goals, and what one of theirs is called on the page.
 GOAL_KEYS = ("style", "tag", "semantic")
 
+#: Those that come with recipes alone.
+OTHER_GOALS = ("content", "match", "target")
+
 
 @dataclass(frozen=True)
 class Knob:
@@ -104,7 +107,7 @@ class StudioSettings:
         self.values = values
 
     def described(self) -> dict[str, Any]:
-        """What the page shows: sliders with their help, and goals."""
+        """What the page shows: sliders with their help, goals, and the keys that have others."""
         recipe, texts = self.recipe, documentation()
         knobs = [
             vars(knob)
@@ -118,7 +121,7 @@ class StudioSettings:
             for knob in KNOBS
         ]
         goals = [{"key": key, "goal": shipped_name(name)} for key in GOAL_KEYS for name in getattr(recipe, key)]
-        return {"knobs": knobs, "goals": goals}
+        return {"knobs": knobs, "goals": goals, "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)]}
 
     def _with(self, values: Mapping[str, Any]) -> Recipe:
         return self.base.updated(values, "studio: ", Path.cwd())

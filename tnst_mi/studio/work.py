@@ -21,7 +21,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE
 from tnst_mi.studio.live import LiveRun
 from tnst_mi.studio.processes import DONE, FAILED, PAUSED, RUNNING, RunProcess, WorkRecord
-from tnst_mi.studio.settings import GOAL_KEYS
+from tnst_mi.studio.settings import GOAL_KEYS, OTHER_GOALS
 
 #: Folders of both kinds of work below that of the studio, and what one of them is called.
 TRIES, RENDERS = "tries", "renders"
@@ -219,7 +219,7 @@ class Workshop:
         return [work.name for work in running]
 
     def _begin(self, kind: str, record: WorkRecord, recipe: Recipe) -> str:
-        if not any(getattr(recipe, key) for key in (*GOAL_KEYS, "content", "match", "target")):
+        if not any(getattr(recipe, key) for key in (*GOAL_KEYS, *OTHER_GOALS)):
             raise InputError("studio: nothing to stylize towards; choose a motif on the left")
         with self._lock:
             make_folder(self._out / kind)

@@ -364,6 +364,7 @@ function showRecipe() {
     chip.append(element("span", `${goal.key} ${name}`, { title: goal.goal }), remove);
     return chip;
   });
+  for (const key of state.other_goals) goals.push(element("span", `${key} of the recipe`, { className: "goal" }));
   $("goals").replaceChildren(...(goals.length ? goals : [element("small", "choose motifs on the left")]));
   $("try").disabled = $("render").disabled = !goals.length || !state.opened;
 }
