@@ -233,8 +233,9 @@ def test_a_render_outlives_the_page_and_the_studio(
         shown.page.locator("#mode-wipe.on").wait_for()
         shown.page.locator("#look").select_option("thick")
         shown.page.locator("#lit").check()
-        shown.page.locator("#status", has_text="pass 3").wait_for(timeout=PATIENCE)
+        shown.page.locator("#status", has_text="pass 4").wait_for(timeout=PATIENCE)
         assert shown.view().std() > 0.05
         shown.page.locator("#lit").uncheck()
+        shown.page.locator("#status", has_text="pass").wait_for(state="hidden")
         shown.photographed("5_reopened")
         shown.page.context.close()

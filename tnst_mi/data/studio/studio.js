@@ -3,7 +3,8 @@
 const $ = (id) => document.getElementById(id);
 const MODES = ["before", "wipe", "after", "difference", "movement"];
 const COARSE_ROWS = 400; // of pictures while the camera moves
-const LIT_ROWS = 360; // of path-traced ones, which the next move has to wait for
+const LIT_ROWS = [110, 160, 240, 360]; // of path-traced ones, the more the faster they come
+const LIT_LIMIT = 400; // milliseconds that a pass may take: the next move has to wait for it
 const STILL_AFTER = 160; // milliseconds after which the camera counts as still
 const LIT_PASSES = 32; // of a path-traced picture, one after the other
 
@@ -50,7 +51,7 @@ function element(tag, text, properties = {}) {
 /* ---- the view ------------------------------------------------------------------------------------------------ */
 
 const canvas = $("view"), pictures = {};
-let waiting = false, wanted = false, movedAt = 0, stillTimer = 0, pass = 0;
+let waiting = false, wanted = false, movedAt = 0, stillTimer = 0, pass = 0, fineness = LIT_ROWS.length - 1;
 
 function sides() {
   return mode === "wipe" ? ["before", "after"] : [mode];
@@ -58,7 +59,7 @@ function sides() {
 
 function query(side, coarse, lit) {
   const width = canvas.clientWidth, height = canvas.clientHeight;
-  const shrink = Math.min(1, (coarse ? COARSE_ROWS : lit ? LIT_ROWS : 1080) / height, 1920 / width);
+  const shrink = Math.min(1, (coarse ? COARSE_ROWS : lit ? LIT_ROWS[fineness] : 1080) / height, 1920 / width);
   return new URLSearchParams({
     frame: $("frame").value, mode: side, look: $("look").value, lit: lit ? 1 : 0,
     azimuth: view.azimuth, elevation: view.elevation, height: view.height, right: view.right, up: view.up,
@@ -92,7 +93,10 @@ async function update() {
     try {
       for (const side of sides()) {
         if (lit && wanted) break; // something has moved
+        const asked = performance.now();
         pictures[side] = await picture(side, moving, lit);
+        // The first pass may have had to be compiled.
+        if (lit && pass === 2) adapt(performance.now() - asked);
       }
       complain("");
       if (lit && pass < LIT_PASSES) wanted = true;
@@ -109,6 +113,14 @@ async function update() {
     }
   }
   waiting = false;
+}
+
+// Makes path-traced pictures smaller, or larger, and begins them anew.
+function adapt(taken) {
+  const next = fineness + (taken > LIT_LIMIT ? -1 : taken < LIT_LIMIT / 4 ? 1 : 0);
+  if (next === fineness || !(next in LIT_ROWS)) return;
+  fineness = next;
+  pass = 0;
 }
 
 function draw() {
