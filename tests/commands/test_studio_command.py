@@ -62,12 +62,12 @@ def test_the_url_is_printed_exposure_is_said_and_ctrl_c_ends_it(smoke: Path, tmp
         url = process.stdout.readline().split()[-1]
         host, query = url.removeprefix("http://").split("/")
         for path, status in (("/" + query, 303), ("/", 403)):
-            connection = http.client.HTTPConnection(host, timeout=20)
+            connection = http.client.HTTPConnection(host, timeout=60)
             connection.request("GET", path)
             assert connection.getresponse().status == status
             connection.close()
         process.send_signal(signal.SIGINT)
-        out, errors = process.communicate(timeout=20)
+        out, errors = process.communicate(timeout=60)
         assert process.returncode == 0 and out == ""
     (note,) = errors.splitlines()
     assert note.startswith("note: --host 127.0.0.2: whoever reaches") and str(smoke) in note

@@ -51,7 +51,7 @@ class Studio:
 
     def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> Reply:
         """A request with the studio's cookie, unless another one is given."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.server_port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.server_port, timeout=60)
         try:
             sent = {"Cookie": self.cookie} | {name.replace("_", "-"): value for name, value in headers.items()}
             connection.request(method, path, body, sent)

@@ -53,7 +53,7 @@ def told(studio: Studio) -> dict[str, Any]:
     return studio.session.state()["work"][0]
 
 
-def waited_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def waited_for(condition: Callable[[], bool], seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

@@ -77,6 +77,7 @@ async function picture(side, coarse, lit) {
 function look(moving = true) {
   if (moving) { movedAt = performance.now(); pass = 0; }
   wanted = true;
+  canvas.dataset.settled = "no"; // what is shown is not yet, or not finely, what is wanted
   if (!waiting) update();
 }
 
@@ -110,6 +111,8 @@ async function update() {
     if (moving && !wanted) {
       clearTimeout(stillTimer);
       stillTimer = setTimeout(() => look(false), STILL_AFTER);
+    } else if (!wanted) {
+      canvas.dataset.settled = "yes";
     }
   }
   waiting = false;
