@@ -51,6 +51,11 @@ SLOW = (
     "run/test_units.py::test_a_power_of_two_in_the_density_gives_the_same_bits[transport-3]",
     "scripts/test_measure_gpu.py::test_the_cpu_agrees_with_itself_and_a_part_that_fails_is_told",
     "scripts/test_train_patterns.py::test_an_interrupted_training_ends_as_an_uninterrupted_one",
+    "studio/test_browser.py::test_a_render_outlives_the_page_and_the_studio",
+    "studio/test_work.py::test_a_killed_run_is_found_again_by_another_studio",
+    "studio/test_work.py::test_a_try_is_a_draft_whose_losses_are_seen_as_they_come",
+    "studio/test_work.py::test_the_end_of_the_studio_pauses_tries_and_leaves_renders",
+    "studio/test_work.py::test_what_cannot_be_done_is_told_in_one_line",
 )
 
 ASSETS = Path(__file__).resolve().parents[2] / "shared"

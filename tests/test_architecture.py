@@ -28,7 +28,7 @@ FLOORS = (
     "compare atlas",
     "run",
     "cluster notebook",
-    "batch",
+    "batch studio",
     "commands",
     "cli",
     "__init__ __main__",

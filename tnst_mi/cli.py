@@ -45,6 +45,7 @@ COMMANDS = {
     "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb "
     "(OpenVDB).",
     "atlas": "Show every channel of a layer: the picture that excites it, and what it makes of a ball of smoke.",
+    "studio": "Open a page in the browser: look at smoke and runs from all sides, choose motifs, try them, and render.",
     "info": "Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest "
     "velocity.",
     "weights": "List the GoogLeNet weights found, and where to get others.",

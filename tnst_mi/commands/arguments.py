@@ -28,7 +28,7 @@ RENDER_VIEWS, COMPARE_VIEWS = ("0,0",), ("0,0", "35,12", "-80,-25")
 #: Defaults of `compare` without --quick.
 FULL_SPP, FULL_DIRECTIONS = 256, 64
 
-ATLAS_FOLDER = "tnst_mi-atlas"
+ATLAS_FOLDER, STUDIO_FOLDER = "tnst_mi-atlas", "tnst_mi-studio"
 
 # Dataclasses created at run time: a type checker cannot know them, so their fields are `Any`.
 _ReadingFlags = recipe_flags(("frames", *Reading.__annotations__, "fps"))
@@ -36,6 +36,7 @@ _RendererFlags = recipe_flags(("gamma", "quadrature", "variant"), keyframes=Fals
 
 _DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
 _NetworkFlags = recipe_flags(("weights", "variant"))
+_VariantFlag = recipe_flags(("variant",))
 
 
 @dataclass(kw_only=True)
@@ -193,6 +194,30 @@ class ConvertArguments(Arguments):
 
 
 @dataclass(kw_only=True)
+class StudioArguments(Arguments):
+    """Open a page in the browser: look at smoke and runs from all sides, choose motifs, try them, and render.
+
+    The URL that is printed has a token in it, without which nothing is answered. Only what is in the folder of INPUT,
+    or below it, can be opened. Ctrl-C ends the studio and pauses its tries; runs that it has begun to render go on
+    (docs/studio.md).
+    """
+
+    input: Annotated[
+        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[INPUT|RUN|FOLDER]", help_behavior_hint="")
+    ] = None
+    """Densities, the folder of a run, or a folder of these; the current folder by default."""
+    out: Folder = Path(STUDIO_FOLDER)
+    """Folder for the tries and the rendered runs; those of an earlier studio are shown again."""
+    port: Annotated[str, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: any that is free)")] = "0"
+    """Port to listen on."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen on: by default only programs of this machine reach it. Others expose the page, and what it can
+    read and do, to whoever reaches them and has the URL."""
+    resources: Annotated[Any, tyro.conf.arg(constructor=_VariantFlag)] = field(default_factory=_VariantFlag)
+    """On which device to render."""
+
+
+@dataclass(kw_only=True)
 class AtlasArguments(Arguments):
     """Show every channel of a layer: the picture that excites it, and what it makes of a ball of smoke.
 
@@ -261,6 +286,7 @@ ARGUMENTS: dict[str, type[Arguments]] = {
     "compare": CompareArguments,
     "convert": ConvertArguments,
     "atlas": AtlasArguments,
+    "studio": StudioArguments,
     "info": InfoArguments,
     "weights": WeightsArguments,
     "doctor": DoctorArguments,

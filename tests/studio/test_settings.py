@@ -1,0 +1,153 @@
+"""What can be set: sliders and goals, checked as recipes are; and the motifs among which is chosen."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tnst_mi.errors import InputError
+from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.recipe import KINDS, Recipe
+from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.settings import KNOBS, StudioSettings
+
+
+@pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.key)
+def test_every_end_of_a_slider_is_a_value_of_its_key(knob) -> None:
+    settings = StudioSettings()
+    whole = isinstance(getattr(Recipe(), knob.key), int)
+    for value in (knob.low, knob.high, *([knob.word] if knob.word else [])):
+        settings.set(knob.key, value)
+        assert getattr(settings.recipe, knob.key) == value
+        assert type(getattr(settings.recipe, knob.key)) is (int if whole else type(value))
+    settings.set(knob.key, None)
+    assert settings.recipe == Recipe()
+
+
+def test_sliders_come_with_their_keys_help() -> None:
+    for told in StudioSettings().described()["knobs"]:
+        assert KINDS[told["key"]].expected == told["expected"]
+        assert len(told["help"]) > 40 and not told["set"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("lam", 2, "from 0 to 1"),
+        ("window", 2, "odd"),
+        ("iterations", 2.5, "integer"),
+        ("gamma", "thick", "number"),
+        ("gamma", float("nan"), "number"),
+        ("octaves", [1], "integer"),
+        ("strength", True, "number"),
+        ("weights", "/etc/passwd", "no slider"),
+        ("light", "x.xml", "no slider"),
+    ],
+)
+def test_values_that_a_recipe_refuses_change_nothing(key: str, value: object, message: str) -> None:
+    settings = StudioSettings()
+    settings.set("lam", 0.5)
+    with pytest.raises(InputError, match=message):
+        settings.set(key, value)
+    assert settings.values == {"lam": 0.5}
+
+
+def test_goals_are_added_and_removed() -> None:
+    settings = StudioSettings(Recipe(style=("net",), gamma=0.3))
+    for key, goal in (("style", "cells"), ("tag", "spiral"), ("semantic", "inception_4b/pool_proj:16")):
+        settings.toggle(key, goal)
+    assert [Path(file).stem for file in settings.recipe.style] == ["net", "cells"]
+    assert settings.recipe.tag == ("spiral",) and settings.recipe.gamma == 0.3
+    settings.toggle("style", "net")
+    assert settings.described()["goals"][0] == {"key": "style", "goal": "cells"}
+    for key, goal in (("style", "/no/such.png"), ("semantic", "inception_4b"), ("content", "x.png"), ("match", "a:b")):
+        before = settings.recipe
+        with pytest.raises(InputError):
+            settings.toggle(key, goal)
+        assert settings.recipe == before
+
+
+def test_goals_that_the_page_does_not_offer_stay(tmp_path: Path) -> None:
+    Image.fromarray(np.eye(8, dtype=np.uint8) * 255).save(tmp_path / "face.png")
+    settings = StudioSettings(Recipe(content=(str(tmp_path / "face.png"),)))
+    settings.toggle("style", "net")
+    assert settings.described()["other_goals"] == ["content"]
+    assert settings.recipe.content == (str(tmp_path / "face.png"),)
+
+
+def test_a_step_follows_from_lambda_as_in_a_recipe() -> None:
+    settings = StudioSettings()
+    settings.set("lam", 0.5)
+    assert settings.recipe.transport == "step"
+    settings.set("lam", 0.0)
+    assert settings.recipe.transport == "flow"
+
+
+def test_keyframes_of_a_recipe_stay_until_they_are_replaced() -> None:
+    settings = StudioSettings(Recipe(gamma={1: 0.1, 9: 0.9}))
+    told = {knob["key"]: knob for knob in settings.described()["knobs"]}
+    assert told["gamma"]["keyframed"] and not told["lam"]["keyframed"]
+    settings.set("lam", 0.1)
+    assert settings.recipe.at(5).gamma == pytest.approx(0.5)
+    settings.set("gamma", 0.2)
+    assert settings.recipe.keyframes == {}
+
+
+# ---------------------------------------------------------------- motifs
+
+
+def atlas(folder: Path, layer: str, *channels: int) -> None:
+    """An atlas with a picture for each of some channels."""
+    (folder / "channels").mkdir(parents=True)
+    (folder / "atlas.json").write_text(json.dumps({"layer": layer, "flavour": PATTERNS}))
+    for channel in channels:
+        noise = np.random.default_rng(channel).integers(0, 255, (12, 12), np.uint8)
+        Image.fromarray(noise).save(folder / "channels" / f"{channel:03d}_picture.png")
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> MotifBrowser:
+    atlas(tmp_path / "root" / "atlases" / "a", "inception_4b/pool_proj", 6, 16)
+    atlas(tmp_path / "root" / "b", "logits", 0)
+    (tmp_path / "root" / "broken").mkdir()
+    (tmp_path / "root" / "broken" / "atlas.json").write_text("[")
+    return MotifBrowser(Places(tmp_path / "root"), tmp_path / "out" / "pictures")
+
+
+def test_styles_tags_and_channels_are_found_by_their_names(browser: MotifBrowser) -> None:
+    everything = browser.found("", PATTERNS)
+    goals = {kind: [motif["goal"] for motif in everything if motif["kind"] == kind] for kind in ("styles", "channels")}
+    assert goals["styles"] == ["cells", "flames", "net", "spirals"]
+    assert goals["channels"] == ["logits:0", "inception_4b/pool_proj:6", "inception_4b/pool_proj:16"]
+    spirals = [(motif["key"], motif["goal"]) for motif in browser.found(" SPIRAL ", PATTERNS)]
+    assert spirals == [("style", "spirals"), ("tag", "spiral")]
+    assert browser.found("pool_proj:16", PATTERNS)[0]["goal"] == "inception_4b/pool_proj:16"
+    conv = [motif["goal"] for motif in browser.found("conv2/3x3:7", PATTERNS)]
+    assert sorted(conv) == ["conv2/3x3:7", "conv2/3x3_reduce:7"]
+    assert browser.found("\0" * 500, PATTERNS) == []
+
+
+def test_every_goal_that_is_offered_can_be_chosen(browser: MotifBrowser) -> None:
+    settings = StudioSettings()
+    for motif in browser.found("", PATTERNS) + browser.found("conv2:3", PATTERNS):
+        settings.toggle(motif["key"], motif["goal"])
+    assert len(settings.described()["goals"]) > 50
+
+
+def test_pictures_of_an_atlas_are_those_of_channels_and_tags(browser: MotifBrowser) -> None:
+    with_pictures = {motif["goal"]: motif["thumbnail"] for motif in browser.found("", PATTERNS) if motif["thumbnail"]}
+    first = browser.tags(PATTERNS)[0]
+    assert {"inception_4b/pool_proj:16", first, "net"} <= set(with_pictures)
+    assert browser.thumbnail(None, "atlases/a/channels/016_picture.png").startswith(b"\x89PNG")
+    assert browser.thumbnail("net", None).startswith(b"\x89PNG")
+
+
+def test_tags_that_share_a_name_are_whole() -> None:
+    browser = MotifBrowser(Places(Path()), Path("none"))
+    tags = browser.tags(PATTERNS)
+    assert len(tags) == len(set(tags)) == 64

@@ -1,0 +1,92 @@
+"""`tnst-mi studio`: a page in the browser to look, choose, try and render."""
+
+from __future__ import annotations
+
+import platform
+import threading
+from pathlib import Path
+
+from tnst_mi.commands.arguments import StudioArguments
+from tnst_mi.commands.base import checked, given, say
+from tnst_mi.errors import InputError
+from tnst_mi.machine.backend import activate
+from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
+from tnst_mi.run.folder import holds_run
+from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.routes import StudioRoutes
+from tnst_mi.studio.server import StudioServer
+from tnst_mi.studio.session import Session
+
+#: What reaches no other machine.
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def run(arguments: StudioArguments) -> int:
+    """Serve the page until Ctrl-C."""
+    port = checked("port", arguments.port, Integer(0, 65535))
+    first, root = first_and_root(arguments.input)
+    activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
+    out = expanded(arguments.out)
+    session = Session(Places(root), out)
+    if first is not None:
+        session.open(first)
+    motifs = MotifBrowser(session.places, out / "pictures")
+    server = StudioServer(arguments.host, port, StudioRoutes(session, motifs))
+    if arguments.host not in LOOPBACK:
+        say(
+            [
+                f"note: --host {arguments.host}: whoever reaches this machine there and has the URL can read the smoke "
+                f"below {session.places.root} and compute here; it is not encrypted. An ssh tunnel needs no --host"
+            ]
+        )
+    print(f"studio    {_url(arguments.host, server)}", flush=True)
+    serving = threading.Thread(target=server.serve_forever, daemon=True)
+    serving.start()
+    try:
+        # A join without a limit would not hear of Ctrl-C on every system.
+        while serving.is_alive():
+            serving.join(1.0)
+    except KeyboardInterrupt:
+        pass  # the way to end it
+    finally:
+        paused = session.end()
+        server.shutdown()
+        server.server_close()
+    say([f"paused    {out / name}; a studio with this --out goes on with it" for name in paused])
+    return 0
+
+
+def first_and_root(given: Path | None) -> tuple[Path | None, Path]:
+    """What is opened first, if anything, and the folder below which all that can be opened lies.
+
+    Args:
+        given: densities, a run, a folder of these, or None for the current folder.
+
+    Raises:
+        InputError: nothing is there.
+    """
+    if given is None:
+        return None, Path.cwd()
+    if given.is_dir():
+        if holds_run(given):
+            return given, given.resolve().parent
+        return (given if _has_frames(given) else None), given
+    if not given.parent.is_dir():
+        raise InputError(f"{given}: no such file or folder")
+    return given, given.parent
+
+
+def _has_frames(folder: Path) -> bool:
+    """Whether a folder holds frames rather than folders of them and runs."""
+    entries = Places(folder).entries("")
+    return any(entry["kind"] == "frames" for entry in entries)
+
+
+def _url(host: str, server: StudioServer) -> str:
+    # An address that stands for all addresses of this machine leads nowhere.
+    named = platform.node() if host in ("", "0.0.0.0", "::") else host
+    shown = f"[{named}]" if ":" in named else named
+    return f"http://{shown}:{server.server_port}/?token={server.access.token}"

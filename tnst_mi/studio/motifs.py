@@ -1,0 +1,231 @@
+"""The motifs that the page offers: style pictures, class tags and channels of layers, each with a thumbnail if any."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+from PIL import Image
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import make_folder, written_whole
+from tnst_mi.io.pictures.png import eight_bits
+from tnst_mi.losses.pictures import GreyImage, read_image
+from tnst_mi.machine.gate import decoding
+from tnst_mi.machine.terminal import displayable, one_line
+from tnst_mi.network.class_names import class_names
+from tnst_mi.network.googlenet import LAYERS, LOGITS
+from tnst_mi.network.readers import read_weights
+from tnst_mi.network.weights import find_weights
+from tnst_mi.recipe.paths import STYLES, shipped_styles
+from tnst_mi.studio.places import Places
+
+#: What the page shows at a time, at most: of tags, and of layers or channels.
+_TAGS, _CHANNELS = 48, 64
+
+#: Edge of a thumbnail in pixels.
+_EDGE = 96
+
+#: Folders below the started one in which atlases are looked for, and files of an atlas.
+_DEPTH, _ATLAS, _PICTURE = 3, "atlas.json", re.compile(r"(\d{3,6})_picture\.png")
+
+#: Pictures that have been uploaded, at most.
+_UPLOADS = 200
+
+
+@dataclass(frozen=True)
+class Motif:
+    """Something to stylize towards.
+
+    Attributes:
+        kind: under which heading it is shown.
+        key: of the recipe, "style", "tag" or "semantic".
+        goal: the value of that key.
+        title: as it is shown.
+        thumbnail: URL of a picture; None if there is none.
+    """
+
+    kind: str
+    key: str
+    goal: str
+    title: str
+    thumbnail: str | None = None
+
+
+class MotifBrowser:
+    """Finds motifs by their names.
+
+    Args:
+        places: below which atlases are looked for.
+        pictures: the folder of uploaded pictures, which need not exist.
+    """
+
+    def __init__(self, places: Places, pictures: Path) -> None:
+        self._places, self._pictures = places, pictures
+        self._tags: dict[str | None, list[str]] = {}
+        self._reading = threading.Lock()
+
+    def found(self, text: str, weights: str | None) -> list[dict[str, Any]]:
+        """Motifs whose names have the text in them, or all to begin with.
+
+        Args:
+            text: as it was typed; "LAYER:CHANNEL" is a channel.
+            weights: the recipe's key, which decides what tags there are.
+
+        Raises:
+            InputError: the weights cannot be used.
+        """
+        wanted = text.strip().lower()
+        motifs = [motif for motif in self._styles() if wanted in motif.title.lower()]
+        pictures = self._tag_pictures(weights)
+        motifs += [
+            Motif("tags", "tag", tag, tag, pictures.get(number))
+            for number, tag in enumerate(self.tags(weights))
+            if wanted in tag.lower()
+        ][:_TAGS]
+        motifs += list(self._channels(wanted))[:_CHANNELS]
+        return [asdict(motif) for motif in motifs]
+
+    def tags(self, weights: str | None) -> list[str]:
+        """The class tags of the network with which a recipe is run; each by its first name that no other has.
+
+        Raises:
+            InputError: the weights cannot be used.
+        """
+        with self._reading:
+            if weights not in self._tags:
+                names = class_names(read_weights(find_weights(weights).path))
+                first = Counter(name.split(",")[0].strip() for name in names)
+                self._tags[weights] = [
+                    short if first[short := name.split(",")[0].strip()] == 1 else name for name in names
+                ]
+            return self._tags[weights]
+
+    def _tag_pictures(self, weights: str | None) -> dict[int, str]:
+        """URLs of the pictures of an atlas of the class scores of the network, by their numbers."""
+        flavour = find_weights(weights).flavour
+        return {
+            found.channel: self._picture_url(picture)
+            for atlas in self._atlases()
+            for found, picture in _channels_of(atlas)
+            if (found.layer, found.flavour) == (LOGITS, flavour)
+        }
+
+    def _picture_url(self, picture: Path) -> str:
+        return f"thumbnail?{urlencode({'atlas': self._places.relative(picture) or ''})}"
+
+    def thumbnail(self, style: str | None, atlas: str | None) -> bytes:
+        """A small PNG of a style picture by its name, or of a picture of an atlas by its path.
+
+        Raises:
+            InputError: there is none.
+        """
+        if style is not None:
+            names = {motif.goal: file for motif, file in self._style_files()}
+            if style not in names:
+                raise InputError(one_line(f"{style!r}: no such style picture"))
+            return _thumbnail(read_image(names[style]))
+        path = self._places.within(atlas or "")
+        if not _PICTURE.fullmatch(path.name) or not (path.parent.parent / _ATLAS).is_file():
+            raise InputError(one_line(f"{atlas!r}: is no picture of an atlas"))
+        return _thumbnail(read_image(path))
+
+    def upload(self, name: str, body: bytes) -> None:
+        """Keep an uploaded picture, as what is read of it: grey, with its transparency.
+
+        Raises:
+            InputError: it cannot be read as a picture, or there are too many.
+        """
+        stem = re.sub(r"[^\w-]+", "_", Path(name.replace("\\", "/")).stem).strip("_")[:40] or "picture"
+        with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
+            path = Path(folder) / "uploaded"
+            path.write_bytes(body)
+            try:
+                image = read_image(path)
+            except InputError as error:
+                raise InputError(one_line(str(error).replace(str(path), displayable(Path(name).name)))) from None
+        make_folder(self._pictures)
+        if len(list(self._pictures.glob("*.png"))) >= _UPLOADS:
+            raise InputError(f"{self._pictures}: has {_UPLOADS} pictures already; remove some")
+        file, number = self._pictures / f"{stem}.png", 2
+        while file.exists():
+            file, number = self._pictures / f"{stem}_{number}.png", number + 1
+        with written_whole(file) as temporary:
+            temporary.write_bytes(_png(image))
+
+    def _styles(self) -> Iterator[Motif]:
+        return (motif for motif, _ in self._style_files())
+
+    def _style_files(self) -> Iterator[tuple[Motif, Path]]:
+        """Uploaded pictures, the latest first, and those that ship with the package."""
+        with decoding(self._pictures, "the folder of pictures"):
+            uploaded = sorted(self._pictures.glob("*.png"), key=lambda file: -file.stat().st_mtime)
+        files = [(str(file.resolve()), file) for file in uploaded]
+        files += [(name, STYLES / f"{name}.png") for name in shipped_styles()]
+        for goal, file in files:
+            yield Motif("styles", "style", goal, file.stem, f"thumbnail?{urlencode({'style': goal})}"), file
+
+    def _channels(self, wanted: str) -> Iterator[Motif]:
+        """Those of atlases, and of other layers the one that is asked for."""
+        layer, _, channel = wanted.partition(":")
+        number = int(channel) if channel.isascii() and channel.isdigit() and len(channel) < 6 else None
+        seen = set()
+        for atlas in self._atlases():
+            for found, picture in _channels_of(atlas):
+                goal = f"{found.layer}:{found.channel}"
+                if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
+                    seen.add(goal)
+                    title = goal.removeprefix("inception_")
+                    yield Motif("channels", "semantic", goal, title, self._picture_url(picture))
+        if wanted and number is not None:
+            for name in LAYERS:
+                goal = f"{name}:{number}"
+                if layer in name.lower() and goal not in seen:
+                    yield Motif("channels", "semantic", goal, goal)
+
+    def _atlases(self) -> Iterator[Path]:
+        for depth in range(1, _DEPTH + 1):
+            for file in sorted(self._places.root.glob("/".join(["*"] * depth + [_ATLAS]))):
+                if self._places.relative(file) is not None:
+                    yield file.parent
+
+
+@dataclass(frozen=True)
+class _AtlasChannel:
+    layer: str
+    flavour: str
+    channel: int
+
+
+def _channels_of(atlas: Path) -> Iterator[tuple[_AtlasChannel, Path]]:
+    """The channels of an atlas with their pictures; none of what is damaged."""
+    try:
+        described = json.loads((atlas / _ATLAS).read_text("utf-8"))
+        layer, flavour = str(described["layer"]), str(described["flavour"])
+        pictures = sorted((atlas / "channels").glob("*_picture.png"))
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return
+    for picture in pictures:
+        if layer in LAYERS and (match := _PICTURE.fullmatch(picture.name)):
+            yield _AtlasChannel(layer, flavour, int(match[1])), picture
+
+
+def _thumbnail(image: GreyImage) -> bytes:
+    return _png(image.fitted(_EDGE, _EDGE))
+
+
+def _png(image: GreyImage) -> bytes:
+    picture, encoded = Image.fromarray(eight_bits(image.grey)), io.BytesIO()
+    if image.alpha is not None:
+        picture.putalpha(Image.fromarray(eight_bits(image.alpha)))
+    picture.save(encoded, "PNG")
+    return encoded.getvalue()

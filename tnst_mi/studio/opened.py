@@ -1,0 +1,159 @@
+"""What the studio shows: the frames of an input, or of a run before and after, in a bounded part of the memory."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.fields.density_unit import ReferenceDensity, scaled
+from tnst_mi.fields.grid import Shape
+from tnst_mi.frame import Frame
+from tnst_mi.io.formats import FORMATS
+from tnst_mi.machine.environment import free_memory
+from tnst_mi.machine.turns import turn
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.reopened import Reopened, reopened
+from tnst_mi.run.stored_arrays import StoredArrays
+
+#: Sides of a frame: as it came, and stylized.
+BEFORE, AFTER = "before", "after"
+
+#: Cells of the grid that is rendered while the camera moves, at most.
+_COARSE_CELLS = 1 << 20
+
+#: Part of the free memory that frames may take.
+_SHARE = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class ShownGrid:
+    """A density that is rendered, in the unit of the run.
+
+    Attributes:
+        density: (D, H, W) float32.
+        tensor: the same on the device.
+        h: size of a cell in full-resolution cells, 1 or more.
+    """
+
+    density: np.ndarray
+    tensor: mi.TensorXf
+    h: float
+
+
+@dataclass(frozen=True, eq=False)
+class GridPair:
+    """One side of a frame: its full grid, and a coarser one of large grids for while the camera moves."""
+
+    full: ShownGrid
+    coarse: ShownGrid
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """An input or a run.
+
+    Attributes:
+        results: what the path holds.
+        recipe: of the run; None of an input.
+        shape: (D, H, W) of the frames.
+        density_scale: factor from their densities to those that γ and looks mean.
+        size_limit: bytes that frames in memory may take, but for the latest one.
+    """
+
+    results: Reopened
+    recipe: Recipe | None
+    shape: Shape
+    density_scale: float
+    size_limit: int
+    _frames: OrderedDict[tuple[str, int], GridPair] = field(default_factory=OrderedDict)
+    _reading: threading.RLock = field(default_factory=threading.RLock)
+
+    @property
+    def has_after(self) -> bool:
+        """Whether there is something before, and something after."""
+        return self.results.record is not None and self.results.inputs is not None
+
+    def frame(self, side: str, index: int) -> GridPair:
+        """One side of a frame; of an input, both are the same.
+
+        Raises:
+            InputError: its file cannot be read, or is on another grid.
+        """
+        key = (side if self.has_after else BEFORE), index
+        with self._reading:
+            if key in self._frames:
+                self._frames.move_to_end(key)
+                return self._frames[key]
+            shown = _shown(scaled(self._source(key[0])[index].density, self.density_scale))
+            self._frames[key] = shown
+            while len(self._frames) > 1 and sum(_bytes(frame) for frame in self._frames.values()) > self.size_limit:
+                self._frames.popitem(last=False)
+            return shown
+
+    def velocity(self, index: int) -> np.ndarray:
+        """v* of a frame of a run, (D, H, W, 3) float32, in cells.
+
+        Raises:
+            InputError: its file cannot be read.
+        """
+        results = self.results
+        suffix = f".{(results.record or {}).get('format', FORMATS[0][1:])}"
+        arrays = StoredArrays(results.path, "velocity", results.names, suffix, results.inputs or ())
+        return arrays[index]
+
+    def _source(self, side: str) -> Sequence[Frame]:
+        before = self.results.inputs if self.has_after else None
+        return self.results.frames if side == AFTER or before is None else before
+
+
+def opened(path: Path) -> Opened:
+    """Open densities or the folder of a run, finished or not.
+
+    Raises:
+        InputError: nothing is there that can be shown.
+    """
+    results = reopened(path)
+    record = results.record
+    middle = results.frames[len(results.frames) // 2]
+    if record is None:
+        reference = ReferenceDensity()
+        reference.add(middle.density)
+        factor = reference.scale()
+    else:
+        factor = float(record["density_scale"])
+    d, h, w = middle.density.shape
+    return Opened(results, results.recipe, (d, h, w), factor, int(_SHARE * free_memory()))
+
+
+def _shown(density: np.ndarray) -> GridPair:
+    full = _shown_grid(density, 1.0)
+    factor = 1
+    while density.size > _COARSE_CELLS * factor**3:
+        factor *= 2
+    if factor == 1:
+        return GridPair(full, full)
+    return GridPair(full, _shown_grid(pooled(density, factor), float(factor)))
+
+
+def _shown_grid(density: np.ndarray, h: float) -> ShownGrid:
+    with turn():
+        return ShownGrid(density, mi.TensorXf(density), h)
+
+
+def pooled(density: np.ndarray, factor: int) -> np.ndarray:
+    """The means over cubes of cells; those at the ends are filled up with nothing, evenly on both sides."""
+    missing = [-n % factor for n in density.shape]
+    padded = np.pad(density, [(n // 2, n - n // 2) for n in missing])
+    d, h, w = (n // factor for n in padded.shape)
+    return padded.reshape(d, factor, h, factor, w, factor).mean((1, 3, 5), dtype=np.float32)
+
+
+def _bytes(frame: GridPair) -> int:
+    # Of each grid one copy is on the host, and one on the device.
+    return 2 * (frame.full.density.nbytes + (0 if frame.coarse is frame.full else frame.coarse.density.nbytes))

@@ -1,0 +1,210 @@
+"""The pictures of the view: by emission and absorption, as the network sees the smoke, from wherever the camera is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mitsuba as mi
+import numpy as np
+from PIL import Image
+
+from tnst_mi.errors import InputError
+from tnst_mi.machine.turns import turn
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering import looks
+from tnst_mi.rendering.cameras.camera import Viewpoint
+from tnst_mi.rendering.exposure import exposure_for
+from tnst_mi.rendering.levels import by_cell
+from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+from tnst_mi.run.panels import difference, on_canvas
+from tnst_mi.studio.movement import MovingSmoke, cut_movement
+from tnst_mi.studio.opened import AFTER, BEFORE, Opened, ShownGrid
+from tnst_mi.studio.sight import AS_SEEN, Sight
+from tnst_mi.studio.wheel import coloured
+
+#: Views whose brightest pixel is white, if it is the brightest.
+_MEASURED_FROM = ((0.0, 0.0), (90.0, 0.0), (45.0, 20.0))
+
+#: γ at which smoke hides nothing, and an image is the smoke along each ray.
+_TRANSPARENT = 1e-6
+
+#: Axes of the grid (z, y, x) by name, and those that a picture across them shows from bottom to top, left to right.
+_AXES = {"x": (2, (1, 0)), "y": (1, (0, 2)), "z": (0, (1, 2))}
+
+
+class SightPainter:
+    """Paints what is opened.
+
+    Args:
+        opened: an input or a run.
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        self.opened = opened
+        self._moving: tuple[int, MovingSmoke] | None = None
+        #: What has been measured, by γ and quadrature; a cache of methods would keep the frames for as long as itself.
+        self._exposures: dict[tuple[float, str], float] = {}
+        self._scales: dict[tuple[int, float, str], float] = {}
+
+    def paint(self, sight: Sight, recipe: Recipe) -> np.ndarray:
+        """A picture (rows, columns) or (rows, columns, 3), values for the display in [0, 1].
+
+        Args:
+            sight: what is asked for, not lit.
+            recipe: whose γ and quadrature count where the smoke is seen as the network sees it.
+
+        Raises:
+            InputError: there is no v*, or a file cannot be read.
+        """
+        if sight.mode in ("difference", "movement") and not self.opened.has_after:
+            raise InputError(f"view: {sight.mode} is of a run, before and after; open one")
+        picture = self._cut(sight) if sight.cut else self._marched(sight, recipe)
+        return np.clip(picture, 0.0, 1.0)
+
+    def _marched(self, sight: Sight, recipe: Recipe) -> np.ndarray:
+        gamma, quadrature = self.optics(sight, recipe)
+        exposure = self._exposure(gamma, quadrature)
+
+        def image(side: str) -> np.ndarray:
+            grid, size = self._grid(side, sight), (sight.rows, sight.columns)
+            return exposure * self._image(grid, grid.tensor, gamma, quadrature, sight.camera, size)
+
+        if sight.mode == "difference":
+            return difference(image(BEFORE), image(AFTER), self._difference_scale(sight.frame, gamma, quadrature))
+        if sight.mode == "movement":
+            return self._movement(sight, np.clip(image(AFTER), 0, 1))
+        return image(sight.mode)
+
+    def optics(self, sight: Sight, recipe: Recipe) -> tuple[float, str]:
+        """γ per full-resolution cell, and the quadrature."""
+        shape, number = self.opened.shape, self.opened.results.numbers[sight.frame]
+        if sight.look == AS_SEEN:
+            of_frame = by_cell(recipe.at(number) if number is not None else recipe, shape)
+            return of_frame.extinction, recipe.quadrature
+        return looks.gamma(sight.look, shape), "paper"
+
+    def _exposure(self, gamma: float, quadrature: str) -> float:
+        """The same for all pictures of a γ: 1 / the brightest pixel of three frames, before, from three sides.
+
+        They are the first, the middle and the last: a long sequence is not read as a whole before it is shown.
+        """
+        if (key := (gamma, quadrature)) not in self._exposures:
+            last = len(self.opened.results.frames) - 1
+            grids = [self.opened.frame(BEFORE, index).full for index in sorted({0, (last + 1) // 2, last})]
+            self._exposures[key] = exposure_for(
+                max(
+                    float(self._image(grid, grid.tensor, gamma, quadrature, view, None).max())
+                    for grid in grids
+                    for view in _MEASURED_FROM
+                )
+            )
+        return self._exposures[key]
+
+    def _difference_scale(self, frame: int, gamma: float, quadrature: str) -> float:
+        """By how much exposed differences of a frame are multiplied: the largest in the front view has full colour."""
+        if (key := (frame, gamma, quadrature)) not in self._scales:
+            before, after = (
+                self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
+                for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
+            )
+            largest = self._exposure(gamma, quadrature) * float(np.abs(after - before).max())
+            self._scales[key] = 1.0 / largest if largest > 0 else 1.0
+        return self._scales[key]
+
+    def _grid(self, side: str, sight: Sight) -> ShownGrid:
+        frame = self.opened.frame(side, sight.frame)
+        return frame.coarse if sight.coarse else frame.full
+
+    @staticmethod
+    def _image(
+        grid: ShownGrid,
+        values: mi.TensorXf | np.ndarray,
+        gamma: float,
+        quadrature: str,
+        viewpoint: Viewpoint,
+        size: tuple[int, int] | None,
+    ) -> np.ndarray:
+        with turn():
+            renderer = EmissionAbsorptionRenderer(grid.density.shape, gamma, quadrature, grid.h, size=size)
+            on_device = mi.TensorXf(values) if isinstance(values, np.ndarray) else values
+            return renderer.render(on_device, [viewpoint]).numpy()[0]
+
+    def _movement(self, sight: Sight, brightness: np.ndarray) -> np.ndarray:
+        """v* as the mean over the smoke along each ray, in colours."""
+        moving, grid = self._moving_smoke(sight.frame), self._grid(AFTER, sight)
+        momentum = moving.coarse if sight.coarse else moving.full
+        right, up, _ = sight.camera.axes
+        size = sight.rows, sight.columns
+
+        smoke = self._image(grid, grid.tensor, _TRANSPARENT, "paper", sight.camera, size)
+
+        def mean(axis: np.ndarray) -> np.ndarray:
+            # Renderers take no negative densities, so all smoke is moved along, and back again in the picture.
+            values = momentum @ axis.astype(np.float32) + moving.farthest * grid.density
+            along = self._image(grid, values, _TRANSPARENT, "paper", sight.camera, size)
+            return np.where(smoke > 0, along / np.maximum(smoke, 1e-30) - moving.farthest, 0.0)
+
+        return coloured(mean(right), mean(up), brightness, moving.usual)
+
+    def _moving_smoke(self, frame: int) -> MovingSmoke:
+        # Another tab's thread may want another frame in the meantime.
+        latest = self._moving
+        if latest is None or latest[0] != frame:
+            latest = frame, MovingSmoke.of(self.opened.frame(AFTER, frame), self.opened.velocity(frame))
+            self._moving = latest
+        return latest[1]
+
+    def _cut(self, sight: Sight) -> np.ndarray:
+        assert sight.cut is not None
+        name, place = sight.cut
+        axis, (vertical, horizontal) = _AXES[name]
+        index = min(int(place * self.opened.shape[axis]), self.opened.shape[axis] - 1)
+        # From the right, z runs to the left, and from above, to the bottom.
+        oriented = _oriented(axis, index, (vertical, horizontal))
+
+        def density(side: str) -> np.ndarray:
+            return oriented(self.opened.frame(side, sight.frame).full.density)
+
+        if sight.mode == "difference":
+            picture = difference(density(BEFORE), density(AFTER), 1.0)
+        elif sight.mode == "movement":
+            picture = cut_movement(self._moving_smoke(sight.frame), oriented, name, density(AFTER))
+        else:
+            picture = density(sight.mode)
+        return _fitted(picture, sight.rows, sight.columns)
+
+
+def _oriented(axis: int, index: int, shown: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
+    """Cuts (D, H, W, …) into pictures (rows, columns, …), row 0 at the top."""
+
+    def cut(values: np.ndarray) -> np.ndarray:
+        plane = np.take(values, index, axis=axis)
+        rest = [other for other in range(3) if other != axis]
+        vertical, horizontal = (rest.index(one) for one in shown)
+        picture = np.moveaxis(plane, (vertical, horizontal), (0, 1))
+        if axis == 1:  # from above: z, which comes towards the viewer of the front view, runs downwards
+            return picture
+        picture = picture[::-1]
+        return picture[:, ::-1] if axis == 2 else picture
+
+    return cut
+
+
+def _fitted(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """A picture as large as fits, in the middle of a black one; cells stay visible."""
+    factor = min(rows / picture.shape[0], columns / picture.shape[1])
+    size = max(1, round(factor * picture.shape[1])), max(1, round(factor * picture.shape[0]))
+    channels = picture[..., None] if picture.ndim == 2 else picture
+    enlarged = [
+        on_canvas(
+            np.asarray(
+                Image.fromarray(np.ascontiguousarray(channels[..., channel], np.float32)).resize(
+                    size, Image.Resampling.NEAREST if factor > 1 else Image.Resampling.BOX
+                )
+            ),
+            rows,
+            columns,
+        )
+        for channel in range(channels.shape[2])
+    ]
+    return enlarged[0] if picture.ndim == 2 else np.stack(enlarged, axis=-1)

@@ -1,0 +1,189 @@
+"""Runs as processes of their own: begun, paused and resumed, and found again by a studio that is started later.
+
+They are `tnst-mi stylize`, in a session of their own: neither Ctrl-C in the studio's terminal nor the studio's end
+reaches them, and a crash of one is no crash of the page. A pause is what ends any run (SIGTERM), after the iteration
+under way; to resume is `--resume`, to the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import psutil
+
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.run.folder import DAMAGE, holds_run
+
+#: What can be said of a run: its process is there; it has ended; it can be resumed; it cannot be done as it is.
+RUNNING, DONE, PAUSED, FAILED = "running", "done", "paused", "failed"
+
+#: Exit code of a run that was interrupted and can be resumed.
+_INTERRUPTED = 3
+
+#: How much less urgent tries and renders are than the page.
+_NICENESS = 10
+
+#: Two readings of the time when a process began differ by less, in seconds.
+_SAME_START = 1.0
+
+
+@dataclass(frozen=True)
+class WorkRecord:
+    """What is known of a run beside its folder, as FOLDER.json.
+
+    Attributes:
+        source: the input.
+        shape: (D, H, W) of its frames.
+        start_from: the folder of the run that this one goes on from; None for the beginning.
+        alone: whether it is of the frame alone that was shown, of several.
+        frames: the recipe's key without that.
+        pid, began: its latest process, by its number and the time when that began; 0 before the first.
+        code: exit code of that process; None while it is not known.
+        paused: whether the studio has asked it to pause.
+    """
+
+    source: str
+    shape: tuple[int, int, int]
+    start_from: str | None = None
+    alone: bool = False
+    frames: str | None = None
+    pid: int = 0
+    began: float = 0.0
+    code: int | None = None
+    paused: bool = False
+
+    @classmethod
+    def read(cls, path: Path) -> Self | None:
+        """The record in a file; None if it is damaged."""
+        try:
+            values: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+            record = cls(**{**values, "shape": tuple(int(n) for n in values["shape"])})
+        except DAMAGE:
+            return None
+        texts = isinstance(record.source, str) and all(
+            isinstance(text, str | None) for text in (record.start_from, record.frames)
+        )
+        numbers = isinstance(record.pid, int) and isinstance(record.began, int | float) and record.pid >= 0
+        sound = texts and numbers and len(record.shape) == 3
+        return record if sound else None
+
+    def write(self, path: Path) -> None:
+        """Write it."""
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(asdict(self)) + "\n", "utf-8")
+
+
+class RunProcess:
+    """A run in a folder, and the process that does it.
+
+    FOLDER.toml is the recipe that was asked for, FOLDER.log what the run says, FOLDER.json its `WorkRecord`.
+
+    Args:
+        folder: of the run.
+        record: what is known of it.
+    """
+
+    def __init__(self, folder: Path, record: WorkRecord) -> None:
+        self.folder, self.record = folder, record
+        self._child: subprocess.Popen[bytes] | None = None
+
+    @property
+    def recipe_file(self) -> Path:
+        """The recipe that was asked for."""
+        return self.folder.with_suffix(".toml")
+
+    @property
+    def log_file(self) -> Path:
+        """What the run says."""
+        return self.folder.with_suffix(".log")
+
+    def start(self) -> None:
+        """Begin the run, or resume it."""
+        command = [sys.executable, "-m", "tnst_mi", "stylize", self.record.source]
+        command += ["--out", str(self.folder), "--recipe", str(self.recipe_file)]
+        begun = holds_run(self.folder)
+        if self.record.start_from is not None and not begun:
+            command += ["--from", self.record.start_from, *(["--overwrite"] if self.folder.exists() else [])]
+        elif self.folder.exists():
+            command.append("--resume")
+        with self.log_file.open("ab") as log:
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            )
+        began = 0.0
+        with suppress(psutil.Error):
+            process = psutil.Process(self._child.pid)
+            began = process.create_time()
+            if psutil.POSIX:
+                process.nice(_NICENESS)
+        self._note(pid=self._child.pid, began=began, code=None, paused=False)
+
+    def pause(self) -> None:
+        """Ask the run to end after the iteration under way."""
+        if (process := self._process()) is not None:
+            self._note(paused=True)
+            with suppress(psutil.Error):
+                process.terminate()
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the process has ended, but no longer than some seconds."""
+        with suppress(psutil.TimeoutExpired, subprocess.TimeoutExpired):
+            if self._child is not None:
+                self._child.wait(seconds)
+            elif (process := self._process()) is not None:
+                process.wait(seconds)
+
+    def status(self) -> str:
+        """What can be said of the run now."""
+        if self._child is not None and self._child.poll() is not None and self.record.code is None:
+            self._note(code=self._child.returncode)
+        if self._process() is not None:
+            return RUNNING
+        if (recorded := self._recorded_status()) == DONE:
+            return DONE
+        ended_early = self.record.paused or self.record.code == _INTERRUPTED or recorded == "interrupted"
+        # Of a process that an earlier studio began the code is not known; killed ones can be resumed.
+        return PAUSED if ended_early or (self.record.code is None and recorded is not None) else FAILED
+
+    def complaint(self) -> str:
+        """The last line that a failed run has said."""
+        lines = tail(self.log_file, 4096).strip().splitlines()
+        return lines[-1] if lines else "ended without a word"
+
+    def _process(self) -> psutil.Process | None:
+        """The process, if it is still there."""
+        if not self.record.pid or self.record.code is not None:
+            return None
+        with suppress(psutil.Error):
+            process = psutil.Process(self.record.pid)
+            # Another process may have its number by now.
+            same = abs(process.create_time() - self.record.began) < _SAME_START
+            return process if same and process.status() != psutil.STATUS_ZOMBIE else None
+        return None
+
+    def _recorded_status(self) -> str | None:
+        try:
+            return str(json.loads((self.folder / "run.json").read_text("utf-8"))["status"])
+        except DAMAGE:
+            return None
+
+    def _note(self, **changes: Any) -> None:
+        self.record = replace(self.record, **changes)
+        self.record.write(self.folder.with_suffix(".json"))
+
+
+def tail(file: Path, most: int) -> str:
+    """The last bytes of a text file; nothing if it is not there."""
+    try:
+        with file.open("rb") as opened:
+            opened.seek(max(0, file.stat().st_size - most))
+            return opened.read(most).decode("utf-8", "replace")
+    except OSError:
+        return ""

@@ -1,0 +1,163 @@
+"""What the page can ask for and do, by the paths of its URLs."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.pictures.png import eight_bits
+from tnst_mi.machine.terminal import printable
+from tnst_mi.resources import DATA
+from tnst_mi.studio.messages import PageAnswer, PageRequest
+from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.processes import tail
+from tnst_mi.studio.server import UPLOAD
+from tnst_mi.studio.session import Session
+from tnst_mi.studio.work import RENDERS, TRIES
+
+#: The files of the page.
+_PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/studio.css": ("studio.css", "text/css; charset=utf-8"),
+    "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
+}
+
+#: Quality of JPEG while the camera moves, and when it is still.
+_MOVING, _STILL = 80, 92
+
+#: Bytes of a log that are shown, at most.
+_LONGEST_TEXT = 1 << 18
+
+
+class StudioRoutes:
+    """Answers the requests of the page.
+
+    Args:
+        session: what all tabs share.
+        motifs: what can be chosen.
+    """
+
+    def __init__(self, session: Session, motifs: MotifBrowser) -> None:
+        self.session, self.motifs = session, motifs
+        self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
+            ("GET", "/events"): self._events,
+            ("GET", "/view"): self.view,
+            ("GET", "/files"): self._files,
+            ("GET", "/motifs"): self._motifs,
+            ("GET", "/thumbnail"): self._thumbnail,
+            ("POST", UPLOAD): self._upload,
+            ("GET", "/work/picture"): self._work_picture,
+            ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
+            ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
+            ("POST", "/open"): self._open,
+            ("POST", "/set"): self._set,
+            ("POST", "/goal"): self._goal,
+            ("POST", "/work"): self._work,
+        }
+
+    def __call__(self, request: PageRequest) -> PageAnswer:
+        """Answer a request.
+
+        Raises:
+            InputError: it cannot be done.
+        """
+        if request.method == "GET" and request.path in _PAGE:
+            name, kind = _PAGE[request.path]
+            return PageAnswer((DATA / "studio" / name).read_bytes(), kind)
+        if route := self._routes.get((request.method, request.path)):
+            return route(request)
+        return PageAnswer.of_json({"error": "nothing is there"}, 404)
+
+    def view(self, request: PageRequest) -> PageAnswer:
+        """A picture of what is opened, as JPEG; see `Session.paint`."""
+        sight, picture = self.session.paint(request.query)
+        body = jpeg(picture, _MOVING if sight.coarse else _STILL)
+        return PageAnswer(body, "image/jpeg")
+
+    def _events(self, request: PageRequest) -> PageAnswer:
+        return PageAnswer(kind="text/event-stream", events=self.session.news())
+
+    def _files(self, request: PageRequest) -> PageAnswer:
+        return PageAnswer.of_json(self.session.places.entries(request.query.get("at", "")))
+
+    def _motifs(self, request: PageRequest) -> PageAnswer:
+        weights = self.session.recipe().weights
+        return PageAnswer.of_json(self.motifs.found(request.query.get("find", ""), weights))
+
+    def _thumbnail(self, request: PageRequest) -> PageAnswer:
+        picture = self.motifs.thumbnail(request.query.get("style"), request.query.get("atlas"))
+        # As long as the studio runs, a name means the same picture.
+        return PageAnswer(picture, "image/png", headers={"Cache-Control": "max-age=300"})
+
+    def _upload(self, request: PageRequest) -> PageAnswer:
+        self.motifs.upload(request.query.get("name", ""), request.body)
+        return PageAnswer.of_json({})
+
+    def _open(self, request: PageRequest) -> PageAnswer:
+        self.session.open(self.session.places.within(_text(request.json(), "path")))
+        return PageAnswer.of_json({})
+
+    def _set(self, request: PageRequest) -> PageAnswer:
+        values = request.json()
+        self.session.set(_text(values, "key"), values.get("value"))
+        return PageAnswer.of_json({})
+
+    def _goal(self, request: PageRequest) -> PageAnswer:
+        values = request.json()
+        self.session.toggle(_text(values, "key"), _text(values, "goal"))
+        return PageAnswer.of_json({})
+
+    def _work(self, request: PageRequest) -> PageAnswer:
+        values, workshop = request.json(), self.session.workshop
+        action = _text(values, "action")
+        if action in ("try", "render"):
+            alone = values.get("alone")
+            if not isinstance(alone, int | None) or isinstance(alone, bool):
+                raise InputError("studio: alone is the index of a frame, or nothing")
+            self.session.begin(TRIES if action == "try" else RENDERS, alone)
+            return PageAnswer.of_json({})
+        act = {
+            "pause": workshop.pause,
+            "resume": workshop.resume,
+            "finish": workshop.finish,
+            "open": self.session.open_work,
+        }.get(action)
+        if act is None:
+            raise InputError("studio: an action is try, render, pause, resume, finish or open")
+        act(_text(values, "id"))
+        return PageAnswer.of_json({})
+
+    def _work_picture(self, request: PageRequest) -> PageAnswer:
+        picture = self.session.workshop.work(request.query.get("id", "")).picture
+        if picture is None:
+            raise InputError("studio: there is no picture yet")
+        return PageAnswer(picture.read_bytes(), "image/png")
+
+    def _work_text(self, request: PageRequest, suffix: str) -> PageAnswer:
+        process = self.session.workshop.work(request.query.get("id", "")).process
+        text = printable_lines(tail(process.folder.with_suffix(suffix), _LONGEST_TEXT))
+        return PageAnswer(text.encode("utf-8"), "text/plain; charset=utf-8")
+
+
+def printable_lines(text: str) -> str:
+    """A text of several lines, without what controls a terminal."""
+    return "\n".join(printable(line) for line in text.splitlines())
+
+
+def jpeg(picture: np.ndarray, quality: int) -> bytes:
+    """A picture (H, W) or (H, W, 3) in [0, 1] as JPEG."""
+    encoded = io.BytesIO()
+    Image.fromarray(eight_bits(picture)).save(encoded, "JPEG", quality=quality)
+    return encoded.getvalue()
+
+
+def _text(values: dict[str, Any], name: str) -> str:
+    value = values.get(name)
+    if not isinstance(value, str):
+        raise InputError(f"studio: {name} is missing, or no text")
+    return value

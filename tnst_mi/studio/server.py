@@ -1,0 +1,194 @@
+"""The studio's server: HTTP for one page, its pictures and its events, with bounds on all that is sent to it.
+
+It is the server of Python's standard library: the page needs nothing that a framework would add, and works without the
+internet. Each connection has a thread, of which there are only so many; what computes takes turns.
+"""
+
+from __future__ import annotations
+
+import socket
+import socketserver
+import sys
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from tnst_mi.errors import InputError
+from tnst_mi.machine.terminal import one_line, printable
+from tnst_mi.studio.access import Access, from_own_page
+from tnst_mi.studio.messages import PageAnswer, PageRequest
+
+#: Answers a request that has been let in.
+Routes = Callable[[PageRequest], PageAnswer]
+
+#: Largest body of a request in bytes: of an uploaded picture, and of all others.
+LARGEST_UPLOAD, LARGEST_BODY = 16 << 20, 64 << 10
+
+#: Where pictures are uploaded to.
+UPLOAD = "/upload"
+
+#: Connections at a time; a page keeps up to six.
+_CONNECTIONS = 64
+
+#: Seconds after which a connection that sends nothing is closed.
+_IDLE = 60
+
+#: The page loads nothing from elsewhere, is in no frame of another page, and tells nobody where it is.
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+_CLOSED = "403: open the URL with the token that tnst-mi studio has printed\n"
+
+
+class StudioServer(ThreadingHTTPServer):
+    """Listens, and lets in whoever has the token.
+
+    Args:
+        host: name or address of this machine to listen on.
+        port: 0 for any that is free.
+        routes: what answers.
+
+    Attributes:
+        access: the token.
+
+    Raises:
+        InputError: it cannot listen there.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, host: str, port: int, routes: Routes) -> None:
+        self._free = threading.BoundedSemaphore(_CONNECTIONS)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self.routes = routes
+        try:
+            super().__init__((host, port), _Handler)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(
+                one_line(f"studio: cannot listen on {host}, port {port} ({reason}); give another --port or --host")
+            ) from None
+        self.access = Access(self.server_port)
+
+    def server_bind(self) -> None:
+        """Listen, without looking up the name of this machine, which takes seconds where there is no network."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Give a connection a thread, or close it if there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection until it ends."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Nothing, if the browser has left in the middle; other errors in one line."""
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            print(one_line(f"tnst-mi: studio: {type(error).__name__}: {error}"), file=sys.stderr)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers the requests of a connection."""
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "tnst-mi", ""
+    timeout = _IDLE
+    # An answer is sent at once, in one piece: the system would hold the second piece back until the first is confirmed,
+    # for 40 ms.
+    wbufsize, disable_nagle_algorithm = -1, True
+    server: StudioServer  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def do_GET(self) -> None:
+        """Answer what asks for something."""
+        self._answer("GET")
+
+    def do_POST(self) -> None:
+        """Answer what changes something."""
+        self._answer("POST")
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: requests come with every move of the mouse."""
+
+    def _answer(self, method: str) -> None:
+        address = urlsplit(self.path)
+        query = dict(parse_qsl(address.query, keep_blank_values=True))
+        access = self.server.access
+        if method == "GET" and address.path == "/" and access.opened_by(query.get("token", "")):
+            # The token leaves the address bar at once.
+            self._send(PageAnswer(status=303, headers={"Location": "/", "Set-Cookie": access.set_cookie}))
+        elif not access.admits(self.headers.get("Cookie")):
+            self._refuse(403, _CLOSED)
+        elif method == "POST" and not from_own_page(self.headers.get("Origin"), self.headers.get("Host")):
+            self._refuse(403, "403: only the studio's own page may change something\n")
+        elif (body := self._body(LARGEST_UPLOAD if address.path == UPLOAD else LARGEST_BODY)) is not None:
+            self._send(self._routed(PageRequest(method, address.path, query, body)))
+
+    def _body(self, largest: int) -> bytes | None:
+        """The body of a request; None if it has been refused."""
+        text = self.headers.get("Content-Length")
+        if self.headers.get("Transfer-Encoding") is not None or (text is None and self.command == "POST"):
+            self._refuse(411, "411: the length of the body has to be told\n")
+            return None
+        # More digits than any size has are none that Python need read.
+        if text is not None and not (text.isascii() and text.isdigit() and len(text) < 20):
+            self._refuse(400, "400: the length of the body is no number\n")
+            return None
+        length = int(text or 0)
+        if length > largest:
+            self._refuse(413, f"413: {length} bytes sent, expected at most {largest}\n")
+            return None
+        body = self.rfile.read(length)
+        if len(body) < length:
+            self.close_connection = True
+            return None
+        return body
+
+    def _routed(self, request: PageRequest) -> PageAnswer:
+        """What the routes answer; what goes wrong there is one line on the page."""
+        try:
+            return self.server.routes(request)
+        except InputError as error:
+            return PageAnswer.of_json({"error": one_line(str(error))}, 400)
+        except Exception as error:
+            line = one_line(f"{type(error).__name__}: {error}")
+            print(f"tnst-mi: studio: {printable(request.path)}: {line}", file=sys.stderr)
+            return PageAnswer.of_json({"error": line}, 500)
+
+    def _refuse(self, status: int, text: str) -> None:
+        # What else is sent is not read.
+        self.close_connection = True
+        self._send(PageAnswer(text.encode("utf-8"), "text/plain; charset=utf-8", status, {"Connection": "close"}))
+
+    def _send(self, answer: PageAnswer) -> None:
+        self.send_response(answer.status)
+        for name, value in (_HEADERS | dict(answer.headers)).items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", answer.kind)
+        if answer.events is None:
+            self.send_header("Content-Length", str(len(answer.body)))
+            self.end_headers()
+            self.wfile.write(answer.body)
+            return
+        # The end of the connection is that of the events.
+        self.close_connection = True
+        self.end_headers()
+        for event in answer.events:
+            self.wfile.write(f"data: {event}\n\n".encode() if event else b": still here\n\n")
+            self.wfile.flush()

@@ -1,0 +1,193 @@
+"""What all tabs of the page share: what is opened, and what is set; each tab hears of every change."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.recipe.quality import FINAL
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.lit import LitPainter
+from tnst_mi.studio.opened import opened
+from tnst_mi.studio.painting import SightPainter
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.settings import StudioSettings
+from tnst_mi.studio.sight import Sight
+from tnst_mi.studio.work import Workshop
+
+#: Seconds after which a connection without news is told that it is still one.
+_STILL_HERE = 15.0
+
+_NOTHING = "studio: nothing is opened; choose something on the left"
+
+
+class Session:
+    """The state of a studio.
+
+    Args:
+        places: what may be opened.
+        out: the folder of the studio's tries and renders.
+
+    Attributes:
+        workshop: these.
+        settings: what is set.
+        painter, lit: paint what is opened; None as long as nothing is.
+    """
+
+    def __init__(self, places: Places, out: Path) -> None:
+        self.places, self.settings = places, StudioSettings()
+        self.painter: SightPainter | None = None
+        self.lit: LitPainter | None = None
+        self._source: Path | None = None
+        self._news, self._version, self._ended = threading.Condition(), 0, False
+        self.workshop = Workshop(out, self._changed)
+
+    def open(self, path: Path) -> None:
+        """Show densities or a run, whose recipe is taken over with its goals.
+
+        Raises:
+            InputError: nothing is there that can be shown.
+        """
+        found = opened(path)
+        with self._news:
+            self.painter, self.lit = SightPainter(found), LitPainter(found)
+            if found.recipe is not None:
+                self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
+            record = found.results.record
+            self._source = path if record is None else _input_of(record)
+            self._changed()
+
+    @property
+    def source(self) -> Path:
+        """The input that is stylized: what is opened, or what the opened run has stylized.
+
+        Raises:
+            InputError: nothing is opened, or the run had no file as its input.
+        """
+        if self.painter is None:
+            raise InputError(_NOTHING)
+        if self._source is None:
+            raise InputError("studio: the input of this run was no file; open one")
+        return self._source
+
+    def set(self, key: str, value: object) -> None:
+        """Set a slider; see `StudioSettings.set`."""
+        with self._news:
+            self.settings.set(key, value)
+            self._changed()
+
+    def toggle(self, key: str, goal: str) -> None:
+        """Add or remove a goal; see `StudioSettings.toggle`."""
+        with self._news:
+            self.settings.toggle(key, goal)
+            self._changed()
+
+    def paint(self, query: Mapping[str, str]) -> tuple[Sight, np.ndarray]:
+        """What a tab wants to see, by the query of `Sight.of_query`, and its picture with values in [0, 1].
+
+        Raises:
+            InputError: nothing is opened, or it cannot be seen so.
+        """
+        with self._news:
+            painter, lit, recipe = self.painter, self.lit, self.settings.recipe
+        if painter is None or lit is None:
+            raise InputError(_NOTHING)
+        sight = Sight.of_query(query, len(painter.opened.results.frames))
+        return sight, lit.paint(sight) if sight.lit else painter.paint(sight, recipe)
+
+    def recipe(self) -> Recipe:
+        """The recipe as it is set."""
+        with self._news:
+            return self.settings.recipe
+
+    def open_work(self, name: str) -> None:
+        """Show what a try or a render has made, with its recipe, for as many frames as before.
+
+        Raises:
+            InputError: there is no such work, or it has not finished a frame.
+        """
+        process = self.workshop.work(name).process
+        self.open(process.folder)
+        if process.record.alone:
+            with self._news:
+                self.settings.base = dataclasses.replace(self.settings.base, frames=process.record.frames)
+
+    def begin(self, kind: str, alone: int | None) -> None:
+        """Begin a try or a render of what is opened, with the recipe as it is set; see `Workshop.begin`.
+
+        Args:
+            kind: which of them.
+            alone: index of the only frame that is to be stylized; None for all.
+
+        Raises:
+            InputError: there is nothing to stylize, or nothing to stylize towards, or no such frame.
+        """
+        with self._news:
+            source, recipe, painter = self.source, self.settings.recipe, self.painter
+        assert painter is not None  # there is a source
+        numbers, number = painter.opened.results.numbers, None
+        if alone is not None and len(numbers) > 1:
+            if not 0 <= alone < len(numbers):
+                raise InputError(f"studio: frame {alone}: there are {len(numbers)}, from 0")
+            number = numbers[alone]
+        self.workshop.begin(kind, source, recipe, painter.opened.shape, number)
+
+    def state(self) -> dict[str, Any]:
+        """All that a tab has to know, as values for JSON."""
+        work = self.workshop.described()
+        with self._news:
+            return {
+                "work": work,
+                "version": self._version,
+                "opened": None if self.painter is None else _described(self.painter, self.places),
+                **self.settings.described(),
+            }
+
+    def news(self) -> Iterator[str]:
+        """The state as JSON, now and whenever it has changed; empty texts while nothing changes."""
+        known = -1
+        while not self._ended:
+            with self._news:
+                self._news.wait_for(lambda known=known: self._version != known or self._ended, _STILL_HERE)
+                changed, known = self._version != known, self._version
+            yield json.dumps(self.state()) if changed else ""
+
+    def end(self) -> list[str]:
+        """End all `news`, and pause the tries; returns the names of those that ran."""
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+        return self.workshop.end()
+
+    def _changed(self) -> None:
+        with self._news:
+            self._version += 1
+            self._news.notify_all()
+
+
+def _input_of(record: Any) -> Path | None:
+    source = record.get("input")
+    return Path(source) if isinstance(source, str) else None
+
+
+def _described(painter: SightPainter, places: Places) -> dict[str, Any]:
+    results = painter.opened.results
+    d, h, w = painter.opened.shape
+    recipe = results.recipe or Recipe()
+    return {
+        "title": results.title,
+        "path": places.relative(results.path),
+        "run": results.record is not None,
+        "after": painter.opened.has_after,
+        "names": list(results.names),
+        "shape": [d, h, w],
+        "main_view": list(recipe.main_view[:2]),
+        "notes": list(results.notes),
+    }
