@@ -1,0 +1,114 @@
+"""How fast a run is on workers with a core each, against one process on one core; and what plan_cluster predicts."""
+
+from __future__ import annotations
+
+import functools
+import os
+import statistics
+from collections.abc import Collection
+from pathlib import Path
+
+from cluster_plan.graph import graph_of
+from cluster_plan.recorded import measured_by
+from cluster_plan.simulation import Cluster, simulate
+
+from cluster_measures.costs import beside_tasks
+from cluster_measures.observed import Apart, Observed, Trial
+from cluster_measures.part import Part, table
+from cluster_measures.processes import processes
+from cluster_measures.setting import Setting
+
+REPETITIONS = 3
+
+FRAMES, ITERATIONS = 12, 8
+
+#: What is asked: of two workers' speed-up, and of the error of a predicted one.
+LEAST, MOST_ERROR = 1.7, 0.15
+
+#: The cores of each worker, by their number; three share both cores.
+_CORES: dict[int, list[Collection[int]]] = {1: [{0}], 2: [{0}, {1}], 3: [(), (), ()]}
+
+#: A run and what was seen of it, by the number of its workers: 0 for a process without a cluster.
+_Repetition = dict[int, tuple[Trial, Observed]]
+
+
+def speed(folder: Path) -> Part:
+    """Iterations per second while all frames are at it, and the speed-up of workers."""
+    part, repetitions = Part("Speed"), _repetitions(folder.parent / "speed")
+    rates = {count: [_rate(of[count][1]) for of in repetitions] for count in (0, *_CORES)}
+    medians = {count: statistics.median(values) for count, values in rates.items()}
+    tasks = [
+        statistics.median(t["seconds"] for of in repetitions for t in of[1][1].tasks if t["kind"] == kind)
+        for kind in ("step", "average")
+    ]
+    beside = [beside_tasks(of[1][1]) for of in repetitions]
+    rows = [
+        (
+            f"{count} worker{'s' * (count > 1)}" if count else "one process, one core",
+            *(f"{value:.3f}" for value in rates[count]),
+            f"{medians[count]:.3f}",
+            f"{medians[count] / medians[0]:.2f}",
+        )
+        for count in rates
+    ]
+    head = ("", *(f"run {number}" for number in range(1, REPETITIONS + 1)), "median, iterations/s", "speed-up")
+    part.lines = [
+        f"{_setting(folder).described()}; one worker's step takes {1000 * tasks[0]:.0f} ms, its average "
+        f"{1000 * tasks[1]:.0f} ms, and each {statistics.median(beside):.1f} ms beside that; three workers share two "
+        "cores",
+        "",
+        *table(head, rows),
+    ]
+    part.values = {"rates": rates, "beside": beside, "step": tasks[0], "average": tasks[1]}
+    part.holds[f"two workers do at least {LEAST} times the work of one process"] = medians[2] / medians[0] >= LEAST
+    return part
+
+
+def predict(folder: Path) -> Part:
+    """The speed-up of whole runs, predicted from each repetition's run on one worker, and as measured."""
+    part, repetitions, rows = Part("Prediction"), _repetitions(folder.parent / "speed"), []
+    seconds = {count: statistics.median(of[count][1].record["seconds"] for of in repetitions) for count in _CORES}
+    measured = [measured_by(of[1][0].out) for of in repetitions]
+    for count in [count for count in _CORES if count > 1]:
+        found = []
+        for costs in measured:
+            graph = graph_of(costs, FRAMES)
+            one, many = (simulate(costs, graph, Cluster(n, count, os.cpu_count() or 1)).seconds for n in (1, count))
+            found.append(one / many)
+        predicted, real = statistics.median(found), seconds[1] / seconds[count]
+        error = predicted / real - 1
+        rows.append((count, f"{seconds[count]:.1f} s", f"{real:.2f}", f"{predicted:.2f}", f"{error:+.1%}"))
+        part.values[str(count)] = {"measured": real, "predicted": found, "seconds": seconds[count]}
+        part.holds[f"for {count} workers within {MOST_ERROR:.0%}"] = abs(error) <= MOST_ERROR
+    rows.insert(0, (1, f"{seconds[1]:.1f} s", "1", "1", ""))
+    part.lines = table(("workers", "time", "speed-up measured", "predicted", "error"), rows)
+    return part
+
+
+def _setting(folder: Path) -> Setting:
+    keys = {"window": 5, "octaves": 1, "iterations": ITERATIONS, "views": 3}
+    return Setting(folder, FRAMES, (48, 72, 48), keys)
+
+
+@functools.cache
+def _repetitions(folder: Path) -> list[_Repetition]:
+    """The same run in all ways, one after the other, several times: what slows the machine down slows all of them."""
+    setting, repetitions = _setting(folder), list[_Repetition]()
+    for number in range(REPETITIONS):
+        alone = setting.trial()
+        found = {0: (alone, Apart(alone, cores={0}).observed())}
+        for count, cores in _CORES.items():
+            with processes(folder / f"cluster_{number}_{count}", cores) as cluster:
+                trial = setting.trial(cluster.address)
+                found[count] = trial, Apart(trial).observed()
+        repetitions.append(found)
+    return repetitions
+
+
+def _rate(seen: Observed) -> float:
+    """Iterations per second from the end of the first one of every frame to the beginning of the last.
+
+    In the first, kernels are compiled; beside the last, results are written.
+    """
+    first, last = FRAMES - 1, FRAMES * (ITERATIONS - 1) - 1
+    return (last - first) / (seen.iterations[last] - seen.iterations[first])
