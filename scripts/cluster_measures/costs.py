@@ -11,7 +11,7 @@ from unittest import mock
 import psutil
 from distributed import Client, get_worker
 
-from cluster_measures.observed import RECIPE, Apart, Observed, observe
+from cluster_measures.observed import RECIPE, Apart, Observed, observe, unpinnable
 from cluster_measures.part import Part, table
 from cluster_measures.processes import processes
 from cluster_measures.setting import Setting, small
@@ -31,7 +31,9 @@ MOST_MILLISECONDS = 3.0
 
 def overhead(folder: Path) -> Part:
     """Tasks that do nothing, and what tasks of a run on one worker take beside their own seconds."""
-    part = Part("What a task costs beside its own seconds")
+    part = Part("What a task costs beside its own seconds", skipped=unpinnable())
+    if part.skipped:
+        return part
     wall, cpu, tasks = _empty_tasks(folder)
     setting = small(folder / "run")
     with processes(folder / "cluster", [{0}]) as cluster:

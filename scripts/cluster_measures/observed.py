@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -149,6 +150,15 @@ class Apart:
 def pinned(cores: Collection[int]) -> list[str]:
     """The beginning of a command that may compute on some cores only."""
     return ["taskset", "-c", ",".join(map(str, sorted(cores)))] if cores else []
+
+
+def unpinnable() -> str:
+    """Why processes cannot have cores of their own here, the first two; empty if they can."""
+    if shutil.which("taskset") is None or not hasattr(os, "sched_getaffinity"):
+        return "there is no program taskset (package util-linux), which gives processes cores of their own"
+    if not {0, 1} <= os.sched_getaffinity(0):
+        return "this machine has fewer than two cores"
+    return ""
 
 
 def main() -> None:

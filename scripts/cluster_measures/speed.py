@@ -13,7 +13,7 @@ from cluster_plan.recorded import measured_by
 from cluster_plan.simulation import Cluster, simulate
 
 from cluster_measures.costs import beside_tasks
-from cluster_measures.observed import Apart, Observed, Trial
+from cluster_measures.observed import Apart, Observed, Trial, unpinnable
 from cluster_measures.part import Part, table
 from cluster_measures.processes import processes
 from cluster_measures.setting import Setting
@@ -25,8 +25,8 @@ FRAMES, ITERATIONS = 12, 8
 #: What is asked: of two workers' speed-up, and of the error of a predicted one.
 LEAST, MOST_ERROR = 1.7, 0.15
 
-#: The cores of each worker, by their number; three share both cores.
-_CORES: dict[int, list[Collection[int]]] = {1: [{0}], 2: [{0}, {1}], 3: [(), (), ()]}
+#: The cores of each worker, by their number; three share two.
+_CORES: dict[int, list[Collection[int]]] = {1: [{0}], 2: [{0}, {1}], 3: [{0, 1}] * 3}
 
 #: A run and what was seen of it, by the number of its workers: 0 for a process without a cluster.
 _Repetition = dict[int, tuple[Trial, Observed]]
@@ -34,7 +34,10 @@ _Repetition = dict[int, tuple[Trial, Observed]]
 
 def speed(folder: Path) -> Part:
     """Iterations per second while all frames are at it, and the speed-up of workers."""
-    part, repetitions = Part("Speed"), _repetitions(folder.parent / "speed")
+    part = Part("Speed", skipped=unpinnable())
+    if part.skipped:
+        return part
+    repetitions, loads = _repetitions(folder.parent / "speed")
     rates = {count: [_rate(of[count][1]) for of in repetitions] for count in (0, *_CORES)}
     medians = {count: statistics.median(values) for count, values in rates.items()}
     tasks = [
@@ -58,22 +61,27 @@ def speed(folder: Path) -> Part:
         "cores",
         "",
         *table(head, rows),
+        "",
+        f"Load of the machine before each repetition: {', '.join(f'{load:.1f}' for load in loads)}",
     ]
-    part.values = {"rates": rates, "beside": beside, "step": tasks[0], "average": tasks[1]}
+    part.values = {"loads": loads, "rates": rates, "beside": beside, "step": tasks[0], "average": tasks[1]}
     part.holds[f"two workers do at least {LEAST} times the work of one process"] = medians[2] / medians[0] >= LEAST
     return part
 
 
 def predict(folder: Path) -> Part:
     """The speed-up of whole runs, predicted from each repetition's run on one worker, and as measured."""
-    part, repetitions, rows = Part("Prediction"), _repetitions(folder.parent / "speed"), []
+    part, rows = Part("Prediction", skipped=unpinnable()), []
+    if part.skipped:
+        return part
+    repetitions, _ = _repetitions(folder.parent / "speed")
     seconds = {count: statistics.median(of[count][1].record["seconds"] for of in repetitions) for count in _CORES}
     measured = [measured_by(of[1][0].out) for of in repetitions]
     for count in [count for count in _CORES if count > 1]:
         found = []
         for costs in measured:
             graph = graph_of(costs, FRAMES)
-            one, many = (simulate(costs, graph, Cluster(n, count, os.cpu_count() or 1)).seconds for n in (1, count))
+            one, many = (simulate(costs, graph, Cluster(n, count, 2)).seconds for n in (1, count))
             found.append(one / many)
         predicted, real = statistics.median(found), seconds[1] / seconds[count]
         error = predicted / real - 1
@@ -91,10 +99,14 @@ def _setting(folder: Path) -> Setting:
 
 
 @functools.cache
-def _repetitions(folder: Path) -> list[_Repetition]:
-    """The same run in all ways, one after the other, several times: what slows the machine down slows all of them."""
-    setting, repetitions = _setting(folder), list[_Repetition]()
+def _repetitions(folder: Path) -> tuple[list[_Repetition], list[float]]:
+    """The same run in all ways, one after the other, several times: what slows the machine down slows all of them.
+
+    Also the load of the machine before each time.
+    """
+    setting, repetitions, loads = _setting(folder), list[_Repetition](), list[float]()
     for number in range(REPETITIONS):
+        loads.append(os.getloadavg()[0])
         alone = setting.trial()
         found = {0: (alone, Apart(alone, cores={0}).observed())}
         for count, cores in _CORES.items():
@@ -102,7 +114,7 @@ def _repetitions(folder: Path) -> list[_Repetition]:
                 trial = setting.trial(cluster.address)
                 found[count] = trial, Apart(trial).observed()
         repetitions.append(found)
-    return repetitions
+    return repetitions, loads
 
 
 def _rate(seen: Observed) -> float:
