@@ -4,6 +4,7 @@ smoke      frames in closed form, and a digest of the results of a run
 observed   a run, and what can be seen of it while it goes on
 processes  a scheduler and workers that can be killed, pinned to cores, or put on hosts of their own
 hosts      network namespaces as hosts
+watching   what the processes of a run use
 setting    what is stylized, and where its files are
 part       what a part says
 bits       whether results are the same: same, kills, hosts

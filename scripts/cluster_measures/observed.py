@@ -121,13 +121,11 @@ class Apart:
     """
 
     def __init__(self, trial: Trial, cores: Collection[int] = ()) -> None:
-        told = json.dumps(dataclasses.asdict(trial), default=str)
+        told, self._file = json.dumps(dataclasses.asdict(trial), default=str), _file_of(trial)
         paths = str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")
         self._process = subprocess.Popen(
             [*pinned(cores), sys.executable, "-m", "cluster_measures.observed", told],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
-            stdout=subprocess.PIPE,
-            text=True,
         )
         self.pid = self._process.pid
 
@@ -141,10 +139,14 @@ class Apart:
         Raises:
             RuntimeError: it has failed.
         """
-        told, _ = self._process.communicate()
-        if self._process.returncode != 0:
-            raise RuntimeError(f"the run has failed: exit code {self._process.returncode}")
-        return Observed(**json.loads(told.splitlines()[-1]))
+        if code := self._process.wait():
+            raise RuntimeError(f"the run has failed: exit code {code}")
+        return Observed(**json.loads(self._file.read_text("utf-8")))
+
+
+def _file_of(trial: Trial) -> Path:
+    """Where a process of its own writes what was seen."""
+    return trial.out.with_suffix(".json")
 
 
 def pinned(cores: Collection[int]) -> list[str]:
@@ -165,7 +167,7 @@ def main() -> None:
     """What a process of its own does."""
     given = json.loads(sys.argv[1])
     trial = Trial(**given | {"frames": Path(given["frames"]), "out": Path(given["out"])})
-    print(json.dumps(dataclasses.asdict(observe(trial))))
+    _file_of(trial).write_text(json.dumps(dataclasses.asdict(observe(trial))), "utf-8")
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from distributed import Client
 
 from cluster_measures.observed import pinned
 
-#: Seconds after which a scheduler should have begun.
-PATIENCE = 60.0
+#: Seconds after which a scheduler, and workers, should have begun.
+PATIENCE = 120.0
 
 
 class Processes:

@@ -17,6 +17,7 @@ from cluster_measures.observed import Apart, Observed, Trial, unpinnable
 from cluster_measures.part import Part, table
 from cluster_measures.processes import processes
 from cluster_measures.setting import Setting
+from cluster_measures.watching import Use, watched
 
 REPETITIONS = 3
 
@@ -28,8 +29,8 @@ LEAST, MOST_ERROR = 1.7, 0.15
 #: The cores of each worker, by their number; three share two.
 _CORES: dict[int, list[Collection[int]]] = {1: [{0}], 2: [{0}, {1}], 3: [{0, 1}] * 3}
 
-#: A run and what was seen of it, by the number of its workers: 0 for a process without a cluster.
-_Repetition = dict[int, tuple[Trial, Observed]]
+#: A run, what was seen of it, and what its processes used, by the number of its workers: 0 for a run without a cluster.
+_Repetition = dict[int, tuple[Trial, Observed, Use]]
 
 
 def speed(folder: Path) -> Part:
@@ -40,6 +41,7 @@ def speed(folder: Path) -> Part:
     repetitions, loads = _repetitions(folder.parent / "speed")
     rates = {count: [_rate(of[count][1]) for of in repetitions] for count in (0, *_CORES)}
     medians = {count: statistics.median(values) for count, values in rates.items()}
+    cpu = {count: statistics.median(_cpu(*of[count][1:]) for of in repetitions) for count in rates}
     tasks = [
         statistics.median(t["seconds"] for of in repetitions for t in of[1][1].tasks if t["kind"] == kind)
         for kind in ("step", "average")
@@ -51,10 +53,12 @@ def speed(folder: Path) -> Part:
             *(f"{value:.3f}" for value in rates[count]),
             f"{medians[count]:.3f}",
             f"{medians[count] / medians[0]:.2f}",
+            f"{cpu[count]:.0f} ms",
         )
         for count in rates
     ]
-    head = ("", *(f"run {number}" for number in range(1, REPETITIONS + 1)), "median, iterations/s", "speed-up")
+    numbers = (f"run {number}" for number in range(1, REPETITIONS + 1))
+    head = ("", *numbers, "median, iterations/s", "speed-up", "CPU each")
     part.lines = [
         f"{_setting(folder).described()}; one worker's step takes {1000 * tasks[0]:.0f} ms, its average "
         f"{1000 * tasks[1]:.0f} ms, and each {statistics.median(beside):.1f} ms beside that; three workers share two "
@@ -64,7 +68,7 @@ def speed(folder: Path) -> Part:
         "",
         f"Load of the machine before each repetition: {', '.join(f'{load:.1f}' for load in loads)}",
     ]
-    part.values = {"loads": loads, "rates": rates, "beside": beside, "step": tasks[0], "average": tasks[1]}
+    part.values = {"loads": loads, "rates": rates, "cpu": cpu, "beside": beside, "step": tasks[0], "average": tasks[1]}
     part.holds[f"two workers do at least {LEAST} times the work of one process"] = medians[2] / medians[0] >= LEAST
     return part
 
@@ -108,19 +112,25 @@ def _repetitions(folder: Path) -> tuple[list[_Repetition], list[float]]:
     for number in range(REPETITIONS):
         loads.append(os.getloadavg()[0])
         alone = setting.trial()
-        found = {0: (alone, Apart(alone, cores={0}).observed())}
+        found = {0: (alone, *watched(Apart(alone, cores={0})))}
         for count, cores in _CORES.items():
             with processes(folder / f"cluster_{number}_{count}", cores) as cluster:
                 trial = setting.trial(cluster.address)
-                found[count] = trial, Apart(trial).observed()
+                found[count] = (trial, *watched(Apart(trial), cluster))
         repetitions.append(found)
     return repetitions, loads
 
 
-def _rate(seen: Observed) -> float:
-    """Iterations per second from the end of the first one of every frame to the beginning of the last.
+#: The iterations that are counted: in the first one of every frame kernels are compiled, beside the last one results
+#: are written.
+_FIRST, _LAST = FRAMES - 1, FRAMES * (ITERATIONS - 1) - 1
 
-    In the first, kernels are compiled; beside the last, results are written.
-    """
-    first, last = FRAMES - 1, FRAMES * (ITERATIONS - 1) - 1
-    return (last - first) / (seen.iterations[last] - seen.iterations[first])
+
+def _rate(seen: Observed) -> float:
+    """Iterations per second."""
+    return (_LAST - _FIRST) / (seen.iterations[_LAST] - seen.iterations[_FIRST])
+
+
+def _cpu(seen: Observed, use: Use) -> float:
+    """Milliseconds of the CPUs per iteration, of all processes together."""
+    return 1000 * use.cpu_between(seen.iterations[_FIRST], seen.iterations[_LAST]) / (_LAST - _FIRST)
