@@ -6,35 +6,55 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_measures.observed import Apart
+from cluster_measures.observed import Apart, Observed
 from cluster_measures.part import Part, table
 from cluster_measures.processes import processes
 from cluster_measures.setting import Setting
-from cluster_measures.watching import watched
+from cluster_measures.watching import Use, watched
 
-#: Growth that counts as none, in MB per 100 frames: pools of memory fill up in steps of about that.
-FLAT = 2.0
+#: Growth of a worker that counts as none, in MB per 100 frames: items that it keeps up to a bound, and pools of memory
+#: that fill up, take about as much in a run of this length.
+FLAT = 10.0
+
+#: From which part of a phase on growth is counted: before, libraries are loaded and kernels compiled.
+_FROM = 0.25
 
 
 def memory(folder: Path, frames: int = 200) -> Part:
-    """Memory of two workers and of the coordinator while many tiny frames are stylized."""
-    part = Part("Memory")
-    setting = Setting(folder, frames, (16, 24, 16), {"window": 5, "octaves": 1, "iterations": 2, "views": 1})
+    """Memory of two workers, the scheduler and the coordinator while many tiny frames are stylized."""
+    part, rows = Part("Memory"), []
+    setting = Setting(folder, frames, (16, 24, 16), {"window": 5, "octaves": 1, "iterations": 3, "views": 1})
     with processes(folder / "cluster", [(), ()]) as cluster:
         seen, use = watched(Apart(setting.trial(cluster.address)), cluster)
-    # By the tasks that are done, the frame that an even course would have reached.
-    when = [task["when"] for task in seen.tasks]
-    reached = np.interp(use.when, when, np.linspace(0, frames, len(when)))
-    there = (reached > 0) & (reached < frames)
-    rows = []
-    for name, values in use.memory.items():
-        late = there & (reached >= frames / 4)
-        slope = float(np.polyfit(reached[late], values[late], 1)[0] * 100)
-        quarters = [float(np.interp(frames * part, reached[there], values[there])) for part in (0.25, 0.5, 0.75, 1)]
-        rows.append((name, *(f"{value:.0f} MB" for value in quarters), f"{slope:+.2f} MB"))
-        part.values[name] = {"quarters": quarters, "slope": slope}
-        if name != "coordinator":
-            part.holds[f"{name} grows by at most {FLAT:g} MB per 100 frames"] = slope <= FLAT
-    head = ("process", "after 1/4 of the tasks", "1/2", "3/4", "all", "slope after 1/4, per 100 frames")
-    part.lines = [f"{setting.described()}; {len(when)} tasks", "", *table(head, rows)]
+    for name in use.memory:
+        cells = []
+        for phase, (first, last) in _phases(seen).items():
+            begin, end, slope = _growth([task["when"] for task in seen.tasks[first:last]], use, name, frames)
+            part.values[f"{name}, {phase}"] = {"begin": begin, "end": end, "slope": slope}
+            cells.append(f"{begin:.0f} → {end:.0f} MB ({slope:+.1f})")
+            if name.startswith("worker"):
+                part.holds[f"{name}, {phase}: grows by at most {FLAT:g} MB per 100 frames"] = slope <= FLAT
+        rows.append((name, *cells))
+    part.lines = [
+        f"{setting.described()}; {len(seen.tasks)} tasks. Memory after {_FROM:.0%} of each phase and in its end, and "
+        "the slope in between, in MB per 100 frames:",
+        "",
+        *table(("process", *_phases(seen)), rows),
+    ]
     return part
+
+
+def _phases(seen: Observed) -> dict[str, tuple[int, int]]:
+    """The tasks of each phase of a run of one octave: the first, and the one after the last."""
+    kinds = [task["kind"] for task in seen.tasks]
+    step, finish = kinds.index("step"), kinds.index("finish")
+    return {"entering": (0, step), "iterating": (step, finish), "finishing": (finish, len(kinds))}
+
+
+def _growth(when: list[float], use: Use, name: str, frames: int) -> tuple[float, float, float]:
+    """Memory of a process in MB after the first part of a phase and in its end, and the slope per 100 frames."""
+    since = when[round(_FROM * (len(when) - 1))]
+    moments = np.linspace(since, when[-1], 200)
+    values = np.interp(moments, use.when, use.memory[name])
+    reached = np.interp(moments, when, np.linspace(0, frames, len(when)))
+    return float(values[0]), float(values[-1]), float(np.polyfit(reached, values, 1)[0] * 100)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import statistics
+import sys
 from collections.abc import Collection
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from cluster_measures.watching import Use, watched
 
 REPETITIONS = 3
 
-FRAMES, ITERATIONS = 12, 8
+FRAMES, ITERATIONS = 12, 6
 
 #: What is asked: of two workers' speed-up, and of the error of a predicted one.
 LEAST, MOST_ERROR = 1.7, 0.15
@@ -118,6 +119,8 @@ def _repetitions(folder: Path) -> tuple[list[_Repetition], list[float]]:
                 trial = setting.trial(cluster.address)
                 found[count] = (trial, *watched(Apart(trial), cluster))
         repetitions.append(found)
+        rates = ", ".join(f"{_rate(of[1]):.3f}" for of in found.values())
+        print(f"repetition {number + 1} of {REPETITIONS}: {rates} iterations/s", file=sys.stderr, flush=True)
     return repetitions, loads
 
 

@@ -12,13 +12,14 @@ import pytest
 pytest.importorskip("distributed", reason="needs tnst_mi[cluster]")
 
 import measure_cluster
-from cluster_measures import bits, speed
+from cluster_measures import bits, memory, speed
 from cluster_measures.costs import beside_tasks
 from cluster_measures.hosts import NoHostsError, hosts
 from cluster_measures.observed import Observed
 from cluster_measures.part import Part
 from cluster_measures.setting import Setting
 from cluster_measures.smoke import TURN, digest, write_smoke
+from cluster_measures.watching import Use
 
 from tnst_mi.io import load_frames
 
@@ -58,10 +59,24 @@ def seen_of_a_worker(frames: int, iterations: int, seconds: float, beside: float
 
 
 def test_what_a_task_takes_beside_its_seconds_and_how_many_iterations_there_are_in_one() -> None:
-    seen = seen_of_a_worker(12, 8, seconds=0.05, beside=0.002)
+    seen = seen_of_a_worker(12, 6, seconds=0.05, beside=0.002)
     assert beside_tasks(seen) == pytest.approx(2)
-    # From the last step of the first iteration to the last of the seventh: 72 steps, and as many averages.
-    assert speed._rate(seen) == pytest.approx(72 / (144 * 0.052))
+    # From the last step of the first iteration to the last of the fifth: 48 steps, and as many averages.
+    assert speed._rate(seen) == pytest.approx(48 / (96 * 0.052))
+    assert beside_tasks(seen_of_a_worker(12, 6, seconds=0.05, beside=0.0)) == pytest.approx(0, abs=1e-9)
+
+
+def test_growth_of_memory_is_counted_within_phases() -> None:
+    """A worker takes 100 MB more when it begins to iterate, which is no growth, and then 3 MB per 100 frames."""
+    seen = seen_of_a_worker(200, 2, seconds=0.05, beside=0.0)
+    phases = memory._phases(seen)
+    assert phases == {"entering": (0, 200), "iterating": (200, 1000), "finishing": (1000, 1200)}
+    when = np.linspace(0, 60, 1201)
+    used = np.where(when < 10, 300.0, 400 + 6 * (when - 10) / 40)
+    use = Use(when, {"worker 1": used}, {"worker 1": when / 2})
+    begin, end, slope = memory._growth([task["when"] for task in seen.tasks[200:1000]], use, "worker 1", 200)
+    assert (begin, end, slope) == pytest.approx((401.5, 406, 3), rel=0.01)
+    assert use.cpu_between(10, 20) == pytest.approx(5)
 
 
 def test_a_report_says_what_does_not_hold_and_so_does_the_exit_code(
