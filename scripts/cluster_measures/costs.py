@@ -72,7 +72,7 @@ def _empty_tasks(folder: Path, iterations: int = 60) -> tuple[float, dict[str, f
     graph = TaskGraph(iterating(plan, 0, dict.fromkeys(range(12), 0), lambda *item: False, ()))
     tasks = len(graph)
 
-    def nothing(run: str, task: Task, told: Told) -> None:
+    def nothing(run: str, task: Task, told: Told, parcels: None) -> None:
         """In place of `member.perform`: reports as that does."""
         worker, topic = get_worker(), f"tnst_mi-{run}"
         entry = {"frame": "", "octave": 0, "iteration": 0, "loss": 0.0, "terms": {}, "seconds": 0.0}

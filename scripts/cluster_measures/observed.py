@@ -16,13 +16,13 @@ from typing import Any
 from unittest import mock
 
 import tnst_mi
-from tnst_mi.cluster.address import cluster_of
 from tnst_mi.cluster.crew import Crew
 from tnst_mi.cluster.run import ClusterRun
 from tnst_mi.cluster.shares import Shares
 from tnst_mi.machine.backend import network_threads
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run.cluster_address import cluster_of
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
 
