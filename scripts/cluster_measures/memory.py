@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from cluster_measures.processes import processes
 from cluster_measures.setting import Setting
 from cluster_measures.watching import Use, watched
 
-#: Growth of a worker that counts as none, in MB per 100 frames: items that it keeps up to a bound, and pools of memory
-#: that fill up, take about as much in a run of this length.
+#: Growth of a worker that counts as none, in MB per 100 frames.
 FLAT = 10.0
+
+#: Bytes of items that workers keep. By default, as many as the whole sequence has, if there is memory: they fill up.
+KEPT = 4 << 20
 
 #: From which part of a phase on growth is counted: before, libraries are loaded and kernels compiled.
 _FROM = 0.25
@@ -25,7 +28,8 @@ def memory(folder: Path, frames: int = 200) -> Part:
     part, rows = Part("Memory"), []
     setting = Setting(folder, frames, (16, 24, 16), {"window": 5, "octaves": 1, "iterations": 3, "views": 1})
     with processes(folder / "cluster", [(), ()]) as cluster:
-        seen, use = watched(Apart(setting.trial(cluster.address)), cluster)
+        trial = replace(setting.trial(cluster.address), cache_bytes=KEPT)
+        seen, use = watched(Apart(trial), cluster)
     for name in use.memory:
         cells = []
         for phase, (first, last) in _phases(seen).items():
@@ -36,8 +40,8 @@ def memory(folder: Path, frames: int = 200) -> Part:
                 part.holds[f"{name}, {phase}: grows by at most {FLAT:g} MB per 100 frames"] = slope <= FLAT
         rows.append((name, *cells))
     part.lines = [
-        f"{setting.described()}; {len(seen.tasks)} tasks. Memory after {_FROM:.0%} of each phase and in its end, and "
-        "the slope in between, in MB per 100 frames:",
+        f"{setting.described()}; {len(seen.tasks)} tasks, workers keep {KEPT >> 20} MiB of items. Memory after "
+        f"{_FROM:.0%} of each phase and in its end, and the slope in between, in MB per 100 frames:",
         "",
         *table(("process", *_phases(seen)), rows),
     ]

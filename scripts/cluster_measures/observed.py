@@ -57,6 +57,7 @@ class Trial:
         keys: of the recipe, beside `RECIPE`.
         address: of a cluster; None for a run in its own process.
         homes: whether workers are asked to take neighbouring frames.
+        cache_bytes: of items that a worker keeps; None for as many as there is memory for.
     """
 
     frames: Path
@@ -64,6 +65,7 @@ class Trial:
     keys: Mapping[str, Any]
     address: str | None = None
     homes: bool = True
+    cache_bytes: int | None = None
 
 
 #: Is called when a worker has told of a task, with what has been seen so far.
@@ -94,6 +96,8 @@ def observe(trial: Trial, on_task: OnTask = lambda seen: None) -> Observed:
 
     threads = network_threads()
     prepared = prepare(trial.frames, Recipe.from_dict(RECIPE | dict(trial.keys)), trial.out, resume=True)
+    if trial.cache_bytes is not None:
+        prepared = dataclasses.replace(prepared, cache_bytes=trial.cache_bytes)
     if trial.address is None:
         run = Run(prepared, progress=False)
     else:
