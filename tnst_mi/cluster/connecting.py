@@ -16,6 +16,7 @@ from distributed import Client, Nanny, Scheduler, SpecCluster
 from tnst_mi.errors import InputError
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import on_gpu
+from tnst_mi.machine.terminal import one_line, shortened
 from tnst_mi.run.cluster_address import BATCH, Cluster
 
 #: Environment in which local processes begin: Dask reports in many lines what the run says in one.
@@ -34,10 +35,16 @@ def connected(cluster: Cluster, say: Say, frames: int) -> Iterator[Client]:
     Raises:
         InputError: there is no such cluster.
     """
-    # As `_ENVIRONMENT`, in this process.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # As `_ENVIRONMENT`, in this process; what Dask's libraries report of connections that end is of no use either.
+    for name in ("asyncio", "tornado.application", *(name for name in logging.root.manager.loggerDict)):
+        if name.partition(".")[0] in ("asyncio", "distributed", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     begin = {"local": _local, "scheduler": _scheduler}.get(cluster.kind, _batch)
-    with begin(cluster, frames) as (where, what), Client(where, set_as_default=False) as client:
+    with (
+        dask.config.set({"distributed.admin.large-graph-warning-threshold": "10 GB"}),
+        begin(cluster, frames) as (where, what),
+        Client(where, set_as_default=False) as client,
+    ):
         dashboard = client.dashboard_link if importlib.util.find_spec("bokeh") else None
         say(f"cluster: {what}" + (f", dashboard {dashboard}" if dashboard else ""))
         yield client
@@ -56,7 +63,7 @@ def _local(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
         dask.config.set({"distributed.nanny.pre-spawn-environ": _ENVIRONMENT}),
         SpecCluster(workers=workers, scheduler=scheduler, name="tnst_mi") as local,
     ):
-        yield local, f"{cluster.processes} processes on this machine"
+        yield local, f"{cluster.processes} process{'' if cluster.processes == 1 else 'es'} on this machine"
 
 
 def _cards(cluster: Cluster) -> list[str]:
@@ -77,10 +84,10 @@ def _scheduler(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
     try:
         with Client(cluster.address, set_as_default=False):
             pass
-    except (OSError, TimeoutError) as error:
+    except Exception as error:  # of many kinds, where what Dask is configured for does not fit
         raise InputError(
-            f"--cluster {cluster.address}: no scheduler answers there ({type(error).__name__}); start one with dask "
-            "scheduler"
+            f"--cluster {cluster.address}: no scheduler answers there ({one_line(str(error))}); start one with dask "
+            "scheduler, or mend Dask's configuration"
         ) from None
     yield cluster.address, cluster.address
 
@@ -88,15 +95,16 @@ def _scheduler(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
 @contextmanager
 def _batch(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
     """Jobs that are asked for by dask-jobqueue."""
-    options = {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]} | dict(cluster.options)
+    options: dict[str, Any] = {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]}
+    options |= {"scheduler_options": {"dashboard_address": ":0"}} | dict(cluster.options)
     jobs = options.pop("jobs", None)
     try:
         queue = getattr(importlib.import_module("dask_jobqueue"), BATCH[cluster.kind])(**options)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"--cluster {cluster.address}: {' '.join(str(error).split())}") from None
+    except Exception as error:  # whatever the options make Dask raise
+        raise InputError(f"--cluster {cluster.address}: {shortened(one_line(str(error)), 300)}") from None
     with queue:
         if jobs is None:
-            queue.adapt(minimum_jobs=1, maximum_jobs=frames)
+            queue.adapt(minimum_jobs=1, maximum_jobs=max(1, frames))
         else:
             queue.scale(jobs=jobs)
-        yield queue, f"{f'up to {frames}' if jobs is None else jobs} jobs of {cluster.kind}"
+        yield queue, f"{f'up to {frames}' if jobs is None else jobs} jobs of {cluster.kind}, one process each"

@@ -7,46 +7,33 @@ process does what is left to Dask's scheduler; it is asked to give neighbouring 
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from distributed import Client, Future, KilledWorker
+from distributed import Client, Future, KilledWorker, fire_and_forget
 
 from tnst_mi.cluster import member
+from tnst_mi.cluster.exchange import Done, Given, Iterated
 from tnst_mi.cluster.graph import urgency
-from tnst_mi.cluster.member import RefusedError
+from tnst_mi.cluster.member import NotJoinedError, RefusedError
 from tnst_mi.cluster.parcels import AHEAD, Parcel
 from tnst_mi.cluster.shares import Shares
-from tnst_mi.cluster.tasks import FINISH, SCALES, Task, Told
+from tnst_mi.cluster.tasks import Task, Told
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.optimisation.plan import Plan
 
 #: Seconds between two looks at which processes are there, and after which it is said that there are none.
 _LOOK, _PATIENCE = 1.0, 10.0
 
+#: How many processes have to die at a task for it to be the cause.
+_DEATHS = 4
+
 #: How long an answer of Dask is waited for at once: Ctrl-C is noticed in between.
 _MOMENT = 0.2
-
-
-@dataclass(frozen=True)
-class Done:
-    """A task has been done, with what it returns, and what it has written if the folder of the run is not shared."""
-
-    task: Task
-    result: Any
-    parcels: Sequence[Parcel] = ()
-
-
-@dataclass(frozen=True)
-class Iterated:
-    """An iteration of a frame has been done, with its entry for the log."""
-
-    entry: dict[str, Any]
 
 
 class Crew:
@@ -81,25 +68,27 @@ class Crew:
         self._members: list[str] = []
         self._joining: dict[str, Future] = {}
         self._refused: dict[str, str] = {}
-        self._given: dict[Task, tuple[Future, Told]] = {}
+        self._given: dict[Task, Given] = {}
+        #: What tasks have returned that are about to be done; what each process is at; how many have died at a task.
+        self._results: dict[Task, Any] = {}
+        self._at: dict[str, Task] = {}
+        self._deaths: Counter[Task] = Counter()
+        #: Tasks at which Dask says that too many have died.
+        self._suspected: set[Task] = set()
         #: Those that wait for others to be done: with items, only some are sent at once.
         self._waiting: dict[Task, Told] = {}
         self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
-        #: Whether all processes have left, and none has come since.
-        self._deserted = False
         self._begin()
 
     def _begin(self) -> None:
         #: Names the run in the cluster.
         self._run = uuid.uuid4().hex[:12]
-        self._delivery = member.Delivery(self._run, member.decisive_versions(), self._order)
-        self._client.register_plugin(self._delivery)
         self._client.subscribe_topic(member.topic_of(self._run), lambda event: self._events.put(event[1]))
 
     def begin_again(self) -> None:
         """Take all tasks back, and let the processes forget what they know of the run."""
         self.close()
-        self._members, self._joining, self._looked = [], {}, 0.0
+        self._members, self._joining, self._at, self._looked = [], {}, {}, 0.0
         self._begin()
 
     @property
@@ -122,6 +111,8 @@ class Crew:
     def _give(self, task: Task, told: Told) -> None:
         self._attempts += 1
         home = self._home(task.frame)
+        # Where some are not fit for it, a task may go to no others; else Dask may give it to whom it likes.
+        only = frozenset(self._members) if self._refused and self._members else None
         future = self._client.submit(
             member.perform,
             self._run,
@@ -130,12 +121,12 @@ class Crew:
             None if self._pack is None else self._pack(task),
             # Dask learns from its beginning how long such a task takes.
             key=f"{task.kind}{task.level}-{self._run}-{task.frame}-{task.iteration}-{self._attempts}",
-            workers=None if home is None else [home],
-            allow_other_workers=home is not None,
+            workers=list(only) if only else None if home is None else [home],
+            allow_other_workers=only is None and home is not None,
             priority=-urgency(task, len(self._plan.frames)),
             pure=False,
         )
-        self._given[task] = future, told
+        self._given[task] = Given(future, told, only if only else None if home is None else frozenset([home]))
         future.add_done_callback(lambda future: self._events.put((task, future)))
 
     def _home(self, frame: int) -> str | None:
@@ -160,45 +151,61 @@ class Crew:
             if isinstance(event, dict):
                 if "entry" in event:
                     yield Iterated(event["entry"])
+                elif "begun" in event:
+                    self._at[event["worker"]] = Task(*event["begun"])
                 else:
+                    self._at.pop(event["worker"], None)
+                    self._results[Task(*event["task"])] = event["result"]
                     self.shares.count(event["worker"], event["took"])
                 continue
             task, future = event
-            if self._given.get(task, (None,))[0] is not future:
+            given = self._given.get(task)
+            if given is None or given.future is not future:
                 continue  # it was taken back
-            _, told = self._given.pop(task)
-            if future.status == "finished":
-                # What most tasks return is nothing, which need not be asked for.
-                result, parcels = (future.result() if task.kind in _WITH_RESULT else None), ()
-                if self._pack is not None:
-                    result, parcels = future.result()
+            del self._given[task]
+            parcels = self._parcels(future) if future.status == "finished" and self._pack is not None else ()
+            if future.status == "finished" and parcels is not None and task in self._results:
                 future.release()
-                yield Done(task, result, parcels)
+                yield Done(task, self._results.pop(task), parcels)
                 self._give_waiting()
             else:
-                self._failed(task, told, future)
+                self._failed(task, given.told, future)
+
+    def _parcels(self, future: Future) -> Sequence[Parcel] | None:
+        """What a task has sent back; None if its process is gone."""
+        try:
+            return future.result(timeout=_PATIENCE)
+        except Exception:  # what Dask raises then is of many kinds
+            return None
 
     def _failed(self, task: Task, told: Told, future: Future) -> None:
         """Give a task again that its process was not fit for; raise what cannot be helped."""
         error = _error(future)
+        if error is None and self._client.status != "running":
+            raise _gone(self._client)
         if isinstance(error, RefusedError):
             self._refuse(error.member, str(error))
-            self._give(task, told)
-            return
-        if error is None:
-            if self._client.status != "running":
-                raise _gone(self._client)
-            # Its process died once it was done, before Dask had told so.
-            self._give(task, told)
-            return
+        if isinstance(error, NotJoinedError):
+            self._looked = 0.0
+        innocent = error is None  # its process died once it was done, before Dask had told so
         if isinstance(error, KilledWorker):
-            raise InputError(
-                f"{task.described(self._plan)}: {error.allowed_failures + 1} processes have died at it; see what they "
-                "have written on stderr, and go on with --resume"
-            )
-        if isinstance(error, InputError | OSError | StoppedError):
+            # Dask also counts those to which it had been given while they were at others: so once is no proof.
+            innocent = self._deaths[task] < _DEATHS and task not in self._suspected
+            self._suspected.add(task)
+        if innocent or isinstance(error, RefusedError | NotJoinedError):
+            self._give(task, told)
+        elif isinstance(error, KilledWorker):
+            raise self._deadly(task)
+        elif isinstance(error, InputError | OSError | StoppedError):
             raise error
-        raise InputError(f"{task.described(self._plan)}: {type(error).__name__}: {error}") from error
+        else:
+            raise InputError(f"{task.described(self._plan)}: {type(error).__name__}: {error}") from error
+
+    def _deadly(self, task: Task) -> InputError:
+        return InputError(
+            f"{task.described(self._plan)}: {max(_DEATHS, self._deaths[task])} processes have died at it; see what they "
+            "have written on stderr, and go on with --resume"
+        )
 
     # ---------------------------------------------------------------- who is there
 
@@ -219,7 +226,11 @@ class Crew:
         for address in left:
             self._members.remove(address)
             self.shares.left(address)
-        self._deserted |= bool(left) and not self._members
+            self._say(f"worker {address} has left; there are {len(self._members)}")
+            if (task := self._at.pop(address, None)) is not None:
+                self._deaths[task] += 1
+                if self._deaths[task] >= _DEATHS:
+                    raise self._deadly(task)
         for address in [address for address in self._joining if address not in there]:
             self._joining.pop(address).cancel()
         for address, about in there.items():
@@ -228,19 +239,25 @@ class Crew:
             key = f"join-{self._run}-{address}-{time.monotonic_ns()}"
             self.shares.came(address, str(about["name"]), str(about["host"]))
             self._joining[address] = self._client.submit(
-                member.join, self._run, hosts.count(about["host"]), key=key, workers=[address], priority=1, pure=False
+                member.join,
+                self._run,
+                hosts.count(about["host"]),
+                member.decisive_versions(),
+                self._order,
+                key=key,
+                workers=[address],
+                priority=1,
+                pure=False,
             )
         self._require_somebody()
 
     def _joined(self, address: str, future: Future) -> None:
         if future.status == "finished":
             self._members.append(address)
-            if self._deserted:
-                # Dask keeps tasks for the process that was asked for, though others are allowed, if there was none.
-                given = self._waiting | {task: told for task, (_, told) in self._given.items()}
-                self._deserted = False
-                self.take_back()
-                self.give(given)
+            # Dask keeps tasks for those that were asked for, even where others are allowed, if there was nobody else.
+            lost = {task: given.told for task, given in self._given.items() if not given.fits(self._members[:-1])}
+            self._client.cancel([self._given.pop(task).future for task in lost], force=True)
+            self.give(lost)
             return
         error = _error(future)
         if error is not None:
@@ -253,7 +270,6 @@ class Crew:
             self._say(f"worker {address}: refused: {reason}")
             if address in self._members:
                 self._members.remove(address)
-            self._client.retire_workers([address], close_workers=True, remove=True)
 
     def _require_somebody(self) -> None:
         """Say that there is nobody to do the tasks; without hope, end the run."""
@@ -272,7 +288,7 @@ class Crew:
 
     def take_back(self) -> None:
         """Forget the tasks that are given; those that a process is at go on, to the same bits."""
-        futures = [future for future, _ in self._given.values()]
+        futures = [given.future for given in self._given.values()]
         self._given, self._waiting = {}, {}
         if self._client.status == "running":  # else there is nothing to take back, and waiting for it takes long
             self._client.cancel(futures, force=True)
@@ -282,12 +298,10 @@ class Crew:
         self.take_back()
         if self._client.status == "running":
             self._client.unsubscribe_topic(member.topic_of(self._run))
-            with contextlib.suppress(OSError, RuntimeError):  # a process, or the scheduler, ends meanwhile
-                self._client.unregister_worker_plugin(self._delivery.name)
-
-
-#: Kinds of tasks that return something.
-_WITH_RESULT = (SCALES, FINISH)
+            for address in self._members:
+                # Nobody waits for it: one of them may be frozen.
+                key = f"leave-{self._run}-{address}"
+                fire_and_forget(self._client.submit(member.leave, self._run, key=key, workers=[address], pure=False))
 
 
 def _error(future: Future) -> BaseException | None:

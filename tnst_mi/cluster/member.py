@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from distributed import Worker, WorkerPlugin, get_worker
+from distributed import get_worker
 
 from tnst_mi.cluster.parcels import Parcel, made, packed, unpacked
 from tnst_mi.cluster.tasks import Task, Told, Workplace, carry_out
 from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.io.atomic import remove_folder
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate, kernel_threads, network_threads
 from tnst_mi.machine.lock import LOCK
@@ -50,6 +51,10 @@ class RefusedError(InputError):
         return RefusedError, (str(self), self.member)
 
 
+class NotJoinedError(RuntimeError):
+    """A process was given a task of a run before it has joined."""
+
+
 @dataclass(frozen=True)
 class Order:
     """What a process is told of a run.
@@ -75,29 +80,6 @@ class Order:
     shared: bool
 
 
-class Delivery(WorkerPlugin):
-    """Brings an order to all processes of a cluster, also to those that come later.
-
-    Args:
-        run: names the run among others of the cluster.
-        versions: of `DECISIVE` packages.
-        order: pickled: it is read by processes of the same versions only.
-    """
-
-    def __init__(self, run: str, versions: dict[str, str], order: bytes) -> None:
-        self.name, self._run = f"tnst_mi-{run}", run
-        self._delivered = versions, order
-
-    def setup(self, worker: Worker) -> None:
-        """Keep the order until it is needed."""
-        _delivered[self._run] = self._delivered
-
-    def teardown(self, worker: Worker) -> None:
-        """Forget the order."""
-        _delivered.pop(self._run, None)
-        _leave(self._run)
-
-
 #: By run: versions and the pickled order.
 _delivered: dict[str, tuple[dict[str, str], bytes]] = {}
 
@@ -105,22 +87,25 @@ _delivered: dict[str, tuple[dict[str, str], bytes]] = {}
 _joined: dict[str, Workplace] = {}
 
 
-def join(run: str, sharing: int) -> None:
+def join(run: str, sharing: int, versions: dict[str, str], order: bytes) -> None:
     """Take part in a run, before its first task.
 
     Args:
         run: names it.
         sharing: how many processes share the cores of this machine.
+        versions: of `DECISIVE` packages.
+        order: what there is to know of the run, pickled: it is read by processes of the same versions only.
 
     Raises:
         RefusedError: this process cannot.
     """
     with turn():
+        _delivered[run] = versions, order
         _workplace(run)
         kernel_threads(_cores() // (1 if _has_cores_of_its_own() else sharing))
 
 
-def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = None) -> Any:
+def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = None) -> list[Parcel]:
     """Carry out a task of a run, and report what it took.
 
     Args:
@@ -130,16 +115,19 @@ def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = Non
         parcels: the items that it needs; None if they are in the shared folder.
 
     Returns:
-        What `carry_out` does; with parcels, that and what the task has written.
+        What the task has written, if it was sent parcels. What `carry_out` returns is reported.
 
     Raises:
-        RefusedError: this process cannot take part in the run.
+        NotJoinedError: this process has not joined the run.
         InputError, OSError, StoppedError: see `carry_out`.
     """
     since = time.perf_counter()
     with turn():
+        if run not in _delivered:
+            raise NotJoinedError
         place = _workplace(run)
         worker, topic, backing = get_worker(), topic_of(run), place.backing
+        worker.log_event(topic, {"worker": worker.address, "begun": task})
         read, written = backing.bytes_read, backing.bytes_written
 
         def report(entry: dict[str, Any]) -> None:
@@ -147,10 +135,9 @@ def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = Non
 
         unpacked(backing, parcels or ())
         result = carry_out(task, told, place, report)
+        sent = [] if parcels is None else packed(backing, made(place.plan, task))
         if parcels is not None:
-            result = result, packed(backing, made(place.plan, task))
-            for item in [item for item, _ in (*parcels, *result[1])]:
-                backing.discard(*item)
+            backing.clear()
         took = {
             "kind": task.kind,
             "level": task.level,
@@ -158,8 +145,8 @@ def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = Non
             "read": backing.bytes_read - read,
             "written": backing.bytes_written - written,
         }
-        worker.log_event(topic, {"worker": worker.address, "took": took})
-    return result
+        worker.log_event(topic, {"worker": worker.address, "took": took, "task": task, "result": result})
+    return sent
 
 
 def topic_of(run: str) -> str:
@@ -187,9 +174,18 @@ def _workplace(run: str) -> Workplace:
     return _joined[run]
 
 
+def leave(run: str) -> None:
+    """Forget a run that has ended."""
+    with turn():
+        _delivered.pop(run, None)
+        _leave(run)
+
+
 def _leave(run: str) -> None:
     if place := _joined.pop(run, None):
         place.store.close()
+        if place.backing.folder.parent != place.work.out:
+            remove_folder(place.backing.folder.parent)
 
 
 def _entered(run: str) -> Workplace:

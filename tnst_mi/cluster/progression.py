@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing
 from typing import Any
 
-from tnst_mi.cluster.crew import Crew, Iterated
+from tnst_mi.cluster.crew import Crew
+from tnst_mi.cluster.exchange import Iterated
 from tnst_mi.cluster.graph import Needs, TaskGraph, entering, iterating, measuring
 from tnst_mi.cluster.parcels import AT_HOME, Parcel, needed, packed, unpacked
 from tnst_mi.cluster.tasks import (
@@ -119,7 +120,9 @@ class Progression:
             forget(earlier)
             self._done = {frame.index: items.iterations_done(frame) for frame in plan.alive}
             self._scales = self._measured(items) if plan.alive else {}
-            self._before = len(plan.alive) * sum(map(plan.iterations, range(level))) + sum(self._done.values())
+            found = sum(self._has("step", frame, done + 1) for frame, done in self._done.items())
+            before = len(plan.alive) * sum(map(plan.iterations, range(level)))
+            self._before = before + sum(self._done.values()) + found
             self._counted = set()
             yield from self._all(iterating(plan, level, self._done, self._has, finished))
             if on_octave is not None and level < last:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ from tnst_mi.machine.lock import locked
 from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
-from tnst_mi.run.cluster_address import cluster_of
+from tnst_mi.run.cluster_address import cluster_of, require_reachable
 from tnst_mi.run.folder import holds_run
 from tnst_mi.run.request import requested_frames
 
@@ -47,7 +48,10 @@ def run(arguments: BatchArguments) -> int:
     jobs = jobs_of(recipes, [file for file in arguments.files if file.suffix != ".toml"], out)
     require_batch_folder(out)
     if arguments.cluster is not None:
-        cluster_of(arguments.cluster)
+        require_reachable(cluster_of(arguments.cluster))
+        # Its processes may have begun in other folders.
+        jobs = [replace(each, source=each.source.absolute(), out=each.out.absolute()) for each in jobs]
+        out = out.absolute()
     # All recipes and inputs are looked at before the first run, which may take hours.
     for each in jobs:
         requested_frames(

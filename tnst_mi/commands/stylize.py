@@ -15,7 +15,7 @@ from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.cluster_address import Cluster, cluster_of
+from tnst_mi.run.cluster_address import Cluster, cluster_of, require_reachable
 from tnst_mi.run.folder import input_of_run
 from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
@@ -48,6 +48,10 @@ def run(arguments: StylizeArguments) -> int:
     if arguments.unshared and arguments.cluster is None:
         raise InputError("--unshared: says how processes of a cluster are reached; give --cluster too")
     cluster = None if arguments.cluster is None else cluster_of(arguments.cluster, not arguments.unshared)
+    if cluster is not None:
+        require_reachable(cluster)
+        # Its processes may have begun in other folders.
+        source, out = source.absolute(), out.absolute()
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(

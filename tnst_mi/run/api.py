@@ -16,8 +16,9 @@ from tnst_mi.machine.backend import own_variant
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.notebook_display import NotebookDisplay
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
-from tnst_mi.run.cluster_address import Cluster, cluster_of
+from tnst_mi.run.cluster_address import Cluster, cluster_of, require_reachable
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -108,6 +109,10 @@ def stylize(
         raise InputError(
             f"cluster = {cluster!r}: its processes read frames from files and share the folder out; give both"
         )
+    if where is not None and out is not None and isinstance(frames, str | Path):
+        require_reachable(where)
+        # Its processes may have begun in other folders.
+        frames, out = expanded(Path(frames)).absolute(), expanded(Path(out)).absolute()
     with own_variant():
         return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from), where)
 

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import re
+import shutil
+import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.errors import InputError, naming
-from tnst_mi.io.bounded_toml import toml_values
+from tnst_mi.errors import InputError
+from tnst_mi.machine.terminal import one_line
+from tnst_mi.recipe.recipe_file import read_recipe_file
 
 #: Batch systems that dask-jobqueue knows, by the names that we give them.
 BATCH = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "sge": "SGECluster", "lsf": "LSFCluster"}
+
+#: The commands by which they take jobs.
+SUBMIT = {"slurm": "sbatch", "pbs": "qsub", "sge": "qsub", "lsf": "bsub"}
+
+#: Seconds in which a scheduler has to answer that it is there.
+_ANSWERS = 10.0
 
 #: Most processes on one machine, and most jobs.
 _MOST, _MOST_JOBS = 256, 10_000
@@ -60,7 +70,9 @@ def cluster_of(address: str, shared: bool = True) -> Cluster:
         cluster = Cluster(address, "local", int(rest))
     elif kind == "local":
         raise InputError(f"--cluster {address}: expected local:N with N from 1 to {_MOST}, such as local:2")
-    elif re.fullmatch(r"(tcp|tls)://\S+:\d{1,5}", address):
+    elif (found := re.fullmatch(r"(?:tcp|tls)://(?:\[[0-9a-fA-F:.%]+\]|[^\s/:\[\]]+):(\d{1,5})", address)) and (
+        0 < int(found[1]) < 1 << 16
+    ):
         cluster = Cluster(address, "scheduler")
     elif kind in BATCH:
         cluster = Cluster(address, kind, options=_options(Path(rest).expanduser()) if rest else {})
@@ -70,20 +82,37 @@ def cluster_of(address: str, shared: bool = True) -> Cluster:
     for package in ("distributed", *(["dask_jobqueue"] if kind in BATCH else [])):
         if importlib.util.find_spec(package) is None:
             raise InputError(f"--cluster {address}: {package} is not installed; pip install 'tnst_mi[cluster]'")
+    if kind in BATCH and shutil.which(SUBMIT[kind]) is None:
+        raise InputError(f"--cluster {address}: {SUBMIT[kind]} is not here; run where jobs can be submitted")
     return replace(cluster, shared=shared)
+
+
+def require_reachable(cluster: Cluster) -> None:
+    """Check, before anything is read or written, that something answers where a scheduler should be.
+
+    Raises:
+        InputError: nothing does.
+    """
+    if cluster.kind != "scheduler":
+        return
+    host, _, port = cluster.address.partition("://")[2].rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _ANSWERS).close()
+    except OSError as error:
+        reason = one_line(error.strerror or str(error))
+        raise InputError(
+            f"--cluster {cluster.address}: no scheduler answers there ({reason}); start one with dask scheduler"
+        ) from None
 
 
 def _options(file: Path) -> dict[str, Any]:
     """What a file says of the jobs of a batch system."""
     try:
-        with naming(file):
-            options = toml_values(file.read_text("utf-8"))
+        if not file.is_file():
+            raise FileNotFoundError(errno.ENOENT, "is no file")
+        options = read_recipe_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); give the file of the batch system") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"{file}: is no TOML ({error})") from None
     jobs = options.get("jobs")
     if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= _MOST_JOBS):
         raise InputError(f"{file}: jobs = {jobs!r}, expected their number, from 1 to {_MOST_JOBS}")

@@ -240,8 +240,10 @@ class RunFolder:
         report.plot_sequence(images / "sequence.png", names, before, after, flickers, changes, sequence["mass_changes"])
 
     def remove_work(self) -> None:
-        """Remove the working state of a finished run."""
+        """Remove the working state of a finished run, and what processes that were killed have left of results."""
         self._may_write()
+        for name in _FOLDERS:
+            remove_unfinished(self.out / name)
         remove_folder(self.work)
 
     def write_run(self, run: dict[str, Any]) -> None:

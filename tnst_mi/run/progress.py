@@ -51,7 +51,7 @@ class ProgressBar:
         postfix = f"iteration {progress.iteration + 1}/{progress.iterations}, loss {progress.loss:.4g}"
         if progress.workers:
             each = (self._bar.n - self._first) / max(now - self._begun, _REDRAWN) / progress.workers
-            postfix += f", {progress.workers} workers, {each:.2g} it/s each"
+            postfix += f", {progress.workers} worker{'' if progress.workers == 1 else 's'}, {each:.2g} it/s each"
         self._bar.set_postfix_str(postfix, refresh=False)
         if now - self._drawn >= _REDRAWN or progress.done == progress.total:
             self._bar.refresh()

@@ -199,6 +199,8 @@ class FolderStore(Store):
     def discard(self, group: str, frame: int, generation: int | None = None) -> None:
         """See `Store`."""
         self._may_write()
+        if not self._alone and generation is None:
+            self.found(group, frame)  # others may have written some that are not known here
         generations = self._generations.get((group, frame), set())
         for one in [one for one in generations if generation in (None, one)]:
             remove_folder(self._path(group, frame, one))
