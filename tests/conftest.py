@@ -24,6 +24,12 @@ hypothesis.settings.load_profile("repeatable")
 #: Tests that take long to show in more ways what others show too, by the beginnings of their names: of a run of some
 #: minutes they are a third. `pytest --slow` runs them as well.
 SLOW = (
+    "cluster/test_batch_systems.py",
+    "cluster/test_cluster.py::test_a_frame_that_kills_its_workers_is_named",
+    "cluster/test_cluster.py::test_the_bits_are_those_of_one_process[gradients]",
+    "cluster/test_cluster.py::test_without_a_shared_folder_items_travel[keys2]",
+    "cluster/test_cluster.py::test_workers_that_die_in_turn_blame_no_frame",
+    "cluster/test_ways_in.py::test_python_and_batch_have_the_same_bits",
     "commands/test_show.py::test_blender_shows_the_same_panels",
     "compare/test_compare.py::test_a_broken_integrator_is_found[samples",
     "compare/test_compare.py::test_a_fault_of_the_quadrature_that_drives_a_stylization_is_found[steps",

@@ -368,7 +368,7 @@ def test_a_file_of_a_batch_system_says_how_many_jobs(tmp_path: Path) -> None:
     for text, message in (
         ("jobs = 0", "jobs = 0, expected"),
         ("queue = 'gpu'", "jobs = None"),
-        ("jobs =", "is no TOML"),
+        ("jobs =", "not valid TOML"),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=message):

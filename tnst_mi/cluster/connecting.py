@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -98,8 +99,13 @@ def _batch(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
     options: dict[str, Any] = {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]}
     options |= {"scheduler_options": {"dashboard_address": ":0"}} | dict(cluster.options)
     jobs = options.pop("jobs", None)
+    # It takes the signals that end programs for itself as it is imported.
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    jobqueue = importlib.import_module("dask_jobqueue")
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
     try:
-        queue = getattr(importlib.import_module("dask_jobqueue"), BATCH[cluster.kind])(**options)
+        queue = getattr(jobqueue, BATCH[cluster.kind])(**options)
     except Exception as error:  # whatever the options make Dask raise
         raise InputError(f"--cluster {cluster.address}: {shortened(one_line(str(error)), 300)}") from None
     with queue:

@@ -203,8 +203,8 @@ class Crew:
 
     def _deadly(self, task: Task) -> InputError:
         return InputError(
-            f"{task.described(self._plan)}: {max(_DEATHS, self._deaths[task])} processes have died at it; see what they "
-            "have written on stderr, and go on with --resume"
+            f"{task.described(self._plan)}: {max(_DEATHS, self._deaths[task])} processes have died at it; see what "
+            "they have written on stderr, and go on with --resume"
         )
 
     # ---------------------------------------------------------------- who is there
