@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -13,7 +14,9 @@ from moving_smoke import moving_smoke
 import tnst_mi
 from tnst_mi.io.sequence import save_frame
 
-pytest.importorskip("dask_jobqueue", reason="needs tnst_mi[cluster]")
+# Not imported here: it would take Ctrl-C for itself.
+if importlib.util.find_spec("dask_jobqueue") is None:
+    pytest.skip("needs tnst_mi[cluster]", allow_module_level=True)
 
 SBATCH = """#!/usr/bin/env bash
 cat "$1" >> "$NOTES/script"
