@@ -38,7 +38,7 @@ def test_contents_are_on_the_disk_before_their_name_and_folders_before_their_fil
 ) -> None:
     with written_whole(tmp_path / "a" / "b" / "c.txt") as temporary:
         temporary.write_text("whole")
-    hidden = f".tnst_mi-c.{os.getpid()}.{threading.get_native_id()}.txt"
+    hidden = f".tnst_mi-c.{atomic._MACHINE}.{os.getpid():x}.{threading.get_native_id():x}.txt"
     assert steps == [f"sync {tmp_path.name}", "sync a", f"sync {hidden}", "rename to c.txt", "sync b"]
     steps.clear()
     with written_whole(tmp_path / "a" / "d.txt", durable=False) as temporary:

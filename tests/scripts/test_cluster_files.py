@@ -134,7 +134,9 @@ def test_a_slurm_job_ends_its_run_in_time_and_is_queued_again(
 
 
 def test_slurm_arguments_are_those_of_dask_jobqueue() -> None:
+    ctrl_c = signal.getsignal(signal.SIGINT)
     jobqueue = pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
+    signal.signal(signal.SIGINT, ctrl_c)  # which it takes for itself
     arguments = tomllib.loads((FOLDER / "slurm.toml").read_text("utf-8"))
     assert arguments.pop("jobs") > 1
     arguments |= {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]}

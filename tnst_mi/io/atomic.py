@@ -21,7 +21,7 @@ from pathlib import Path
 UNFINISHED = ".tnst_mi-"
 
 #: Tells this machine from others, which may write to the same folder from a process of the same number.
-_MACHINE = f"{zlib.crc32(platform.node().encode('utf-8')):08x}"
+_MACHINE = f"{zlib.crc32(platform.node().encode('utf-8')) & 0xFFFF:04x}"
 
 #: Bytes written to find out why a library could not write.
 _PROBE = 1 << 20
@@ -42,7 +42,7 @@ def written_whole(path: Path, durable: bool = True) -> Iterator[Path]:
         OSError: it cannot be written.
     """
     make_folder(path.parent)
-    here = f"{_MACHINE}.{os.getpid()}.{threading.get_native_id()}"
+    here = f"{_MACHINE}.{os.getpid():x}.{threading.get_native_id():x}"
     temporary = path.with_name(f"{UNFINISHED}{path.stem}.{here}{path.suffix}")
     try:
         yield temporary

@@ -13,7 +13,7 @@ from tnst_mi.machine.terminal import amount
 
 #: What is put around the name of a frame in that of a file, at most: what it shows, the machine, process and thread
 #: that write it, the extension.
-_AROUND = 61
+_AROUND = 52
 
 #: A folder in that of the results, with its separators.
 _FOLDER = 12
