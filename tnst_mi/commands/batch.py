@@ -22,7 +22,7 @@ from tnst_mi.batch.jobs import (
 from tnst_mi.batch.page import write_page
 from tnst_mi.commands.base import given, say
 from tnst_mi.commands.run_arguments import BatchArguments
-from tnst_mi.commands.stylize import processes_of, reported, run_of
+from tnst_mi.commands.stylize import reported, run_of
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.lazy import LazyModule
@@ -30,7 +30,7 @@ from tnst_mi.machine.lock import locked
 from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
-from tnst_mi.run.cluster_address import cluster_of, require_reachable
+from tnst_mi.run.cluster_address import cluster_of, processes_of, require_reachable
 from tnst_mi.run.folder import holds_run
 from tnst_mi.run.request import requested_frames
 

@@ -15,7 +15,7 @@ from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.run.cluster_address import Cluster, cluster_of, require_reachable
+from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.folder import input_of_run
 from tnst_mi.run.request import requested_frames
 from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
@@ -69,11 +69,6 @@ def run(arguments: StylizeArguments) -> int:
             "interrupted before the run began: nothing has changed, the same command begins anew"
         ) from None
     return reported(run_of(prepared, cluster))
-
-
-def processes_of(cluster: Cluster | None) -> int:
-    """How many processes of this machine do the work of a run."""
-    return 1 if cluster is None else max(1, cluster.processes)
 
 
 def run_of(prepared: prepare.Prepared, cluster: Cluster | None) -> job.Run:

@@ -18,7 +18,7 @@ from tnst_mi.machine.notebook_display import NotebookDisplay
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
-from tnst_mi.run.cluster_address import Cluster, cluster_of, require_reachable
+from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -125,8 +125,7 @@ def _stylized(
     start_from: Path | None,
     cluster: Cluster | None,
 ) -> Result:
-    processes = 1 if cluster is None else max(1, cluster.processes)
-    prepared = prepare(frames, recipe, out, progress=progress, start_from=start_from, processes=processes)
+    prepared = prepare(frames, recipe, out, progress=progress, start_from=start_from, processes=processes_of(cluster))
     frames_done: Run = (
         Run(prepared, progress) if cluster is None else cluster_run.ClusterRun(prepared, cluster, progress)
     )

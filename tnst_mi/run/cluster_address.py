@@ -87,6 +87,11 @@ def cluster_of(address: str, shared: bool = True) -> Cluster:
     return replace(cluster, shared=shared)
 
 
+def processes_of(cluster: Cluster | None) -> int:
+    """How many processes of this machine do the work of a run, on a cluster or without one."""
+    return 1 if cluster is None else max(1, cluster.processes)
+
+
 def require_reachable(cluster: Cluster) -> None:
     """Check, before anything is read or written, that something answers where a scheduler should be.
 
