@@ -5,7 +5,8 @@
 
 The second line is this machine of two cores, to be compared with what was measured there. It is a simulation of the
 tasks of `tnst-mi stylize --cluster`, event by event: which task waits for which, a scheduler that does one thing at a
-time, workers that each take the tasks of a block of consecutive frames, and tasks of others when they have none.
+time on the first machine, workers that each take the tasks of a block of consecutive frames, and tasks of others when
+they have none.
 Printed is a table (Markdown):
 
     time        from the beginning of the run to its end
@@ -15,9 +16,9 @@ Printed is a table (Markdown):
                 that is slower than that is what the run will wait for, and the table does not know it
     store       what OUT/.work takes at most; "results": what the results in OUT take
 
-What was measured is read from OUT, the folder of a run on a cluster (`--cluster local:1` is one), which does not tell
-the seconds of --scheduler and --latency, nor the sizes of the input's files, which are not in the table then. Or it
-comes from a file in TOML or JSON:
+What was measured is read from OUT, the folder of a run on a cluster. `--cluster local:1` is one; of others it does not
+tell what a scheduler of its own computes. It never tells the seconds of --latency, nor the sizes of the input's files,
+which are not in the table then. Or it comes from a file in TOML or JSON:
 
     window = 5                    # 1 where each frame is stylized by itself
     iterations = [20, 20]         # of each octave
@@ -34,6 +35,7 @@ comes from a file in TOML or JSON:
                                   # that the items have that it needs
     [[tasks.step]]                # the second octave
     seconds = 3.1
+    first_seconds = 4.0           # by a worker that has done none before: libraries are loaded, kernels compiled
 
 Kinds of tasks, of which a list has an entry for each octave, are those of run.json: with a window inputs, fields,
 gain, scales, step and average; without, inputs, fields, scales and iterate (all iterations of a frame); and finish,
@@ -69,7 +71,7 @@ _SECONDS = {
     "prepare": "of the coordinator before the first task",
     "conclude": "of the coordinator after the last",
     "coordinator": "of the coordinator for each frame, beside these",
-    "scheduler": "of the scheduler for each task",
+    "scheduler": "of scheduler and coordinator for each task",
     "latency": "from the end of a task to the start of one that waited for it",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import time
@@ -13,6 +14,9 @@ from pathlib import Path
 from distributed import Client
 
 from cluster_measures.observed import pinned
+
+#: As docs/cluster.md advises for clusters of one's own.
+CALM = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False", "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms"}
 
 #: Seconds after which a scheduler, and workers, should have begun.
 PATIENCE = 120.0
@@ -79,7 +83,7 @@ class Processes:
     def _begun(self, what: str, arguments: list[str], within: list[str]) -> subprocess.Popen[bytes]:
         command = [*within, sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments]
         with (self._folder / f"{what}.log").open("ab") as log:
-            return subprocess.Popen(command, stdout=log, stderr=log)
+            return subprocess.Popen(command, env=os.environ | CALM, stdout=log, stderr=log)
 
 
 @contextlib.contextmanager

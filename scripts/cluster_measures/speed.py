@@ -7,9 +7,11 @@ import os
 import statistics
 import sys
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from cluster_plan.graph import graph_of
+from cluster_plan.measured import Measured
 from cluster_plan.recorded import measured_by
 from cluster_plan.simulation import Cluster, simulate
 
@@ -81,7 +83,7 @@ def predict(folder: Path) -> Part:
         return part
     repetitions, _ = _repetitions(folder.parent / "speed")
     seconds = {count: statistics.median(of[count][1].record["seconds"] for of in repetitions) for count in _CORES}
-    measured = [measured_by(of[1][0].out) for of in repetitions]
+    measured = [_measured(*of[1]) for of in repetitions]
     for count in [count for count in _CORES if count > 1]:
         found = []
         for costs in measured:
@@ -96,6 +98,14 @@ def predict(folder: Path) -> Part:
     rows.insert(0, (1, f"{seconds[1]:.1f} s", "1", "1", ""))
     part.lines = table(("workers", "time", "speed-up measured", "predicted", "error"), rows)
     return part
+
+
+def _measured(trial: Trial, seen: Observed, use: Use) -> Measured:
+    """What a run on one worker has measured, its scheduler, which is a process of its own, included."""
+    measured = measured_by(trial.out)
+    since, until = (seen.tasks[place]["when"] for place in (0, -1))
+    scheduler = use.cpu_between(since, until, ["scheduler"]) / len(seen.tasks)
+    return replace(measured, scheduler_seconds=measured.scheduler_seconds + scheduler)
 
 
 def _setting(folder: Path) -> Setting:

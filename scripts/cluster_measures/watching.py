@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +30,10 @@ class Use:
     memory: dict[str, np.ndarray]
     cpu: dict[str, np.ndarray]
 
-    def cpu_between(self, since: float, until: float) -> float:
-        """Seconds of the CPUs that all processes used together between two moments."""
-        ends = [np.interp([since, until], self.when, seconds) for seconds in self.cpu.values()]
+    def cpu_between(self, since: float, until: float, names: Iterable[str] | None = None) -> float:
+        """Seconds of the CPUs that processes, all or those of these names, used together between two moments."""
+        used = self.cpu.values() if names is None else [self.cpu[name] for name in names]
+        ends = [np.interp([since, until], self.when, seconds) for seconds in used]
         return float(sum(end - begin for begin, end in ends))
 
 

@@ -18,7 +18,7 @@ ALONE = ("inputs", "fields", "scales", "iterate", "finish")
 _REQUIRED = {True: ("inputs", "fields", "step", "average"), False: ("inputs", "fields", "iterate")}
 _SECONDS = ("prepare_seconds", "conclude_seconds", "coordinator_seconds", "scheduler_seconds", "latency_seconds")
 _KEYS = ("window", "iterations", *_SECONDS, "tasks")
-_COSTS = ("seconds", "bytes_read", "bytes_written")
+_COSTS = ("seconds", "bytes_read", "bytes_written", "first_seconds")
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,14 @@ class Cost:
         bytes_read: by a task whose window is whole, if its worker has nothing yet; None for all of the items that it
             needs, of which it may read a part only.
         bytes_written: into the shared folder.
+        first_seconds: in place of `seconds`, of the first one that a worker does, for which it loads libraries and
+            compiles kernels; None if that takes no longer.
     """
 
     seconds: float
     bytes_read: float | None = None
     bytes_written: float = 0.0
+    first_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class Measured:
         prepare_seconds: what the coordinator does before the first task.
         conclude_seconds: what it does after the last.
         coordinator_seconds: what it does before or after them for each frame, beside that.
-        scheduler_seconds: what the scheduler, which does one thing at a time, does for each task.
+        scheduler_seconds: what scheduler and coordinator, which do one thing at a time, compute for each task.
         latency_seconds: from the end of a task, as the scheduler knows it, to the start of one that waited for it.
     """
 

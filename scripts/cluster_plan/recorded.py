@@ -16,9 +16,10 @@ from tnst_mi.recipe.recipe import Recipe
 def measured_by(folder: Path) -> Measured:
     """The measurements of a run; if it was resumed, of all its parts.
 
-    Waiting for the first workers takes as long for any number of frames; what the coordinator does without a cluster,
-    it does for each. How many bytes tasks have read depends on what their workers had kept, and is left out: see
-    `Cost`.
+    What the coordinator does before and after the tasks takes as long for any number of frames, and what it does
+    without a cluster, it does for each. What it computes for each task is that of the scheduler too where this is in
+    the same process, as with --cluster local:N. How many bytes tasks have read depends on what their workers had kept,
+    and is left out: see `Cost`.
 
     Raises:
         InputError: it is no run on a cluster, or its record is damaged or lacks a kind of task.
@@ -30,7 +31,9 @@ def measured_by(folder: Path) -> Measured:
         parts = [part["tasks"] for part in run.get("cluster", ())]
         windowed = len(run["frames"]) > 1
         together = sum(part["seconds"] for part in run.get("cluster", ()))
-        there = sum(max(map(_seconds_there, part["workers"]), default=0.0) for part in run.get("cluster", ()))
+        before, after, cpu = (
+            sum(part[key] for part in run.get("cluster", ())) for key in ("before", "after", "coordinator_cpu")
+        )
         alone = run["seconds"] - together
     except (ValueError, TypeError, KeyError, AttributeError, ZeroDivisionError, RecursionError):
         raise InputError(f"{path}: is not the record of a run") from None
@@ -50,18 +53,16 @@ def measured_by(folder: Path) -> Measured:
     if (last := costs[finish]) is not None:
         costs[finish] = replace(last, bytes_written=_result_bytes(folder) / len(run["frames"]))
     costs = {of: cost for of, cost in costs.items() if cost is not None}
+    tasks = sum(entry["tasks"] for part in parts for entry in part.values())
     return Measured(
         window,
         iterations,
         costs,
-        prepare_seconds=max(together - there, 0.0),
+        prepare_seconds=before,
+        conclude_seconds=after,
         coordinator_seconds=max(alone, 0.0) / len(run["frames"]),
+        scheduler_seconds=cpu / max(tasks, 1),
     )
-
-
-def _seconds_there(worker: dict[str, Any]) -> float:
-    """How long a worker was there."""
-    return worker["seconds"] / (1 - worker["idle"])
 
 
 def _result_bytes(folder: Path) -> float:
@@ -78,14 +79,16 @@ def _mean(parts: list[dict[str, Any]], name: str) -> Cost | None:
     try:
         told = [part[name] for part in parts if name in part]
         tasks = sum(entry["tasks"] for entry in told)
-        seconds, written = (
-            sum(entry["tasks"] * entry[key] for entry in told) / tasks if tasks else 0.0
-            for key in ("seconds", "bytes_written")
-        )
+        seconds, written = (sum(entry["tasks"] * entry[key] for entry in told) for key in ("seconds", "bytes_written"))
+        firsts = sum(entry["firsts"] for entry in told)
+        in_firsts = sum(entry["firsts"] * entry["first_seconds"] for entry in told if entry["firsts"])
     except (TypeError, KeyError):
         raise InputError(f"tasks of {name}: damaged") from None
     if tasks:
-        return Cost(seconds, None, written)
+        first = in_firsts / firsts if firsts else None
+        usual = (seconds - in_firsts) / (tasks - firsts) if tasks > firsts else first
+        assert usual is not None
+        return Cost(usual, None, written / tasks, first)
     if name.split()[0] not in ("gain", "scales"):
         raise InputError(f"no tasks of {name}, which the run has; give one that was not begun without --cluster")
     return None

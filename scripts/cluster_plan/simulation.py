@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 from cluster_plan.graph import BARRIER, Graph
@@ -14,6 +15,9 @@ from cluster_plan.measured import Measured
 
 #: Tasks that a worker is given beside the one that it runs, so that it need not wait for the scheduler.
 AHEAD = 2
+
+#: Stands for scheduler and coordinator among the workers of the first machine, whose cores they share.
+_SCHEDULER = -1
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ class _Worker:
     here: list[tuple[int, int]] = field(default_factory=list)
     given: int = 0
     busy: bool = False
+    #: Kinds of tasks that it has done, each in an octave.
+    known: set[tuple[str, int]] = field(default_factory=set)
 
     @property
     def waiting(self) -> int:
@@ -85,6 +91,7 @@ def simulate(measured: Measured, graph: Graph, cluster: Cluster) -> Prediction:
 
     A task that is ready belongs to the worker of its frame: each has a block of consecutive frames. A worker begins the
     most urgent task that it has been given. One that has nothing to do takes a task from the one with the most.
+    Scheduler and coordinator compute on the first machine.
 
     Raises:
         InputError: a task reads, and needs nothing that it could read.
@@ -97,9 +104,9 @@ class _Simulation:
         self._measured, self._graph = measured, graph
         self._items = Items(measured, graph.frames)
         self._store = StoreSize(measured, self._items, graph.frames)
-        machines = [Machine(cluster.cores) for _ in range(-(-cluster.workers // cluster.per_machine))]
+        self._machines = [Machine(cluster.cores) for _ in range(-(-cluster.workers // cluster.per_machine))]
         self._workers = [
-            _Worker(Cache(cluster.cache_bytes), machines[place // cluster.per_machine])
+            _Worker(Cache(cluster.cache_bytes), self._machines[place // cluster.per_machine])
             for place in range(cluster.workers)
         ]
         self._waits_for = list(graph.waits_for)
@@ -108,7 +115,8 @@ class _Simulation:
         self._count = itertools.count()
         #: Workers that have been given nothing.
         self._free = set(range(cluster.workers))
-        self._scheduler_free = 0.0
+        #: Workers and the tasks that they have ended, of which the scheduler has not taken note; it is at the first.
+        self._ended: deque[tuple[int, int]] = deque()
         self._busy = self._read = self._written = self._results = 0.0
         self._stolen = 0
         self._began: dict[int, float] = {}
@@ -212,21 +220,35 @@ class _Simulation:
                 self._read += size
             worker.cache.use(item, generation, self._items.size(item.name, item.octave))
         worker.busy, self._began[number] = True, now
-        worker.machine.start(now, self._measured.cost(task.kind, task.octave).seconds, place, number)
+        cost = self._measured.cost(task.kind, task.octave)
+        seconds = cost.seconds
+        if (kind := (task.kind, task.octave)) not in worker.known and cost.first_seconds is not None:
+            seconds = cost.first_seconds
+        worker.known.add(kind)
+        worker.machine.start(now, seconds, place, number)
         self._foresee(place)
 
+    def _machine(self, place: int) -> Machine:
+        return self._machines[0] if place == _SCHEDULER else self._workers[place].machine
+
     def _foresee(self, place: int) -> None:
-        """Note when the next task of a worker's machine ends."""
-        machine = self._workers[place].machine
+        """Note when the next task of the machine of a worker, or of the scheduler, ends."""
+        machine = self._machine(place)
         if machine.next_end() < math.inf:
             self._happens(machine.next_end(), "ends", place, machine.changes)
 
     def _end(self, now: float, place: int, changes: int) -> None:
         """A task ends on the machine of a worker, unless something has changed there since this was foreseen."""
-        machine = self._workers[place].machine
+        machine = self._machine(place)
         if machine.changes != changes:
             return
         ran_on, number = machine.end(now)
+        if ran_on == _SCHEDULER:
+            self._happens(now, "known", *self._ended.popleft())
+            if self._ended:
+                self._take_note(now)
+            self._foresee(_SCHEDULER)
+            return
         worker, task = self._workers[ran_on], self._graph.tasks[number]
         worker.busy = False
         self._busy += now - self._began.pop(number)
@@ -236,9 +258,18 @@ class _Simulation:
         self._written += written
         self._results += written if task.kind == "finish" else 0.0
         self._store.after(task)
-        self._scheduler_free = max(now, self._scheduler_free) + self._measured.scheduler_seconds
-        self._happens(self._scheduler_free, "known", ran_on, number)
+        if not self._measured.scheduler_seconds:
+            self._happens(now, "known", ran_on, number)
+        else:
+            self._ended.append((ran_on, number))
+            if len(self._ended) == 1:
+                self._take_note(now)
         self._begin(now, ran_on)
         if not worker.busy:
             # Those that share its machine go faster.
             self._foresee(place)
+
+    def _take_note(self, now: float) -> None:
+        """The scheduler begins with the first task that has ended."""
+        self._machines[0].start(now, self._measured.scheduler_seconds, _SCHEDULER, self._ended[0][1])
+        self._foresee(_SCHEDULER)

@@ -18,6 +18,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.job import Run
 from tnst_mi.run.live_pictures import PAUSE, LivePictures
+from tnst_mi.run.report import on_sheet
 from tnst_mi.run.prepare import prepare
 
 __all__ = ["tiny_weights"]
@@ -45,8 +46,10 @@ class Gallery:
     def __init__(self) -> None:
         self.written: list[str] = []
         self.sheets: list[list[str]] = []
+        self.read: list[str] = []
 
     def main_views(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        self.read += names
         return ((name, VIEW, VIEW) for name in names)
 
     def write_glimpse(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
@@ -85,10 +88,10 @@ def test_finished_frames_take_their_places_on_the_sheet() -> None:
     live, rendered = LivePictures(gallery, dict(enumerate(names)), SIZE, finished=["a"], clock=clock), Rendered(names)
     live.octave_done(rendered)
     assert rendered.asked == [[1, 2]]
-    live.frame_done("b", VIEW, VIEW)
+    live.frame_done("b", (VIEW, VIEW))
     assert gallery.sheets == [["a", "b", "c"]], "not again within the pause, and with what an earlier run has finished"
     clock.now = PAUSE
-    live.frame_done("c", VIEW, VIEW)
+    live.frame_done("c", (VIEW, VIEW))
     assert len(gallery.sheets) == 1, "all are finished: the results have a sheet of their own"
 
 
@@ -97,7 +100,7 @@ def test_a_sheet_shows_finished_frames_beside_others() -> None:
     live = LivePictures(gallery, dict(enumerate(names)), SIZE, clock=clock)
     live.octave_done(Rendered(names))
     clock.now = PAUSE
-    live.frame_done("b", VIEW, VIEW)
+    live.frame_done("b", (VIEW, VIEW))
     assert gallery.sheets == [["a", "b", "c"]] * 2
 
 
@@ -159,3 +162,11 @@ def test_pictures_are_there_after_the_first_octave(tiny_weights: Path, tmp_path:
     assert octaves[0] == [] and octaves[2] == sorted(shown)
     with Image.open(out / "images" / "s_005_after.png") as after:
         assert after.size == (SHAPE[2], SHAPE[1]), "in the end the results have taken their places"
+
+
+def test_pictures_are_read_only_of_frames_on_the_sheet() -> None:
+    names, gallery = [f"{number:02d}" for number in range(40)], Gallery()
+    live = LivePictures(gallery, dict(enumerate(names)), SIZE, clock=Clock())
+    for name in names:
+        live.frame_done(name)
+    assert gallery.read == [names[place] for place in on_sheet(40)] and len(gallery.read) == 12

@@ -105,6 +105,21 @@ def test_the_scheduler_does_one_thing_at_a_time() -> None:
     assert sum(task.kind != BARRIER for task in graph_of(measured, 8).tasks) == tasks
 
 
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_the_scheduler_takes_time_of_the_cores_of_the_first_machine(workers: int) -> None:
+    measured = dataclasses.replace(WINDOWED, scheduler_seconds=1 / 64)
+    tasks = 12 * sum(COUNTS.get(of, 1) for of in measured.costs)
+    found = predicted(measured, 12, workers=workers, per_machine=workers, cores=1)
+    assert found.seconds == pytest.approx(serial(measured) + work(measured, 12) + tasks / 64, rel=1e-12)
+
+
+def test_the_first_task_of_each_worker_takes_longer() -> None:
+    costs = ALONE.costs | {("iterate", 1): Cost(6.0, first_seconds=7.5)}
+    measured = dataclasses.replace(ALONE, costs=costs)
+    for workers in (1, 2, 3, 4):
+        assert predicted(measured, 12, workers=workers).seconds == predicted(ALONE, 12, workers=workers).seconds + 1.5
+
+
 def test_more_frames_are_more_work_for_the_coordinator() -> None:
     found = predicted(dataclasses.replace(WINDOWED, coordinator_seconds=2.0), 9, workers=18)
     assert found.seconds == predicted(WINDOWED, 9, workers=18).seconds + 9 * 2.0
@@ -289,8 +304,8 @@ def test_the_table_and_the_plot(
 
 def recorded(folder: Path, *parts: dict) -> Path:
     """The folder of a run on a cluster, in as many parts as it was resumed."""
-    workers = [{"seconds": 30.0, "idle": 0.25}, {"seconds": 24.0, "idle": 0.2}]
-    cluster = [{"address": "local:2", "seconds": 41.0, "workers": workers, "tasks": part} for part in parts]
+    told = {"address": "local:2", "seconds": 41.0, "before": 1.0, "after": 0.25, "coordinator_cpu": 0.75}
+    cluster = [told | {"tasks": part} for part in parts]
     (folder / "run.json").write_text(json.dumps({"frames": [{}] * 12, "seconds": 88.0, "cluster": cluster}))
     (folder / "recipe.toml").write_text(Recipe(style=["spirals"], window=3, octaves=1, iterations=2).to_toml())
     (folder / "density").mkdir()
@@ -298,20 +313,22 @@ def recorded(folder: Path, *parts: dict) -> Path:
     return folder
 
 
-def took(tasks: int, seconds: float, written: int = 0) -> dict:
-    return {"tasks": tasks, "seconds": seconds, "bytes_read": 1, "bytes_written": written}
+def took(tasks: int, seconds: float, written: int = 0, firsts: int = 0, first: float | None = None) -> dict:
+    beside = {"firsts": firsts, "first_seconds": first, "bytes_read": 1, "bytes_written": written}
+    return {"tasks": tasks, "seconds": seconds} | beside
 
 
 def test_a_run_on_a_cluster_is_measured(tmp_path: Path) -> None:
     kinds = ("inputs", "fields", "average", "finish")
-    first = {f"{kind} 1": took(12, 1.0, 10) for kind in kinds} | {"step 1": took(18, 2.0, 50)}
-    found = measured_by(recorded(tmp_path, first, {"step 1": took(6, 4.0, 50)}))
+    first = {f"{kind} 1": took(12, 1.0, 10) for kind in kinds} | {"step 1": took(18, 2.0, 50, 2, 6.0)}
+    found = measured_by(recorded(tmp_path, first, {"step 1": took(6, 4.0, 50, 1, 9.0)}))
     assert (found.window, found.iterations) == (3, (2,))
-    assert found.cost("step", 0) == Cost((18 * 2.0 + 6 * 4.0) / 24, None, 50.0)
+    # Without the first ones, the others took 60 − 21 s.
+    assert found.cost("step", 0) == Cost((18 * 2.0 + 6 * 4.0 - 2 * 6.0 - 9.0) / 21, None, 50.0, (2 * 6.0 + 9.0) / 3)
     assert found.cost("finish", 0) == Cost(1.0, None, 100.0)
     assert not found.has("gain", 0)
-    # Twice, one of the workers was there for 40 s of 41 s.
-    assert found.prepare_seconds == 2.0 and found.coordinator_seconds == 0.5
+    assert (found.prepare_seconds, found.conclude_seconds, found.coordinator_seconds) == (2.0, 0.5, 0.5)
+    assert found.scheduler_seconds == 1.5 / (4 * 12 + 18 + 6)
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,15 @@ from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.terminal import one_line, shortened
 from tnst_mi.run.cluster_address import BATCH, Cluster
 
-#: Environment in which local processes begin: Dask reports in many lines what the run says in one.
-_ENVIRONMENT = {"DASK_LOGGING__DISTRIBUTED": "critical"}
+#: Dask's processes look at themselves a hundred times a second, for pages of its dashboard that tell nothing of runs;
+#: each time they take a core from tasks whose data then have to come back into its caches.
+_CALM = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"}
+
+#: Environment in which the processes begin: as `_CALM`.
+_CALM_ENVIRONMENT = {f"DASK_{key.upper().replace('.', '__')}": str(value) for key, value in _CALM.items()}
+
+#: And that of local ones: Dask reports in many lines what the run says in one.
+_ENVIRONMENT = {"DASK_LOGGING__DISTRIBUTED": "critical"} | _CALM_ENVIRONMENT
 
 #: Run by each local process before it works.
 _PRELOAD = "tnst_mi.cluster.local_process"
@@ -42,7 +49,7 @@ def connected(cluster: Cluster, say: Say, frames: int) -> Iterator[Client]:
             logging.getLogger(name).setLevel(logging.CRITICAL)
     begin = {"local": _local, "scheduler": _scheduler}.get(cluster.kind, _batch)
     with (
-        dask.config.set({"distributed.admin.large-graph-warning-threshold": "10 GB"}),
+        dask.config.set({"distributed.admin.large-graph-warning-threshold": "10 GB"} | _CALM),
         begin(cluster, frames) as (where, what),
         Client(where, set_as_default=False) as client,
     ):
@@ -98,6 +105,8 @@ def _batch(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
     """Jobs that are asked for by dask-jobqueue."""
     options: dict[str, Any] = {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]}
     options |= {"scheduler_options": {"dashboard_address": ":0"}} | dict(cluster.options)
+    prologue = [f"export {name}={value}" for name, value in _CALM_ENVIRONMENT.items()]
+    options["job_script_prologue"] = [*prologue, *options.get("job_script_prologue", ())]
     jobs = options.pop("jobs", None)
     # It takes the signals that end programs for itself as it is imported.
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

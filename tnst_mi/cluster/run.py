@@ -63,7 +63,7 @@ class ClusterRun(Run):
             try:
                 for index, record, history in progression.results(done, live and live.octave_done):
                     if live is not None:
-                        live.frame_done(*next(folder.main_views([prepared.names[index]])))
+                        live.frame_done(prepared.names[index])
                     yield FinishedFrame(record, history)
             except KeyboardInterrupt:
                 self._interrupted = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +20,8 @@ class Share:
     seconds: float = 0.0
     read: int = 0
     written: int = 0
+    #: Kinds of tasks that it has done, each in an octave.
+    kinds: set[tuple[str, int]] = field(default_factory=set)
 
     def record(self) -> dict[str, Any]:
         """For run.json: the tasks, the time that they took, bytes of items, and the share of its time without task."""
@@ -34,14 +37,40 @@ class Share:
         }
 
 
+@dataclass
+class Total:
+    """What the tasks of a kind in an octave took together, and those of them that were a process's first."""
+
+    tasks: int = 0
+    seconds: float = 0.0
+    firsts: int = 0
+    first_seconds: float = 0.0
+    read: int = 0
+    written: int = 0
+
+    def record(self) -> dict[str, Any]:
+        """For run.json: the means."""
+        return {
+            "tasks": self.tasks,
+            "seconds": round(self.seconds / self.tasks, 6),
+            "firsts": self.firsts,
+            "first_seconds": round(self.first_seconds / self.firsts, 6) if self.firsts else None,
+            "bytes_read": round(self.read / self.tasks),
+            "bytes_written": round(self.written / self.tasks),
+        }
+
+
 class Shares:
     """The shares of all processes, by their addresses."""
 
     def __init__(self) -> None:
         self._of: dict[str, Share] = {}
-        #: By kind of task and octave: tasks, seconds, bytes read and written.
-        self._kinds: dict[tuple[str, int], list[float]] = {}
+        #: By kind of task and octave.
+        self._totals: defaultdict[tuple[str, int], Total] = defaultdict(Total)
         self._begun = time.perf_counter()
+        #: Wall time, and time of the CPUs in this process, when the first task began and when the last one had ended.
+        self._first: tuple[float, float] | None = None
+        self._last = self._begun, 0.0
 
     def came(self, address: str, name: str, host: str) -> None:
         """A process is there."""
@@ -53,29 +82,32 @@ class Shares:
 
     def count(self, address: str, took: dict[str, Any]) -> None:
         """Count a task that a process has reported."""
-        if (share := self._of.get(address)) is not None:
-            share.tasks += 1
-            share.seconds += took["seconds"]
-            share.read += took["read"]
-            share.written += took["written"]
-        numbers = 1, took["seconds"], took["read"], took["written"]
-        total = self._kinds.setdefault((took["kind"], took["level"]), [0.0] * 4)
-        total[:] = [before + now for before, now in zip(total, numbers, strict=True)]
+        kind, total = (took["kind"], took["level"]), self._totals[took["kind"], took["level"]]
+        for one in (self._of.get(address), total):
+            if one is not None:
+                one.tasks += 1
+                one.seconds += took["seconds"]
+                one.read += took["read"]
+                one.written += took["written"]
+        if (share := self._of.get(address)) is not None and kind not in share.kinds:
+            # Libraries are loaded and kernels compiled.
+            share.kinds.add(kind)
+            total.firsts += 1
+            total.first_seconds += took["seconds"]
+        self._last = time.perf_counter(), time.process_time()
+        if self._first is None:
+            self._first = self._last[0] - took["seconds"], self._last[1]
 
     def record(self, address: str) -> dict[str, Any]:
         """What run.json says of a cluster, by its address: each process, and the means of each kind of task."""
-        kinds = {
-            f"{kind} {level + 1}": {
-                "tasks": int(tasks),
-                "seconds": round(seconds / tasks, 6),
-                "bytes_read": round(read / tasks),
-                "bytes_written": round(written / tasks),
-            }
-            for (kind, level), (tasks, seconds, read, written) in sorted(self._kinds.items())
-        }
+        now, first = time.perf_counter(), self._first or (self._last[0], 0.0)
         return {
             "address": address,
-            "seconds": round(time.perf_counter() - self._begun, 3),
+            "seconds": round(now - self._begun, 3),
+            # Until the first task began, after the last one, and what this process computed in between.
+            "before": round(first[0] - self._begun, 3),
+            "after": round(now - self._last[0], 3),
+            "coordinator_cpu": round(self._last[1] - first[1], 3),
             "workers": [share.record() for share in self._of.values() if share.tasks],
-            "tasks": kinds,
+            "tasks": {f"{kind} {level + 1}": total.record() for (kind, level), total in sorted(self._totals.items())},
         }

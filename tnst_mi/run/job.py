@@ -187,7 +187,7 @@ class Run(Iterator[FinishedFrame]):
         if self._interrupted:
             folder.write_run(self.record)
         else:
-            self._conclude(folder)
+            self._conclude(folder, started)
 
     def _computed(
         self, folder: RunFolder | None, store: Store, live: LivePictures | None, done: Sequence[int]
@@ -201,15 +201,15 @@ class Run(Iterator[FinishedFrame]):
                 if folder is None:
                     record = recorded(prepared, index, source, stylized)
                 else:
-                    record, *views = write_results(prepared, folder, index, source, stylized)
+                    record, before, after = write_results(prepared, folder, index, source, stylized)
                     if live is not None:
-                        live.frame_done(source.name, *views)
+                        live.frame_done(source.name, (before, after))
                 yield StylizedFrame(record, stylized.history, source, stylized)
                 # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
                 stylized.movement = stylized.state = None
         self._interrupted = optimisation.interrupted
 
-    def _conclude(self, folder: RunFolder) -> None:
+    def _conclude(self, folder: RunFolder, started: float) -> None:
         """Write the results for all frames together, and clean up."""
         prepared = self.prepared
         names = [prepared.names[index] for index in prepared.wanted]
@@ -222,7 +222,7 @@ class Run(Iterator[FinishedFrame]):
             self.record["sequence"] = sequence_record(prepared.recipe, frames, densities, records)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
             self.record["results"] = folder.recorded_pictures()
-        folder.write_run(self.record)
+        folder.write_run(self._progressed(started))
         folder.remove_work()
 
     def _progressed(self, started: float) -> dict[str, Any]:

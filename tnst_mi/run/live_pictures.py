@@ -59,11 +59,19 @@ class LivePictures:
             self._shown[name] = before, after
         self._update()
 
-    def frame_done(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
-        """A frame is finished, and its own pictures have been written."""
+    def frame_done(self, name: str, views: tuple[np.ndarray, np.ndarray] | None = None) -> None:
+        """A frame is finished, and its own pictures have been written.
+
+        Args:
+            name: of the frame.
+            views: its main views before and after; None to read those that were written.
+        """
         self._finished.add(name)
         if name in [self._names[index] for index in self._chosen]:
-            self._shown[name] = before, after
+            if views is None:
+                ((_, *read),) = self._folder.main_views([name])
+                views = read[0], read[1]
+            self._shown[name] = views
             # What the sheet becomes in the end is written with the results.
             if self._due and len(self._finished) < len(self._names):
                 self._update()

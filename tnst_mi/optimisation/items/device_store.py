@@ -130,6 +130,7 @@ class DeviceStore:
                     tensor = _on_device(loaded[name])
                 self._keep(_key(request, name), tensor)
                 found[name] = mi.TensorXf(tensor)
+            self._forget_before(request)
             results.append(found)
         return results
 
@@ -229,6 +230,14 @@ class DeviceStore:
         self._kept.move_to_end(key)
         while self._size > self._budget:
             self._size -= _bytes(self._kept.popitem(last=False)[1])
+
+    def _forget_before(self, request: Request) -> None:
+        """Make room of generations that nobody asks for again, where another process replaces an item: frames of a
+        window are at most one iteration apart.
+        """
+        assert request.generation is not None
+        item, oldest = (request.group, request.frame), request.generation - 1
+        self._forget(lambda key: key[:2] == item and key[2] < oldest)
 
     def _forget(self, chosen: Callable[[_Key], bool]) -> None:
         for key in [key for key in self._kept if chosen(key)]:
