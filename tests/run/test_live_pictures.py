@@ -18,8 +18,8 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.job import Run
 from tnst_mi.run.live_pictures import PAUSE, LivePictures
-from tnst_mi.run.report import on_sheet
 from tnst_mi.run.prepare import prepare
+from tnst_mi.run.report import on_sheet
 
 __all__ = ["tiny_weights"]
 
