@@ -29,6 +29,9 @@ scheduler_file=$out.scheduler-$SLURM_JOB_ID.json
 mkdir -p "$(dirname "$out")"
 rm -f "$scheduler_file"
 
+# Dask's processes look at themselves a hundred times a second otherwise, on cores that compute.
+export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL=500ms
+
 running=()
 # shellcheck disable=SC2329 # The trap calls it.
 stop() {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,10 @@ def memory(folder: Path, frames: int = 200) -> Part:
 
 
 def _phases(seen: Observed) -> dict[str, tuple[int, int]]:
-    """The tasks of each phase of a run of one octave: the first, and the one after the last."""
+    """The tasks of each phase of a run of one octave, which has kernels of its own: the first, and one after the last."""
     kinds = [task["kind"] for task in seen.tasks]
-    step, finish = kinds.index("step"), kinds.index("finish")
-    return {"entering": (0, step), "iterating": (step, finish), "finishing": (finish, len(kinds))}
+    begins = [0, *(kinds.index(kind) for kind in ("scales", "step", "finish")), len(kinds)]
+    return dict(zip(("entering", "measuring", "iterating", "finishing"), pairwise(begins), strict=True))
 
 
 def _growth(when: list[float], use: Use, name: str, frames: int) -> tuple[float, float, float]:

@@ -42,7 +42,7 @@ def test_a_run_on_slurm(weights: Path, tmp_path: Path, monkeypatch: pytest.Monke
         save_frame(tmp_path / "smoke" / f"{frame.name}.npz", frame)
     (tmp_path / "slurm.toml").write_text(
         f'jobs = 2\nmemory = "4GB"\nqueue = "smoke"\npython = "{sys.executable}"\n'
-        f'local_directory = "{tmp_path}"\nlog_directory = "{tmp_path}"\n'
+        f'local_directory = "{tmp_path}"\nlog_directory = "{tmp_path}"\njob_script_prologue = [": module load here"]\n'
     )
     recipe = {"semantic": ["inception_3a/3x3:2"], "octaves": 1, "iterations": 2, "views": 1, "window": 3, "threads": 1}
     recipe |= {"weights": str(weights)}
@@ -52,6 +52,7 @@ def test_a_run_on_slurm(weights: Path, tmp_path: Path, monkeypatch: pytest.Monke
     for one, other in zip(alone.densities, shared.densities, strict=True):
         np.testing.assert_array_equal(one, other)
     script = (tmp_path / "script").read_text()
+    assert "export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False" in script and "module load here" in script
     assert "#SBATCH -p smoke" in script and "--nthreads 1" in script and "--memory-limit 0" in script
     assert len((tmp_path / "jobs").read_text().split()) == 2
     (session,) = shared.run["cluster"]

@@ -105,15 +105,19 @@ def _batch(cluster: Cluster, frames: int) -> Iterator[tuple[Any, str]]:
     """Jobs that are asked for by dask-jobqueue."""
     options: dict[str, Any] = {"cores": 1, "processes": 1, "worker_extra_args": ["--memory-limit", "0"]}
     options |= {"scheduler_options": {"dashboard_address": ":0"}} | dict(cluster.options)
-    prologue = [f"export {name}={value}" for name, value in _CALM_ENVIRONMENT.items()]
-    options["job_script_prologue"] = [*prologue, *options.get("job_script_prologue", ())]
     jobs = options.pop("jobs", None)
     # It takes the signals that end programs for itself as it is imported.
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     jobqueue = importlib.import_module("dask_jobqueue")
     for number, handler in handlers.items():
         signal.signal(number, handler)
+    configured = dask.config.get(f"jobqueue.{cluster.kind}.job-script-prologue", None)
+    prologue = options.get("job_script_prologue", configured) or []
     try:
+        options["job_script_prologue"] = [
+            *(f"export {name}={value}" for name, value in _CALM_ENVIRONMENT.items()),
+            *prologue,
+        ]
         queue = getattr(jobqueue, BATCH[cluster.kind])(**options)
     except Exception as error:  # whatever the options make Dask raise
         raise InputError(f"--cluster {cluster.address}: {shortened(one_line(str(error)), 300)}") from None

@@ -255,7 +255,8 @@ class Crew:
         if future.status == "finished":
             self._members.append(address)
             # Dask keeps tasks for those that were asked for, even where others are allowed, if there was nobody else.
-            lost = {task: given.told for task, given in self._given.items() if not given.fits(self._members[:-1])}
+            begun, before = set(self._at.values()), self._members[:-1]
+            lost = {task: of.told for task, of in self._given.items() if task not in begun and not of.fits(before)}
             self._client.cancel([self._given.pop(task).future for task in lost], force=True)
             self.give(lost)
             return
