@@ -50,7 +50,7 @@ def memory(folder: Path, frames: int = 200) -> Part:
 
 
 def _phases(seen: Observed) -> dict[str, tuple[int, int]]:
-    """The tasks of each phase of a run of one octave, which has kernels of its own: the first, and one after the last."""
+    """The tasks of each phase of a run of one octave, each with its own kernels: the first, and one after the last."""
     kinds = [task["kind"] for task in seen.tasks]
     begins = [0, *(kinds.index(kind) for kind in ("scales", "step", "finish")), len(kinds)]
     return dict(zip(("entering", "measuring", "iterating", "finishing"), pairwise(begins), strict=True))
