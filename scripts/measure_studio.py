@@ -57,9 +57,14 @@ PATIENCE = 300
 
 
 class Client:
-    """The studio as a browser sees it, on one connection."""
+    """The studio as a browser sees it, on one connection.
+
+    Attributes:
+        longest: seconds that any answer has taken.
+    """
 
     def __init__(self, process: subprocess.Popen[str], url: str) -> None:
+        self.longest = 0.0
         self.memory = psutil.Process(process.pid).memory_info
         address = urlsplit(url)
         self._connection = http.client.HTTPConnection(str(address.hostname), int(address.port or 0), timeout=PATIENCE)
@@ -85,9 +90,9 @@ class Client:
         finally:
             connection.close()
 
-    def upload(self, name: str, picture: bytes) -> bytes:
-        """What is answered to a picture that is dropped on the page."""
-        return self._answer("POST", f"/upload?{urlencode({'name': name})}", picture)
+    def drop(self, path: str, name: str, picture: bytes) -> bytes:
+        """What is answered to a picture that is dropped on a part of the page."""
+        return self._answer("POST", f"{path}?{urlencode({'name': name})}", picture)
 
     def turn(self, size: tuple[int, int], **query: object) -> dict[str, float]:
         """Milliseconds of the pictures of a turn around the smoke."""
@@ -112,12 +117,21 @@ class Client:
             time.sleep(0.2)
 
     def _answer(self, method: str, path: str, body: str | bytes | None) -> bytes:
+        begun = time.monotonic()
+        try:
+            status, read = self._exchange(method, path, body)
+        except ConnectionError:  # the studio closes connections that are idle for a minute; browsers open another
+            self._connection.close()
+            status, read = self._exchange(method, path, body)
+        self.longest = max(self.longest, time.monotonic() - begun)
+        if status != 200:
+            raise SystemExit(f"{path}: {status} {read.decode('utf-8', 'replace')}")
+        return read
+
+    def _exchange(self, method: str, path: str, body: str | bytes | None) -> tuple[int, bytes]:
         self._connection.request(method, path, body, {"Cookie": self._cookie})
         response = self._connection.getresponse()
-        read = response.read()
-        if response.status != 200:
-            raise SystemExit(f"{path}: {response.status} {read.decode('utf-8', 'replace')}")
-        return read
+        return response.status, response.read()
 
 
 @contextmanager
@@ -181,7 +195,8 @@ def session(client: Client, minutes: float) -> list[tuple[float, float]]:
             everything(client, rounds)
             rounds += 1
             if now >= UPLOAD_EVERY * uploads:
-                client.upload(f"picture {uploads}.png", noise(uploads))
+                client.drop("/upload", f"picture {uploads}.png", noise(uploads))
+                client.drop("/alike", f"picture {uploads}.png", noise(uploads))
                 uploads += 1
             if now >= TRY_EVERY * tries:
                 begin_try(client)
@@ -190,7 +205,10 @@ def session(client: Client, minutes: float) -> list[tuple[float, float]]:
     finally:
         over.set()
         reader.join()
-    print(f"a session of {rounds} rounds, {uploads} uploads and {tries} tries", flush=True)
+    print(
+        f"a session of {rounds} rounds, {uploads} uploads and {tries} tries; longest answer {client.longest:.1f} s",
+        flush=True,
+    )
     return taken
 
 

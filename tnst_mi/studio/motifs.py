@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import tempfile
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -14,20 +13,24 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+import numpy as np
 from PIL import Image
 
+from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
 from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.gate import decoding
-from tnst_mi.machine.terminal import displayable, one_line
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.class_names import class_names
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.similarity import COMPARED, PictureAnswer
+from tnst_mi.studio.uploads import uploaded_picture
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64
@@ -95,6 +98,56 @@ class MotifBrowser:
         motifs += list(self._channels(wanted))[:_CHANNELS]
         return [asdict(motif) for motif in motifs]
 
+    def alike(self, text: str, weights: str | None, answer: PictureAnswer) -> list[dict[str, Any]]:
+        """Tags and channels whose names have the text in them, the one that answers to a picture most strongly first.
+
+        Tags are in the order of their scores. Channels of an atlas are in that of their share: how far the picture
+        raises them above noise, where the picture that the atlas has made for them raises them by 100%. All others are
+        in the order of how many standard deviations they are above what the reference pictures raise them to. Styles
+        come last, as they are.
+
+        Args:
+            text: as in `found`.
+            weights: the recipe's key.
+            answer: of the network with these weights.
+
+        Raises:
+            InputError: the weights cannot be used.
+        """
+        wanted = text.strip().lower()
+        pictures, tags = self._tag_pictures(weights), self.tags(weights)
+        scores = answer.means[LOGITS][: len(tags)]
+        motifs = [
+            Motif("tags, by score", "tag", tags[number], tags[number], pictures.get(number))
+            for number in np.argsort(-scores, kind="stable").tolist()
+            if wanted in tags[number].lower()
+        ][:_TAGS]
+        in_atlases = list(self._shares(wanted, find_weights(weights).flavour, answer))
+        motifs += [motif for _, motif in sorted(in_atlases, key=lambda found: -found[0])][:_CHANNELS]
+        seen = {motif.goal for _, motif in in_atlases}
+        motifs += [motif for motif in _by_deviation(wanted, answer) if motif.goal not in seen]
+        motifs += [motif for motif in self._styles() if wanted in motif.title.lower()]
+        return [asdict(motif) for motif in motifs]
+
+    def _shares(self, wanted: str, flavour: str, answer: PictureAnswer) -> Iterator[tuple[float, Motif]]:
+        """Channels of atlases, each with its share."""
+        layer, number = _layer_and_number(wanted)
+        seen = set()
+        for atlas in self._atlases():
+            for found, picture in _channels_of(atlas):
+                goal = f"{found.layer}:{found.channel}"
+                named = layer in found.layer.lower() and number in (None, found.channel)
+                if found.flavour != flavour or not named or goal in seen or (means := means_in(picture)) is None:
+                    continue
+                before, after = means
+                of_layer = answer.means[found.layer]
+                if after <= before or found.channel >= len(of_layer):
+                    continue
+                seen.add(goal)
+                share = (float(of_layer[found.channel]) - before) / (after - before)
+                title = f"{goal.removeprefix('inception_')} {share:.0%}"
+                yield share, Motif("channels of atlases, by share", "semantic", goal, title, self._picture_url(picture))
+
     def tags(self, weights: str | None) -> list[str]:
         """The class tags of the network with which a recipe is run; each by its first name that no other has.
 
@@ -146,13 +199,7 @@ class MotifBrowser:
             InputError: it cannot be read as a picture, or there are too many.
         """
         stem = re.sub(r"[^\w-]+", "_", Path(name.replace("\\", "/")).stem).strip("_")[:40] or "picture"
-        with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
-            path = Path(folder) / "uploaded"
-            path.write_bytes(body)
-            try:
-                image = read_image(path)
-            except InputError as error:
-                raise InputError(one_line(str(error).replace(str(path), displayable(Path(name).name)))) from None
+        image = uploaded_picture(name, body)
         make_folder(self._pictures)
         if len(list(self._pictures.glob("*.png"))) >= _UPLOADS:
             raise InputError(f"{self._pictures}: has {_UPLOADS} pictures already; remove some")
@@ -176,8 +223,7 @@ class MotifBrowser:
 
     def _channels(self, wanted: str) -> Iterator[Motif]:
         """Those of atlases, and of other layers the one that is asked for."""
-        layer, _, channel = wanted.partition(":")
-        number = int(channel) if channel.isascii() and channel.isdigit() and len(channel) < 6 else None
+        layer, number = _layer_and_number(wanted)
         seen = set()
         for atlas in self._atlases():
             for found, picture in _channels_of(atlas):
@@ -197,6 +243,28 @@ class MotifBrowser:
             for file in sorted(self._places.root.glob("/".join(["*"] * depth + [_ATLAS]))):
                 if self._places.relative(file) is not None:
                     yield file.parent
+
+
+def _layer_and_number(wanted: str) -> tuple[str, int | None]:
+    """A part of the name of a layer, and the number of a channel if "LAYER:CHANNEL" is asked for."""
+    layer, _, channel = wanted.partition(":")
+    return layer, int(channel) if channel.isascii() and channel.isdigit() and len(channel) < 6 else None
+
+
+def _by_deviation(wanted: str, answer: PictureAnswer) -> Iterator[Motif]:
+    """The channels that deviate most from what they are for the reference pictures."""
+    layer, number = _layer_and_number(wanted)
+    found = [
+        (float(deviation), name, channel)
+        for name in COMPARED
+        if layer in name.lower()
+        for channel, deviation in enumerate(answer.deviations[name])
+        if number in (None, channel)
+    ]
+    for deviation, name, channel in sorted(found, key=lambda one: -one[0])[:_CHANNELS]:
+        goal = f"{name}:{channel}"
+        title = f"{goal.removeprefix('inception_')} {deviation:+.1f}σ"
+        yield Motif("channels, by deviation", "semantic", goal, title)
 
 
 @dataclass(frozen=True)

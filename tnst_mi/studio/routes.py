@@ -16,8 +16,9 @@ from tnst_mi.resources import DATA
 from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.processes import tail
-from tnst_mi.studio.server import UPLOAD
+from tnst_mi.studio.server import ALIKE, UPLOAD
 from tnst_mi.studio.session import Session
+from tnst_mi.studio.similarity import PictureAnswers
 from tnst_mi.studio.work import RENDERS, TRIES
 
 #: The files of the page.
@@ -25,6 +26,7 @@ _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
     "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
+    "/alike.js": ("alike.js", "text/javascript; charset=utf-8"),
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
@@ -43,7 +45,7 @@ class StudioRoutes:
     """
 
     def __init__(self, session: Session, motifs: MotifBrowser) -> None:
-        self.session, self.motifs = session, motifs
+        self.session, self.motifs, self._answers = session, motifs, PictureAnswers()
         self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
             ("GET", "/events"): self._events,
             ("GET", "/view"): self.view,
@@ -51,6 +53,7 @@ class StudioRoutes:
             ("GET", "/motifs"): self._motifs,
             ("GET", "/thumbnail"): self._thumbnail,
             ("POST", UPLOAD): self._upload,
+            ("POST", ALIKE): self._alike,
             ("GET", "/work/picture"): self._work_picture,
             ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
             ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
@@ -88,6 +91,11 @@ class StudioRoutes:
     def _motifs(self, request: PageRequest) -> PageAnswer:
         weights = self.session.recipe().weights
         return PageAnswer.of_json(self.motifs.found(request.query.get("find", ""), weights))
+
+    def _alike(self, request: PageRequest) -> PageAnswer:
+        weights = self.session.recipe().weights
+        answer = self._answers.answer(request.query.get("name", ""), request.body, weights)
+        return PageAnswer.of_json(self.motifs.alike(request.query.get("find", ""), weights, answer))
 
     def _thumbnail(self, request: PageRequest) -> PageAnswer:
         picture = self.motifs.thumbnail(request.query.get("style"), request.query.get("atlas"))

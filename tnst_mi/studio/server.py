@@ -26,8 +26,8 @@ Routes = Callable[[PageRequest], PageAnswer]
 #: Largest body of a request in bytes: of an uploaded picture, and of all others.
 LARGEST_UPLOAD, LARGEST_BODY = 16 << 20, 64 << 10
 
-#: Where pictures are uploaded to.
-UPLOAD = "/upload"
+#: Where pictures are sent to: to be kept, and to be compared with.
+UPLOAD, ALIKE = "/upload", "/alike"
 
 #: Connections at a time; a page keeps up to six.
 _CONNECTIONS = 64
@@ -137,7 +137,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(403, _CLOSED)
         elif method == "POST" and not from_own_page(self.headers.get("Origin"), self.headers.get("Host")):
             self._refuse(403, "403: only the studio's own page may change something\n")
-        elif (body := self._body(LARGEST_UPLOAD if address.path == UPLOAD else LARGEST_BODY)) is not None:
+        elif (body := self._body(LARGEST_UPLOAD if address.path in (UPLOAD, ALIKE) else LARGEST_BODY)) is not None:
             self._send(self._routed(PageRequest(method, address.path, query, body)))
 
     def _body(self, largest: int) -> bytes | None:

@@ -277,9 +277,16 @@ async function list(at) {
 /* ---- motifs -------------------------------------------------------------------------------------------------- */
 
 let motifs = [];
+const byName = () => got(`motifs?${new URLSearchParams({ find: $("find").value })}`);
+let finder = byName; // alike.js has another one
+
+// Whether something could be asked for; what comes after another question is not shown.
 async function find() {
-  try { motifs = await got(`motifs?${new URLSearchParams({ find: $("find").value })}`); } catch (error) { complain(error.message); }
-  showMotifs();
+  const asked = finder;
+  let found;
+  try { found = await asked(); } catch (error) { complain(error.message); return false; }
+  if (asked === finder) { motifs = found; showMotifs(); }
+  return true;
 }
 
 function chosen(motif) {
