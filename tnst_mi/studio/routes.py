@@ -27,6 +27,7 @@ _PAGE = {
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
     "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
     "/alike.js": ("alike.js", "text/javascript; charset=utf-8"),
+    "/movement.js": ("movement.js", "text/javascript; charset=utf-8"),
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
@@ -49,6 +50,7 @@ class StudioRoutes:
         self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
             ("GET", "/events"): self._events,
             ("GET", "/view"): self.view,
+            ("GET", "/arrows"): lambda request: PageAnswer.of_json(session.arrows(request.query)),
             ("GET", "/files"): self._files,
             ("GET", "/motifs"): self._motifs,
             ("GET", "/thumbnail"): self._thumbnail,
