@@ -51,7 +51,7 @@ def answers() -> PictureAnswers:
 
 @pytest.fixture
 def browser(tmp_path: Path) -> MotifBrowser:
-    return MotifBrowser(Places(tmp_path), tmp_path / "pictures")
+    return MotifBrowser(Places(tmp_path), tmp_path / "out")
 
 
 def found(browser: MotifBrowser, answers: PictureAnswers, body: bytes, text: str, kind: str) -> list[str]:
@@ -137,4 +137,4 @@ def test_pictures_to_compare_with_are_bounded_and_not_trusted(studio: Studio, tm
     assert studio.request("POST", "/alike", b"", Content_Length=str(17 << 20)).status == 413
     assert studio.request("POST", "/alike", b"", Cookie="").status == 403
     # Nothing of what was only compared with is kept.
-    assert not (tmp_path / "out" / "pictures").exists()
+    assert not (tmp_path / "out").exists()

@@ -28,6 +28,7 @@ from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
+from tnst_mi.studio.examples import ATLASES
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.similarity import COMPARED, PictureAnswer
 from tnst_mi.studio.uploads import uploaded_picture
@@ -69,11 +70,12 @@ class MotifBrowser:
 
     Args:
         places: below which atlases are looked for.
-        pictures: the folder of uploaded pictures, which need not exist.
+        out: the folder of the studio, which need not exist; it has uploaded pictures, and atlases that were asked for.
     """
 
-    def __init__(self, places: Places, pictures: Path) -> None:
-        self._places, self._pictures = places, pictures
+    def __init__(self, places: Places, out: Path) -> None:
+        self._places, self._pictures = places, out / "pictures"
+        self._made = Places(out / ATLASES)
         self._tags: dict[str | None, list[str]] = {}
         self._reading = threading.Lock()
 
@@ -95,7 +97,7 @@ class MotifBrowser:
             for number, tag in enumerate(self.tags(weights))
             if wanted in tag.lower()
         ][:_TAGS]
-        motifs += list(self._channels(wanted))[:_CHANNELS]
+        motifs += list(self._channels(wanted, bool(self.tags(weights))))[:_CHANNELS]
         return [asdict(motif) for motif in motifs]
 
     def alike(self, text: str, weights: str | None, answer: PictureAnswer) -> list[dict[str, Any]]:
@@ -136,7 +138,7 @@ class MotifBrowser:
         for atlas in self._atlases():
             for found, picture in _channels_of(atlas):
                 goal = f"{found.layer}:{found.channel}"
-                named = layer in found.layer.lower() and number in (None, found.channel)
+                named = layer in found.layer.lower() and number in (None, found.channel) and found.layer != LOGITS
                 if found.flavour != flavour or not named or goal in seen or (means := means_in(picture)) is None:
                     continue
                 before, after = means
@@ -174,10 +176,17 @@ class MotifBrowser:
         }
 
     def _picture_url(self, picture: Path) -> str:
+        if (made := self._made.relative(picture)) is not None:
+            return f"thumbnail?{urlencode({'made': made})}"
         return f"thumbnail?{urlencode({'atlas': self._places.relative(picture) or ''})}"
 
-    def thumbnail(self, style: str | None, atlas: str | None) -> bytes:
+    def thumbnail(self, style: str | None = None, atlas: str | None = None, made: str | None = None) -> bytes:
         """A small PNG of a style picture by its name, or of a picture of an atlas by its path.
+
+        Args:
+            style: the name.
+            atlas: the path from the started folder.
+            made: the path from that of the atlases that were asked for.
 
         Raises:
             InputError: there is none.
@@ -187,9 +196,9 @@ class MotifBrowser:
             if style not in names:
                 raise InputError(one_line(f"{style!r}: no such style picture"))
             return _thumbnail(read_image(names[style]))
-        path = self._places.within(atlas or "")
+        path = self._places.within(atlas or "") if made is None else self._made.within(made)
         if not _PICTURE.fullmatch(path.name) or not (path.parent.parent / _ATLAS).is_file():
-            raise InputError(one_line(f"{atlas!r}: is no picture of an atlas"))
+            raise InputError(one_line(f"{made or atlas!r}: is no picture of an atlas"))
         return _thumbnail(read_image(path))
 
     def upload(self, name: str, body: bytes) -> None:
@@ -221,13 +230,15 @@ class MotifBrowser:
         for goal, file in files:
             yield Motif("styles", "style", goal, file.stem, f"thumbnail?{urlencode({'style': goal})}"), file
 
-    def _channels(self, wanted: str) -> Iterator[Motif]:
-        """Those of atlases, and of other layers the one that is asked for."""
+    def _channels(self, wanted: str, tags: bool) -> Iterator[Motif]:
+        """Those of atlases, but for what is a tag already, and of other layers the one that is asked for."""
         layer, number = _layer_and_number(wanted)
         seen = set()
         for atlas in self._atlases():
             for found, picture in _channels_of(atlas):
                 goal = f"{found.layer}:{found.channel}"
+                if tags and found.layer == LOGITS:
+                    continue
                 if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
                     seen.add(goal)
                     title = goal.removeprefix("inception_")
@@ -241,8 +252,10 @@ class MotifBrowser:
     def _atlases(self) -> Iterator[Path]:
         for depth in range(1, _DEPTH + 1):
             for file in sorted(self._places.root.glob("/".join(["*"] * depth + [_ATLAS]))):
-                if self._places.relative(file) is not None:
+                inside = self._places.relative(file) is not None
+                if inside and self._made.relative(file) is None:
                     yield file.parent
+        yield from (file.parent for file in sorted(self._made.root.glob(f"*/{_ATLAS}")))
 
 
 def _layer_and_number(wanted: str) -> tuple[str, int | None]:

@@ -108,8 +108,9 @@ class Opened:
             return None
         name = self.results.names[index]
         of_frame = next((frame.get("exposure") for frame in record["frames"] if frame.get("name") == name), None)
-        sound = isinstance(of_frame, int | float) and math.isfinite(of_frame) and of_frame > 0
-        return float(of_frame) if sound else None
+        if isinstance(of_frame, int | float) and math.isfinite(of_frame) and of_frame > 0:
+            return float(of_frame)
+        return None
 
     def velocity(self, index: int) -> np.ndarray:
         """v* of a frame of a run, (D, H, W, 3) float32, in cells.

@@ -71,9 +71,9 @@ class SightPainter:
         if sight.cut:
             raise InputError("view: arrows are of the whole smoke; take the cut away, or colours")
         lattice = lattice_of(sight)
-        right, up, _ = sight.camera.axes
-        smoke, means = self._mean_movement(lattice, right, up)
-        return arrows_on(lattice, sight, smoke, *means, self._moving_smoke(sight.frame).usual)
+        axes = sight.camera.axes
+        smoke, (right, up) = self._mean_movement(lattice, axes[:2])
+        return arrows_on(lattice, sight, smoke, right, up, self._moving_smoke(sight.frame).usual)
 
     def _require_run(self, mode: str) -> None:
         if not self.opened.has_after:
@@ -159,16 +159,15 @@ class SightPainter:
 
     def _movement(self, sight: Sight, brightness: np.ndarray) -> np.ndarray:
         """v* as the mean over the smoke along each ray, in colours."""
-        right, up, towards = sight.camera.axes
-        usual = self._moving_smoke(sight.frame).usual
+        axes, usual = sight.camera.axes, self._moving_smoke(sight.frame).usual
         if sight.mode == "depth":
-            _, (mean,) = self._mean_movement(sight, towards)
-            return coloured_by_depth(mean, brightness, usual)
-        _, means = self._mean_movement(sight, right, up)
-        return coloured(*means, brightness, usual)
+            _, (towards,) = self._mean_movement(sight, axes[2:])
+            return coloured_by_depth(towards, brightness, usual)
+        _, (right, up) = self._mean_movement(sight, axes[:2])
+        return coloured(right, up, brightness, usual)
 
-    def _mean_movement(self, sight: Sight, *axes: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """The smoke along each ray (rows, columns), and the mean over it of v* along each of some axes, in cells."""
+    def _mean_movement(self, sight: Sight, axes: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The smoke along each ray (rows, columns), and the mean over it of v* along each of axes (N, 3), in cells."""
         moving, grid = self._moving_smoke(sight.frame), self._grid(AFTER, sight)
         momentum = moving.coarse if sight.coarse else moving.full
         size = sight.rows, sight.columns

@@ -312,6 +312,7 @@ function showMotifs() {
     tiles.push(tile);
   }
   $("motifs").replaceChildren(...tiles);
+  showExamples();
   markMotifs();
 }
 
