@@ -161,7 +161,7 @@ def measured(frame: Path, minutes: float) -> dict[str, Any]:
         found["still, tried"] = client.turn(STILL)
         client.until("done")
         client.post("/work", action="open", id="tries/0001")
-        for mode in ("difference", "movement"):
+        for mode in ("difference", "movement", "depth"):
             client.turn(MOVING, coarse=1, mode=mode)
             found[f"moving, {mode}"] = client.turn(MOVING, coarse=1, mode=mode)
         found["lit, a pass"] = client.turn((360, 500), mode="after", look="medium", lit=1)
@@ -231,7 +231,7 @@ def everything(client: Client, number: int) -> None:
     """Show all that the page can show of what is opened; now and then open something anew."""
     moving = {"rows": MOVING[0], "columns": MOVING[1], "coarse": 1}
     after = client.state()["opened"]["after"]
-    for mode in ("before", "after", "difference", "movement") if after else ("before",):
+    for mode in ("before", "after", "difference", "movement", "depth") if after else ("before",):
         for picture in range(6):
             place = {"azimuth": 17 * number + 3 * picture, "look": LOOKS[picture % len(LOOKS)]}
             client.get("/view", mode=mode, **place, **moving)
@@ -240,6 +240,7 @@ def everything(client: Client, number: int) -> None:
         if after:
             for side in ("before", "after"):  # a wipe
                 client.get("/view", mode=side, azimuth=17 * number + step, **moving)
+            client.get("/arrows", azimuth=17 * number + step, **moving)
         else:
             client.get("/view", mode="before", frame=step, **moving)
     client.get("/view", mode="before", look="medium", lit=1, azimuth=number, rows=200, columns=280, height=110)
