@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+from tnst_mi.studio.examples import ExampleMaker
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.routes import StudioRoutes
@@ -71,13 +72,15 @@ class Studio:
 def running(root: Path, out: Path) -> Iterator[Studio]:
     """A studio below a folder."""
     session = Session(Places(root), out)
-    routes = StudioRoutes(session, MotifBrowser(session.places, out / "pictures"))
+    examples = ExampleMaker(out)
+    routes = StudioRoutes(session, MotifBrowser(session.places, out), examples)
     server = StudioServer("127.0.0.1", 0, routes)
     serving = threading.Thread(target=lambda: server.serve_forever(0.02), daemon=True)
     serving.start()
     try:
         yield Studio(server, session)
     finally:
+        examples.end()
         session.end()
         server.shutdown()
         server.server_close()

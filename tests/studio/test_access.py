@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import socket
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from studios import Studio, running
 
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
+from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.server import LARGEST_BODY, LARGEST_UPLOAD, StudioServer
 
@@ -248,3 +251,24 @@ def raw(studio: Studio, text: str) -> bytes:
             if b"\r\n\r\n" in answer:
                 break
         return answer
+
+
+def test_the_end_waits_for_what_is_computed(tmp_path: Path) -> None:
+    begun, done = threading.Event(), threading.Event()
+
+    def slow(request: PageRequest) -> PageAnswer:
+        begun.set()
+        time.sleep(0.3)
+        done.set()
+        return PageAnswer()
+
+    with running(tmp_path, tmp_path / "out") as studio:
+        studio.server.routes = slow
+        asking = threading.Thread(target=lambda: studio.get("/anything"))
+        asking.start()
+        assert begun.wait(10)
+    # The server is closed at the end of the block; nothing is computed after that.
+    assert done.is_set()
+    asking.join(10)
+    with pytest.raises(ConnectionAbortedError), studio.server.computing():
+        pass

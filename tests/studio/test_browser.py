@@ -23,6 +23,8 @@ from PIL import Image
 
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
+from tnst_mi.network.shipped import shipped_weights
+from tnst_mi.recipe.paths import STYLES
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -198,15 +200,66 @@ def test_look_choose_try_and_compare(root: Path, tmp_path: Path, weights: Path, 
         page.locator(".job button[data-action=open]").click()
         page.locator("#mode-wipe.on").wait_for()
         wiped = shown.settled()
-        assert np.abs(wiped[:, : width - 10] - front[:, : width - 10]).max() < 0.05
+        # On the left is what was there before, with the exposure of the run.
+        left, right = (side[:, : width - 10].ravel() for side in (front, wiped))
+        assert np.corrcoef(left, right)[0, 1] > 0.99
         for mode in ("after", "difference", "movement"):
             page.locator(f"#mode-{mode}").click()
             assert np.abs(shown.settled() - wiped).max() > 0.1
             shown.photographed(f"3_{mode}")
+        # v* as arrows and as depth, with their scale; cuts have no arrows.
+        for way, text in (("arrows", "cells"), ("depth", "towards you")):
+            page.locator("#moved-as").select_option(way)
+            assert np.abs(shown.settled() - wiped).max() > 0.1
+            assert text in page.locator("#scale-text").inner_text() and page.locator("#wheel").is_hidden()
+            shown.photographed(f"3_{way}")
+        page.locator("#mode-before").click()
+        page.locator("#moved-as").wait_for(state="hidden")
         assert page.locator("#error").is_hidden()
         # Before the studio ends: pages would complain.
         for tab in (shown, other):
             tab.page.context.close()
+
+
+def test_motifs_are_found_by_a_picture_and_shown(root: Path, tmp_path: Path, opened: Callable[[str], Page]) -> None:
+    with studio_url(root / "smoke.npz", tmp_path / "out", shipped_weights()) as url:
+        shown = opened(url)
+        page = shown.page
+        first = "#motifs h3:first-child + button"
+        page.locator("#compared").set_input_files(STYLES / "flames.png")
+        page.locator(f"{first}[data-goal=fire]").wait_for()
+        shown.photographed("6_alike")
+        page.locator("#find").fill("4b/pool_proj")
+        page.locator("#motifs h3", has_text="deviation").wait_for()
+        page.locator("#motifs h3", has_text="tags").wait_for(state="detached")
+        # What is no picture is told, and names find as before.
+        (tmp_path / "not.png").write_text("no picture")
+        page.locator("#compared").set_input_files(tmp_path / "not.png")
+        page.locator("#error", has_text="not a picture").wait_for()
+        page.locator("#sample").wait_for(state="hidden")
+        shown.troubles.clear()  # the browser's own word on the refusal
+        # A dropped one is compared with where one searches, and is no style.
+        page.locator("#find").fill("")
+        page.evaluate(
+            """async () => {
+                const data = new DataTransfer();
+                const picture = await (await fetch("thumbnail?style=spirals")).blob();
+                data.items.add(new File([picture], "dropped.png"));
+                document.querySelector("#find").dispatchEvent(
+                    new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+            }"""
+        )
+        page.locator(f"{first}[data-goal=spiral]").wait_for()
+        assert not (tmp_path / "out" / "pictures").exists()
+        page.locator("#sample-end").click()
+        page.locator(f"{first}[data-goal=cells]").wait_for()
+        # What one tag looks like.
+        page.locator("#find").fill("honeycomb")
+        page.locator("#examples", has_text="what it looks like").click()
+        page.locator("#motifs [data-key=tag] img").wait_for()
+        page.locator("#examples").wait_for(state="hidden")
+        shown.photographed("7_looks_like")
+        shown.page.context.close()
 
 
 def test_a_render_outlives_the_page_and_the_studio(

@@ -116,14 +116,14 @@ def browser(tmp_path: Path) -> MotifBrowser:
     atlas(tmp_path / "root" / "b", "logits", 0)
     (tmp_path / "root" / "broken").mkdir()
     (tmp_path / "root" / "broken" / "atlas.json").write_text("[")
-    return MotifBrowser(Places(tmp_path / "root"), tmp_path / "out" / "pictures")
+    return MotifBrowser(Places(tmp_path / "root"), tmp_path / "out")
 
 
 def test_styles_tags_and_channels_are_found_by_their_names(browser: MotifBrowser) -> None:
     everything = browser.found("", PATTERNS)
     goals = {kind: [motif["goal"] for motif in everything if motif["kind"] == kind] for kind in ("styles", "channels")}
     assert goals["styles"] == ["cells", "flames", "net", "spirals"]
-    assert goals["channels"] == ["logits:0", "inception_4b/pool_proj:6", "inception_4b/pool_proj:16"]
+    assert goals["channels"] == ["inception_4b/pool_proj:6", "inception_4b/pool_proj:16"]
     spirals = [(motif["key"], motif["goal"]) for motif in browser.found(" SPIRAL ", PATTERNS)]
     assert spirals == [("style", "spirals"), ("tag", "spiral")]
     assert browser.found("pool_proj:16", PATTERNS)[0]["goal"] == "inception_4b/pool_proj:16"

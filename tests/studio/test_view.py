@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +82,50 @@ def test_all_frames_and_sides_have_one_exposure(run_folder: Path) -> None:
     np.testing.assert_allclose(after, np.minimum(2 * before, 1), atol=1e-3)
     second = painter.paint(Sight(frame=1, mode=BEFORE, rows=24, columns=24, height=24), thin)
     np.testing.assert_allclose(second, before / 2, atol=1e-3)
+
+
+def test_a_run_is_shown_with_the_exposure_that_its_network_saw(run_folder: Path, tmp_path: Path) -> None:
+    record = json.loads((run_folder / "run.json").read_text())
+    assert len({frame["exposure"] for frame in record["frames"]}) == 1
+    # As if each frame had a γ of its own.
+    record["frames"][1]["exposure"] *= 0.25
+    (run_folder / "run.json").write_text(json.dumps(record))
+    shown = opened(run_folder)
+    azimuth, elevation = RECIPE.main_view[:2]
+    for index, of_frame in enumerate(record["frames"]):
+        for side in (BEFORE, AFTER):
+            sight = Sight(index, side, azimuth=azimuth, elevation=elevation, height=12, rows=12, columns=8)
+            expected = of_frame["exposure"] * main_view(shown.frame(side, index).full.density, RECIPE)
+            np.testing.assert_allclose(SightPainter(shown).paint(sight, RECIPE), np.minimum(expected, 1), atol=2e-4)
+    # Of another thickness, of a look, and of smoke that nobody has stylized, it is measured, for all frames alike.
+    painter = SightPainter(shown)
+    for sight, recipe in ((Sight(), Recipe(gamma=0.2)), (Sight(look="thick"), RECIPE)):
+        assert painter.exposure(sight, recipe) == painter.exposure(replace(sight, frame=1), recipe)
+    assert painter.exposure(Sight(), RECIPE) == 4 * painter.exposure(Sight(frame=1), RECIPE)
+
+
+@pytest.mark.parametrize("exposure", [None, "bright", float("nan"), -1.0, 0])
+def test_a_damaged_exposure_is_measured(run_folder: Path, exposure: object) -> None:
+    record = json.loads((run_folder / "run.json").read_text())
+    record["frames"][0]["exposure"] = exposure
+    (run_folder / "run.json").write_text(json.dumps(record))
+    picture = SightPainter(opened(run_folder)).paint(Sight(mode=BEFORE, height=12), RECIPE)
+    assert picture.max() > 0.5
+
+
+def test_of_path_traced_runs_the_page_says_what_the_view_shows(studio: Studio, run_folder: Path, source: Path) -> None:
+    studio.post("/open", path="run")
+    assert studio.session.state()["physics"] is None
+    recipe = (run_folder / "recipe.toml").read_text().replace("emission_absorption", "prbvolpath")
+    assert 'integrator = "prbvolpath"' in recipe
+    (run_folder / "recipe.toml").write_text(recipe)
+    record = json.loads((run_folder / "run.json").read_text())
+    del record["recipe"]  # its digest
+    (run_folder / "run.json").write_text(json.dumps(record))
+    assert studio.post("/open", path="run").status == 200
+    assert "The view shows emission and absorption" in studio.session.state()["physics"]
+    # Its images had another brightness, which says nothing of these.
+    assert opened(run_folder).exposure(0) is None
 
 
 @pytest.mark.parametrize(

@@ -73,23 +73,28 @@ class LayerAtlas:
         remove_unfinished(out.resolve())
         remove_unfinished(out / "channels")
 
-    @property
-    def steps(self) -> int:
-        """Iterations that a channel takes."""
-        return self._settings.ascent.steps + self._settings.patch.steps
+    def steps(self, smoke: bool = True) -> int:
+        """Iterations that a channel takes, with its smoke or without."""
+        return self._settings.ascent.steps + (self._settings.patch.steps if smoke else 0)
 
-    def missing(self, channels: Sequence[int]) -> list[int]:
-        """The given channels that are not finished, in order."""
-        return [channel for channel in channels if self._finished(channel) is None]
+    def missing(self, channels: Sequence[int], smoke: bool = True) -> list[int]:
+        """The given channels that are not finished, or have no picture of what excites them, in order."""
+        if smoke:
+            return [channel for channel in channels if self._finished(channel) is None]
+        return [channel for channel in channels if means_in(self._file(channel, "picture")) is None]
 
     def make(
-        self, channels: Sequence[int], on_iteration: Callable[[int, str], None] = lambda channel, what: None
+        self,
+        channels: Sequence[int],
+        on_iteration: Callable[[int, str], None] = lambda channel, what: None,
+        smoke: bool = True,
     ) -> None:
         """Make the missing pictures of the given channels.
 
         Args:
             channels: their numbers.
             on_iteration: called after every iteration, with the channel and which of its pictures is being made.
+            smoke: whether smoke is stylized too, which takes most of the time; a channel without is not finished.
 
         Raises:
             InputError: the layer has no such channel.
@@ -106,7 +111,7 @@ class LayerAtlas:
 
                 if means_in(self._file(channel, "picture")) is None:
                     self._make_picture(channel, lambda advance=advance: advance("picture"))
-                if means_in(self._file(channel, "smoke")) is None:
+                if smoke and means_in(self._file(channel, "smoke")) is None:
                     self._make_smoke(channel, lambda advance=advance: advance("smoke"))
 
     def publish(self) -> list[Channel]:

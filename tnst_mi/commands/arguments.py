@@ -235,6 +235,8 @@ class AtlasArguments(Arguments):
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint=f"(default: {ATLAS_FOLDER}/NETWORK-LAYER)")
     ] = None
     """New or empty folder, or the folder of an atlas of the same layer and network."""
+    pictures_only: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Only what excites the channels, a second each, in channels/; the same command without it adds smoke and page."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_NetworkFlags)] = field(default_factory=_NetworkFlags)
     """Which network to use, and on which device."""
 

@@ -27,15 +27,19 @@ def run(arguments: AtlasArguments) -> int:
     channels = list(range(count)) if arguments.channels is None else channel_numbers(arguments.channels, count)
     out = arguments.out or Path(ATLAS_FOLDER) / f"{network.flavour}-{layer.replace('/', '-')}"
     atlas = LayerAtlas(network, layer, out)
+    smoke = not arguments.pictures_only
     try:
-        _make(atlas, channels)
+        _make(atlas, channels, smoke)
     except KeyboardInterrupt:
         raise StoppedError(
-            f"interrupted with {len(atlas.missing(channels))} of {len(channels)} channels to go; "
+            f"interrupted with {len(atlas.missing(channels, smoke))} of {len(channels)} channels to go; "
             f"the same command goes on in {out} where it stopped"
         ) from None
     finally:
         finished = atlas.publish()
+    if not smoke:
+        print(f"pictures  {out / 'channels'}")
+        return 0
     strongest = sorted(finished, key=lambda channel: -channel.response)[:_NAMED]
     named = ", ".join(f"{channel.number} ({channel.response:.2f})" for channel in strongest)
     print(f"channels  {len(finished)} of {count} of {layer}, {network.flavour}")
@@ -45,11 +49,11 @@ def run(arguments: AtlasArguments) -> int:
     return 0
 
 
-def _make(atlas: LayerAtlas, channels: list[int]) -> None:
+def _make(atlas: LayerAtlas, channels: list[int], smoke: bool) -> None:
     """Make channels under a progress bar, which counts iterations."""
-    missing = atlas.missing(channels)
+    missing = atlas.missing(channels, smoke)
     layout = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-    total = atlas.steps * len(missing)
+    total = atlas.steps(smoke) * len(missing)
     with progress_bar(total=total, bar_format=layout, disable=not missing) as bar:
 
         def advance(channel: int, what: str) -> None:
@@ -57,4 +61,4 @@ def _make(atlas: LayerAtlas, channels: list[int]) -> None:
             bar.set_description_str(f"channel {channel} ({place}) {what:7}", refresh=False)
             bar.update()
 
-        atlas.make(missing, advance)
+        atlas.make(missing, advance, smoke)

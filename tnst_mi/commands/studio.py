@@ -14,6 +14,7 @@ from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import holds_run
+from tnst_mi.studio.examples import ExampleMaker
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.routes import StudioRoutes
@@ -33,8 +34,8 @@ def run(arguments: StudioArguments) -> int:
     session = Session(Places(root), out)
     if first is not None:
         session.open(first)
-    motifs = MotifBrowser(session.places, out / "pictures")
-    server = StudioServer(arguments.host, port, StudioRoutes(session, motifs))
+    motifs, examples = MotifBrowser(session.places, out), ExampleMaker(out)
+    server = StudioServer(arguments.host, port, StudioRoutes(session, motifs, examples))
     if arguments.host not in LOOPBACK:
         say(
             [
@@ -52,6 +53,7 @@ def run(arguments: StudioArguments) -> int:
     except KeyboardInterrupt:
         pass  # the way to end it
     finally:
+        examples.end()
         paused = session.end()
         server.shutdown()
         server.server_close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import tempfile
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -14,20 +13,25 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+import numpy as np
 from PIL import Image
 
+from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
 from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.gate import decoding
-from tnst_mi.machine.terminal import displayable, one_line
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.class_names import class_names
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
+from tnst_mi.studio.examples import ATLASES
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.similarity import COMPARED, PictureAnswer
+from tnst_mi.studio.uploads import uploaded_picture
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64
@@ -66,11 +70,12 @@ class MotifBrowser:
 
     Args:
         places: below which atlases are looked for.
-        pictures: the folder of uploaded pictures, which need not exist.
+        out: the folder of the studio, which need not exist; it has uploaded pictures, and atlases that were asked for.
     """
 
-    def __init__(self, places: Places, pictures: Path) -> None:
-        self._places, self._pictures = places, pictures
+    def __init__(self, places: Places, out: Path) -> None:
+        self._places, self._pictures = places, out / "pictures"
+        self._made = Places(out / ATLASES)
         self._tags: dict[str | None, list[str]] = {}
         self._reading = threading.Lock()
 
@@ -92,8 +97,58 @@ class MotifBrowser:
             for number, tag in enumerate(self.tags(weights))
             if wanted in tag.lower()
         ][:_TAGS]
-        motifs += list(self._channels(wanted))[:_CHANNELS]
+        motifs += list(self._channels(wanted, bool(self.tags(weights))))[:_CHANNELS]
         return [asdict(motif) for motif in motifs]
+
+    def alike(self, text: str, weights: str | None, answer: PictureAnswer) -> list[dict[str, Any]]:
+        """Tags and channels whose names have the text in them, the one that answers to a picture most strongly first.
+
+        Tags are in the order of their scores. Channels of an atlas are in that of their share: how far the picture
+        raises them above noise, where the picture that the atlas has made for them raises them by 100%. All others are
+        in the order of how many standard deviations they are above what the reference pictures raise them to. Styles
+        come last, as they are.
+
+        Args:
+            text: as in `found`.
+            weights: the recipe's key.
+            answer: of the network with these weights.
+
+        Raises:
+            InputError: the weights cannot be used.
+        """
+        wanted = text.strip().lower()
+        pictures, tags = self._tag_pictures(weights), self.tags(weights)
+        scores = answer.means[LOGITS][: len(tags)]
+        motifs = [
+            Motif("tags, by score", "tag", tags[number], tags[number], pictures.get(number))
+            for number in np.argsort(-scores, kind="stable").tolist()
+            if wanted in tags[number].lower()
+        ][:_TAGS]
+        in_atlases = list(self._shares(wanted, find_weights(weights).flavour, answer))
+        motifs += [motif for _, motif in sorted(in_atlases, key=lambda found: -found[0])][:_CHANNELS]
+        seen = {motif.goal for _, motif in in_atlases}
+        motifs += [motif for motif in _by_deviation(wanted, answer) if motif.goal not in seen]
+        motifs += [motif for motif in self._styles() if wanted in motif.title.lower()]
+        return [asdict(motif) for motif in motifs]
+
+    def _shares(self, wanted: str, flavour: str, answer: PictureAnswer) -> Iterator[tuple[float, Motif]]:
+        """Channels of atlases, each with its share."""
+        layer, number = _layer_and_number(wanted)
+        seen = set()
+        for atlas in self._atlases():
+            for found, picture in _channels_of(atlas):
+                goal = f"{found.layer}:{found.channel}"
+                named = layer in found.layer.lower() and number in (None, found.channel) and found.layer != LOGITS
+                if found.flavour != flavour or not named or goal in seen or (means := means_in(picture)) is None:
+                    continue
+                before, after = means
+                of_layer = answer.means[found.layer]
+                if after <= before or found.channel >= len(of_layer):
+                    continue
+                seen.add(goal)
+                share = (float(of_layer[found.channel]) - before) / (after - before)
+                title = f"{goal.removeprefix('inception_')} {share:.0%}"
+                yield share, Motif("channels of atlases, by share", "semantic", goal, title, self._picture_url(picture))
 
     def tags(self, weights: str | None) -> list[str]:
         """The class tags of the network with which a recipe is run; each by its first name that no other has.
@@ -121,10 +176,17 @@ class MotifBrowser:
         }
 
     def _picture_url(self, picture: Path) -> str:
+        if (made := self._made.relative(picture)) is not None:
+            return f"thumbnail?{urlencode({'made': made})}"
         return f"thumbnail?{urlencode({'atlas': self._places.relative(picture) or ''})}"
 
-    def thumbnail(self, style: str | None, atlas: str | None) -> bytes:
+    def thumbnail(self, style: str | None = None, atlas: str | None = None, made: str | None = None) -> bytes:
         """A small PNG of a style picture by its name, or of a picture of an atlas by its path.
+
+        Args:
+            style: the name.
+            atlas: the path from the started folder.
+            made: the path from that of the atlases that were asked for.
 
         Raises:
             InputError: there is none.
@@ -134,9 +196,9 @@ class MotifBrowser:
             if style not in names:
                 raise InputError(one_line(f"{style!r}: no such style picture"))
             return _thumbnail(read_image(names[style]))
-        path = self._places.within(atlas or "")
+        path = self._places.within(atlas or "") if made is None else self._made.within(made)
         if not _PICTURE.fullmatch(path.name) or not (path.parent.parent / _ATLAS).is_file():
-            raise InputError(one_line(f"{atlas!r}: is no picture of an atlas"))
+            raise InputError(one_line(f"{made or atlas!r}: is no picture of an atlas"))
         return _thumbnail(read_image(path))
 
     def upload(self, name: str, body: bytes) -> None:
@@ -146,13 +208,7 @@ class MotifBrowser:
             InputError: it cannot be read as a picture, or there are too many.
         """
         stem = re.sub(r"[^\w-]+", "_", Path(name.replace("\\", "/")).stem).strip("_")[:40] or "picture"
-        with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
-            path = Path(folder) / "uploaded"
-            path.write_bytes(body)
-            try:
-                image = read_image(path)
-            except InputError as error:
-                raise InputError(one_line(str(error).replace(str(path), displayable(Path(name).name)))) from None
+        image = uploaded_picture(name, body)
         make_folder(self._pictures)
         if len(list(self._pictures.glob("*.png"))) >= _UPLOADS:
             raise InputError(f"{self._pictures}: has {_UPLOADS} pictures already; remove some")
@@ -174,14 +230,15 @@ class MotifBrowser:
         for goal, file in files:
             yield Motif("styles", "style", goal, file.stem, f"thumbnail?{urlencode({'style': goal})}"), file
 
-    def _channels(self, wanted: str) -> Iterator[Motif]:
-        """Those of atlases, and of other layers the one that is asked for."""
-        layer, _, channel = wanted.partition(":")
-        number = int(channel) if channel.isascii() and channel.isdigit() and len(channel) < 6 else None
+    def _channels(self, wanted: str, tags: bool) -> Iterator[Motif]:
+        """Those of atlases, but for what is a tag already, and of other layers the one that is asked for."""
+        layer, number = _layer_and_number(wanted)
         seen = set()
         for atlas in self._atlases():
             for found, picture in _channels_of(atlas):
                 goal = f"{found.layer}:{found.channel}"
+                if tags and found.layer == LOGITS:
+                    continue
                 if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
                     seen.add(goal)
                     title = goal.removeprefix("inception_")
@@ -195,8 +252,32 @@ class MotifBrowser:
     def _atlases(self) -> Iterator[Path]:
         for depth in range(1, _DEPTH + 1):
             for file in sorted(self._places.root.glob("/".join(["*"] * depth + [_ATLAS]))):
-                if self._places.relative(file) is not None:
+                inside = self._places.relative(file) is not None
+                if inside and self._made.relative(file) is None:
                     yield file.parent
+        yield from (file.parent for file in sorted(self._made.root.glob(f"*/{_ATLAS}")))
+
+
+def _layer_and_number(wanted: str) -> tuple[str, int | None]:
+    """A part of the name of a layer, and the number of a channel if "LAYER:CHANNEL" is asked for."""
+    layer, _, channel = wanted.partition(":")
+    return layer, int(channel) if channel.isascii() and channel.isdigit() and len(channel) < 6 else None
+
+
+def _by_deviation(wanted: str, answer: PictureAnswer) -> Iterator[Motif]:
+    """The channels that deviate most from what they are for the reference pictures."""
+    layer, number = _layer_and_number(wanted)
+    found = [
+        (float(deviation), name, channel)
+        for name in COMPARED
+        if layer in name.lower()
+        for channel, deviation in enumerate(answer.deviations[name])
+        if number in (None, channel)
+    ]
+    for deviation, name, channel in sorted(found, key=lambda one: -one[0])[:_CHANNELS]:
+        goal = f"{name}:{channel}"
+        title = f"{goal.removeprefix('inception_')} {deviation:+.1f}σ"
+        yield Motif("channels, by deviation", "semantic", goal, title)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -95,6 +96,21 @@ class Opened:
             while len(self._frames) > 1 and sum(_bytes(frame) for frame in self._frames.values()) > self.size_limit:
                 self._frames.popitem(last=False)
             return shown
+
+    def exposure(self, index: int) -> float | None:
+        """By how much a run has multiplied the emission–absorption images of a frame for the network.
+
+        None of an input, of a frame that the run has not got to, of a damaged record, and of a run whose images were
+        path traced.
+        """
+        record = self.results.record
+        if record is None or self.recipe is None or self.recipe.integrator != "emission_absorption":
+            return None
+        name = self.results.names[index]
+        of_frame = next((frame.get("exposure") for frame in record["frames"] if frame.get("name") == name), None)
+        if isinstance(of_frame, int | float) and math.isfinite(of_frame) and of_frame > 0:
+            return float(of_frame)
+        return None
 
     def velocity(self, index: int) -> np.ndarray:
         """v* of a frame of a run, (D, H, W, 3) float32, in cells.

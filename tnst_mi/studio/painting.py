@@ -17,10 +17,10 @@ from tnst_mi.rendering.exposure import exposure_for
 from tnst_mi.rendering.levels import by_cell
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.run.panels import difference, on_canvas
-from tnst_mi.studio.movement import MovingSmoke, cut_movement
+from tnst_mi.studio.movement import Arrows, MovingSmoke, arrows_on, cut_movement, lattice_of
 from tnst_mi.studio.opened import AFTER, BEFORE, Opened, ShownGrid
 from tnst_mi.studio.sight import AS_SEEN, Sight
-from tnst_mi.studio.wheel import coloured
+from tnst_mi.studio.wheel import coloured, coloured_by_depth
 
 #: Views whose brightest pixel is white, if it is the brightest.
 _MEASURED_FROM = ((0.0, 0.0), (90.0, 0.0), (45.0, 20.0))
@@ -44,7 +44,7 @@ class SightPainter:
         self._moving: tuple[int, MovingSmoke] | None = None
         #: What has been measured, by γ and quadrature; a cache of methods would keep the frames for as long as itself.
         self._exposures: dict[tuple[float, str], float] = {}
-        self._scales: dict[tuple[int, float, str], float] = {}
+        self._differences: dict[tuple[int, float, str], float] = {}
 
     def paint(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         """A picture (rows, columns) or (rows, columns, 3), values for the display in [0, 1].
@@ -56,22 +56,41 @@ class SightPainter:
         Raises:
             InputError: there is no v*, or a file cannot be read.
         """
-        if sight.mode in ("difference", "movement") and not self.opened.has_after:
-            raise InputError(f"view: {sight.mode} is of a run, before and after; open one")
+        if sight.mode not in (BEFORE, AFTER):
+            self._require_run(sight.mode)
         picture = self._cut(sight) if sight.cut else self._marched(sight, recipe)
         return np.clip(picture, 0.0, 1.0)
 
+    def arrows(self, sight: Sight) -> Arrows:
+        """v* as arrows in the picture of a sight.
+
+        Raises:
+            InputError: there is no v*, or the sight is a cut.
+        """
+        self._require_run("movement")
+        if sight.cut:
+            raise InputError("view: arrows are of the whole smoke; take the cut away, or colours")
+        lattice = lattice_of(sight)
+        axes = sight.camera.axes
+        smoke, (right, up) = self._mean_movement(lattice, axes[:2])
+        return arrows_on(lattice, sight, smoke, right, up, self._moving_smoke(sight.frame).usual)
+
+    def _require_run(self, mode: str) -> None:
+        if not self.opened.has_after:
+            raise InputError(f"view: {mode} is of a run, before and after; open one")
+
     def _marched(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         gamma, quadrature = self.optics(sight, recipe)
-        exposure = self._exposure(gamma, quadrature)
+        exposure = self.exposure(sight, recipe)
 
         def image(side: str) -> np.ndarray:
             grid, size = self._grid(side, sight), (sight.rows, sight.columns)
             return exposure * self._image(grid, grid.tensor, gamma, quadrature, sight.camera, size)
 
         if sight.mode == "difference":
-            return difference(image(BEFORE), image(AFTER), self._difference_scale(sight.frame, gamma, quadrature))
-        if sight.mode == "movement":
+            largest = exposure * self._largest_difference(sight.frame, gamma, quadrature)
+            return difference(image(BEFORE), image(AFTER), 1.0 / largest if largest > 0 else 1.0)
+        if sight.mode in ("movement", "depth"):
             return self._movement(sight, np.clip(image(AFTER), 0, 1))
         return image(sight.mode)
 
@@ -83,7 +102,17 @@ class SightPainter:
             return of_frame.extinction, recipe.quadrature
         return looks.gamma(sight.look, shape), "paper"
 
-    def _exposure(self, gamma: float, quadrature: str) -> float:
+    def exposure(self, sight: Sight, recipe: Recipe) -> float:
+        """By how much images are multiplied.
+
+        Of a run it is its own, as long as the smoke is seen as the network has seen it; otherwise it is measured.
+        """
+        optics, run = self.optics(sight, recipe), self.opened.recipe
+        as_seen = run is not None and sight.look == AS_SEEN and optics == self.optics(sight, run)
+        recorded = self.opened.exposure(sight.frame) if as_seen else None
+        return self._measured_exposure(*optics) if recorded is None else recorded
+
+    def _measured_exposure(self, gamma: float, quadrature: str) -> float:
         """The same for all pictures of a γ: 1 / the brightest pixel of three frames, before, from three sides.
 
         They are the first, the middle and the last: a long sequence is not read as a whole before it is shown.
@@ -100,16 +129,15 @@ class SightPainter:
             )
         return self._exposures[key]
 
-    def _difference_scale(self, frame: int, gamma: float, quadrature: str) -> float:
-        """By how much exposed differences of a frame are multiplied: the largest in the front view has full colour."""
-        if (key := (frame, gamma, quadrature)) not in self._scales:
+    def _largest_difference(self, frame: int, gamma: float, quadrature: str) -> float:
+        """The largest difference of a frame in the front view, unexposed; it has the full colour."""
+        if (key := (frame, gamma, quadrature)) not in self._differences:
             before, after = (
                 self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
                 for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
             )
-            largest = self._exposure(gamma, quadrature) * float(np.abs(after - before).max())
-            self._scales[key] = 1.0 / largest if largest > 0 else 1.0
-        return self._scales[key]
+            self._differences[key] = float(np.abs(after - before).max())
+        return self._differences[key]
 
     def _grid(self, side: str, sight: Sight) -> ShownGrid:
         frame = self.opened.frame(side, sight.frame)
@@ -131,9 +159,17 @@ class SightPainter:
 
     def _movement(self, sight: Sight, brightness: np.ndarray) -> np.ndarray:
         """v* as the mean over the smoke along each ray, in colours."""
+        axes, usual = sight.camera.axes, self._moving_smoke(sight.frame).usual
+        if sight.mode == "depth":
+            _, (towards,) = self._mean_movement(sight, axes[2:])
+            return coloured_by_depth(towards, brightness, usual)
+        _, (right, up) = self._mean_movement(sight, axes[:2])
+        return coloured(right, up, brightness, usual)
+
+    def _mean_movement(self, sight: Sight, axes: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The smoke along each ray (rows, columns), and the mean over it of v* along each of axes (N, 3), in cells."""
         moving, grid = self._moving_smoke(sight.frame), self._grid(AFTER, sight)
         momentum = moving.coarse if sight.coarse else moving.full
-        right, up, _ = sight.camera.axes
         size = sight.rows, sight.columns
 
         smoke = self._image(grid, grid.tensor, _TRANSPARENT, "paper", sight.camera, size)
@@ -144,7 +180,7 @@ class SightPainter:
             along = self._image(grid, values, _TRANSPARENT, "paper", sight.camera, size)
             return np.where(smoke > 0, along / np.maximum(smoke, 1e-30) - moving.farthest, 0.0)
 
-        return coloured(mean(right), mean(up), brightness, moving.usual)
+        return smoke, [mean(axis) for axis in axes]
 
     def _moving_smoke(self, frame: int) -> MovingSmoke:
         # Another tab's thread may want another frame in the meantime.
@@ -167,8 +203,8 @@ class SightPainter:
 
         if sight.mode == "difference":
             picture = difference(density(BEFORE), density(AFTER), 1.0)
-        elif sight.mode == "movement":
-            picture = cut_movement(self._moving_smoke(sight.frame), oriented, name, density(AFTER))
+        elif sight.mode in ("movement", "depth"):
+            picture = cut_movement(self._moving_smoke(sight.frame), oriented, name, density(AFTER), sight.mode)
         else:
             picture = density(sight.mode)
         return _fitted(picture, sight.rows, sight.columns)

@@ -13,11 +13,13 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.machine.terminal import printable
 from tnst_mi.resources import DATA
+from tnst_mi.studio.examples import ExampleMaker
 from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.processes import tail
-from tnst_mi.studio.server import UPLOAD
+from tnst_mi.studio.server import ALIKE, UPLOAD
 from tnst_mi.studio.session import Session
+from tnst_mi.studio.similarity import PictureAnswers
 from tnst_mi.studio.work import RENDERS, TRIES
 
 #: The files of the page.
@@ -25,6 +27,9 @@ _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
     "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
+    "/alike.js": ("alike.js", "text/javascript; charset=utf-8"),
+    "/examples.js": ("examples.js", "text/javascript; charset=utf-8"),
+    "/movement.js": ("movement.js", "text/javascript; charset=utf-8"),
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
@@ -40,17 +45,23 @@ class StudioRoutes:
     Args:
         session: what all tabs share.
         motifs: what can be chosen.
+        examples: makes pictures of these.
     """
 
-    def __init__(self, session: Session, motifs: MotifBrowser) -> None:
-        self.session, self.motifs = session, motifs
+    def __init__(self, session: Session, motifs: MotifBrowser, examples: ExampleMaker) -> None:
+        self._examples = examples
+        self.session, self.motifs, self._answers = session, motifs, PictureAnswers()
         self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
             ("GET", "/events"): self._events,
             ("GET", "/view"): self.view,
+            ("GET", "/arrows"): lambda request: PageAnswer.of_json(session.arrows(request.query)),
             ("GET", "/files"): self._files,
             ("GET", "/motifs"): self._motifs,
             ("GET", "/thumbnail"): self._thumbnail,
+            ("GET", "/examples"): lambda request: PageAnswer.of_json(examples.described()),
+            ("POST", "/examples"): self._make_examples,
             ("POST", UPLOAD): self._upload,
+            ("POST", ALIKE): self._alike,
             ("GET", "/work/picture"): self._work_picture,
             ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
             ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
@@ -89,10 +100,22 @@ class StudioRoutes:
         weights = self.session.recipe().weights
         return PageAnswer.of_json(self.motifs.found(request.query.get("find", ""), weights))
 
+    def _alike(self, request: PageRequest) -> PageAnswer:
+        weights = self.session.recipe().weights
+        answer = self._answers.answer(request.query.get("name", ""), request.body, weights)
+        return PageAnswer.of_json(self.motifs.alike(request.query.get("find", ""), weights, answer))
+
     def _thumbnail(self, request: PageRequest) -> PageAnswer:
-        picture = self.motifs.thumbnail(request.query.get("style"), request.query.get("atlas"))
+        picture = self.motifs.thumbnail(*(request.query.get(of) for of in ("style", "atlas", "made")))
         # As long as the studio runs, a name means the same picture.
         return PageAnswer(picture, "image/png", headers={"Cache-Control": "max-age=300"})
+
+    def _make_examples(self, request: PageRequest) -> PageAnswer:
+        goals, weights = request.json().get("goals"), self.session.recipe().weights
+        if not isinstance(goals, list):
+            raise InputError("studio: goals is missing, or no list")
+        self._examples.ask(goals, self.motifs.tags(weights), weights)
+        return PageAnswer.of_json(self._examples.described())
 
     def _upload(self, request: PageRequest) -> PageAnswer:
         self.motifs.upload(request.query.get("name", ""), request.body)

@@ -10,7 +10,8 @@ import socket
 import socketserver
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -26,14 +27,14 @@ Routes = Callable[[PageRequest], PageAnswer]
 #: Largest body of a request in bytes: of an uploaded picture, and of all others.
 LARGEST_UPLOAD, LARGEST_BODY = 16 << 20, 64 << 10
 
-#: Where pictures are uploaded to.
-UPLOAD = "/upload"
+#: Where pictures are sent to: to be kept, and to be compared with.
+UPLOAD, ALIKE = "/upload", "/alike"
 
 #: Connections at a time; a page keeps up to six.
 _CONNECTIONS = 64
 
-#: Seconds after which a connection that sends nothing is closed.
-_IDLE = 60
+#: Seconds after which a connection that sends nothing is closed, and in which the last requests are answered.
+_IDLE, _PATIENCE = 60, 10
 
 #: The page loads nothing from elsewhere, is in no frame of another page, and tells nobody where it is.
 _HEADERS = {
@@ -67,6 +68,7 @@ class StudioServer(ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int, routes: Routes) -> None:
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
+        self._requests, self._fewer, self._closing = 0, threading.Condition(), False
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.routes = routes
         try:
@@ -82,6 +84,31 @@ class StudioServer(ThreadingHTTPServer):
         """Listen, without looking up the name of this machine, which takes seconds where there is no network."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
+
+    def server_close(self) -> None:
+        """Listen no longer, and wait for what is being computed: threads that still do abort a program that ends."""
+        super().server_close()
+        with self._fewer:
+            self._closing = True
+            self._fewer.wait_for(lambda: self._requests == 0, _PATIENCE)
+
+    @contextmanager
+    def computing(self) -> Iterator[None]:
+        """Within the block, something is computed for a request.
+
+        Raises:
+            ConnectionAbortedError: the server is closed.
+        """
+        with self._fewer:
+            if self._closing:
+                raise ConnectionAbortedError
+            self._requests += 1
+        try:
+            yield
+        finally:
+            with self._fewer:
+                self._requests -= 1
+                self._fewer.notify_all()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Give a connection a thread, or close it if there are too many."""
@@ -137,7 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(403, _CLOSED)
         elif method == "POST" and not from_own_page(self.headers.get("Origin"), self.headers.get("Host")):
             self._refuse(403, "403: only the studio's own page may change something\n")
-        elif (body := self._body(LARGEST_UPLOAD if address.path == UPLOAD else LARGEST_BODY)) is not None:
+        elif (body := self._body(LARGEST_UPLOAD if address.path in (UPLOAD, ALIKE) else LARGEST_BODY)) is not None:
             self._send(self._routed(PageRequest(method, address.path, query, body)))
 
     def _body(self, largest: int) -> bytes | None:
@@ -163,7 +190,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _routed(self, request: PageRequest) -> PageAnswer:
         """What the routes answer; what goes wrong there is one line on the page."""
         try:
-            return self.server.routes(request)
+            with self.server.computing():
+                return self.server.routes(request)
+        except ConnectionAbortedError:
+            raise
         except InputError as error:
             return PageAnswer.of_json({"error": one_line(str(error))}, 400)
         except Exception as error:

@@ -25,6 +25,12 @@ from tnst_mi.studio.work import Workshop
 #: Seconds after which a connection without news is told that it is still one.
 _STILL_HERE = 15.0
 
+#: What the page says of recipes whose images are not those of the view.
+_PATH_TRACED = (
+    'integrator = "prbvolpath": tries and renders show the network scattered light, path traced. The view shows '
+    "emission and absorption; for path-traced pictures choose a look, and lit."
+)
+
 _NOTHING = "studio: nothing is opened; choose something on the left"
 
 
@@ -102,6 +108,18 @@ class Session:
         sight = Sight.of_query(query, len(painter.opened.results.frames))
         return sight, lit.paint(sight) if sight.lit else painter.paint(sight, recipe)
 
+    def arrows(self, query: Mapping[str, str]) -> dict[str, Any]:
+        """v* as arrows in the picture of a query, as values for JSON; see `SightPainter.arrows`.
+
+        Raises:
+            InputError: nothing is opened, or it has no v*.
+        """
+        with self._news:
+            painter = self.painter
+        if painter is None:
+            raise InputError(_NOTHING)
+        return painter.arrows(Sight.of_query(query, len(painter.opened.results.frames))).described()
+
     def recipe(self) -> Recipe:
         """The recipe as it is set."""
         with self._news:
@@ -147,6 +165,7 @@ class Session:
                 "work": work,
                 "version": self._version,
                 "opened": None if self.painter is None else _described(self.painter, self.places),
+                "physics": _PATH_TRACED if self.settings.recipe.integrator == "prbvolpath" else None,
                 **self.settings.described(),
             }
 

@@ -15,8 +15,8 @@ from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.cameras.views import camera_frame
 from tnst_mi.studio.opened import AFTER, BEFORE
 
-#: What is shown: one side of a frame, how they differ, or v* in colours.
-MODES = (BEFORE, AFTER, "difference", "movement")
+#: What is shown: one side of a frame, how they differ, or v* in colours, in the picture or towards the eye.
+MODES = (BEFORE, AFTER, "difference", "movement", "depth")
 
 #: As the network sees the smoke, or as thick as in one of the looks.
 AS_SEEN = "network"

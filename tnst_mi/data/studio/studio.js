@@ -54,6 +54,7 @@ const canvas = $("view"), pictures = {};
 let waiting = false, wanted = false, movedAt = 0, stillTimer = 0, pass = 0, fineness = LIT_ROWS.length - 1;
 
 function sides() {
+  if (mode === "movement") return [movementSide()];
   return mode === "wipe" ? ["before", "after"] : [mode];
 }
 
@@ -99,6 +100,7 @@ async function update() {
         // The first pass may have had to be compiled.
         if (lit && pass === 2) adapt(performance.now() - asked);
       }
+      if (mode === "movement") await askMovement(query("after", moving, false));
       complain("");
       if (lit && pass < LIT_PASSES) wanted = true;
       const [d, h, w] = state.opened.shape;
@@ -143,6 +145,7 @@ function draw() {
     pen.drawImage(pictures[side], 0, 0, width, height);
     pen.restore();
   }
+  if (mode === "movement") drawMovement(pen, width, height);
   if (mode === "wipe") {
     pen.fillStyle = "#fff";
     pen.fillRect(wipe * width - 1, 0, 2, height);
@@ -217,7 +220,9 @@ function shownMode() {
     $(`mode-${name}`).classList.toggle("on", name === mode);
     $(`mode-${name}`).disabled = !after && name !== "before";
   }
-  $("wheel").hidden = mode !== "movement";
+  shownMovement();
+  $("physics").textContent = (state && state.physics) || "";
+  $("physics").hidden = !$("physics").textContent || $("look").value !== "network";
   const cut = $("cut").value !== "none";
   $("at").hidden = !cut;
   for (const id of ["lit", "perspective"]) $(id).parentElement.hidden = cut;
@@ -225,7 +230,7 @@ function shownMode() {
   if ($("lit").disabled) $("lit").checked = false;
 }
 
-for (const id of ["look", "lit", "cut", "perspective"]) $(id).addEventListener("change", () => { shownMode(); look(); });
+for (const id of ["look", "lit", "cut", "perspective", "moved-as"]) $(id).addEventListener("change", () => { shownMode(); look(); });
 $("at").addEventListener("input", () => look());
 $("home").addEventListener("click", home);
 
@@ -277,9 +282,16 @@ async function list(at) {
 /* ---- motifs -------------------------------------------------------------------------------------------------- */
 
 let motifs = [];
+const byName = () => got(`motifs?${new URLSearchParams({ find: $("find").value })}`);
+let finder = byName; // alike.js has another one
+
+// Whether something could be asked for; what comes after another question is not shown.
 async function find() {
-  try { motifs = await got(`motifs?${new URLSearchParams({ find: $("find").value })}`); } catch (error) { complain(error.message); }
-  showMotifs();
+  const asked = finder;
+  let found;
+  try { found = await asked(); } catch (error) { complain(error.message); return false; }
+  if (asked === finder) { motifs = found; showMotifs(); }
+  return true;
 }
 
 function chosen(motif) {
@@ -300,6 +312,7 @@ function showMotifs() {
     tiles.push(tile);
   }
   $("motifs").replaceChildren(...tiles);
+  showExamples();
   markMotifs();
 }
 
