@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
-import tempfile
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -14,20 +12,18 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from PIL import Image
-
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
-from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.gate import decoding
-from tnst_mi.machine.terminal import displayable, one_line
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.class_names import class_names
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.uploads import as_png, read_upload
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64
@@ -146,13 +142,7 @@ class MotifBrowser:
             InputError: it cannot be read as a picture, or there are too many.
         """
         stem = re.sub(r"[^\w-]+", "_", Path(name.replace("\\", "/")).stem).strip("_")[:40] or "picture"
-        with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
-            path = Path(folder) / "uploaded"
-            path.write_bytes(body)
-            try:
-                image = read_image(path)
-            except InputError as error:
-                raise InputError(one_line(str(error).replace(str(path), displayable(Path(name).name)))) from None
+        image = read_upload(Path(name).name, body)
         make_folder(self._pictures)
         if len(list(self._pictures.glob("*.png"))) >= _UPLOADS:
             raise InputError(f"{self._pictures}: has {_UPLOADS} pictures already; remove some")
@@ -160,7 +150,7 @@ class MotifBrowser:
         while file.exists():
             file, number = self._pictures / f"{stem}_{number}.png", number + 1
         with written_whole(file) as temporary:
-            temporary.write_bytes(_png(image))
+            temporary.write_bytes(as_png(image.grey, image.alpha))
 
     def _styles(self) -> Iterator[Motif]:
         return (motif for motif, _ in self._style_files())
@@ -220,12 +210,5 @@ def _channels_of(atlas: Path) -> Iterator[tuple[_AtlasChannel, Path]]:
 
 
 def _thumbnail(image: GreyImage) -> bytes:
-    return _png(image.fitted(_EDGE, _EDGE))
-
-
-def _png(image: GreyImage) -> bytes:
-    picture, encoded = Image.fromarray(eight_bits(image.grey)), io.BytesIO()
-    if image.alpha is not None:
-        picture.putalpha(Image.fromarray(eight_bits(image.alpha)))
-    picture.save(encoded, "PNG")
-    return encoded.getvalue()
+    fitted = image.fitted(_EDGE, _EDGE)
+    return as_png(fitted.grey, fitted.alpha)
