@@ -288,7 +288,7 @@ def test_regions_are_shaped_and_painted_in_the_view(
         page.get_by_label("radius", exact=True).fill("6.5")
         page.get_by_label("radius", exact=True).press("Enter")
         other.page.locator(".part[data-form=sphere] .head button").first.click()
-        other.page.wait_for_function("document.querySelector('[aria-label=radius]').value === '6.5'")
+        playwright.expect(other.page.get_by_label("radius", exact=True)).to_have_value("6.5")
         dragged("edge", 20, 0)
         page.locator(".part.on [data-key=invert]").check()
         shown.settled()
@@ -309,13 +309,13 @@ def test_regions_are_shaped_and_painted_in_the_view(
         camera = page.evaluate("view")
         page.locator("#brush-size").fill("0.25")
         page.locator("#brush-soft").fill("0")
-        spot = x - 30, y - 60
+        spot = x + 40, y + 100
         page.mouse.click(*spot)
-        page.mouse.click(x + 130, y + 160)
+        page.mouse.click(x - 130, y - 120)
         page.locator("#brush-undo").click()
-        page.mouse.click(x + 130, y + 160)
+        page.mouse.click(x - 130, y - 120)
         page.locator("#brush-erase").click()
-        page.mouse.click(x + 130, y + 160)
+        page.mouse.click(x - 130, y - 120)
         shown.photographed("9_painting")
         page.locator("#brush-done").click()
         page.locator(".part.on[data-form=image]").wait_for()
@@ -336,7 +336,7 @@ def test_regions_are_shaped_and_painted_in_the_view(
         assert 5 < (distance < 2.5).sum() < 30
         np.testing.assert_array_equal(sampled[clear], (distance < 2.5)[clear])
         # They are part of what is tried, and of what is opened again.
-        page.locator(".part[data-form=sphere] .head button[title=remove]").click()
+        page.locator("#share", has_text="is in all of these").wait_for()
         page.locator("#motifs [data-key=style][data-goal=net]").click()
         for key, value in (("iterations", 3), ("octaves", 1), ("views", 1)):
             page.locator(f"#knob-{key}").fill(str(value))
@@ -344,15 +344,15 @@ def test_regions_are_shaped_and_painted_in_the_view(
         page.locator("#try").click()
         page.locator(".job.done").wait_for()
         recipe = Recipe.from_toml(tmp_path / "out" / "tries" / "0001.toml")
-        assert [part.get("shape", "image") for part in recipe.mask] == ["box", "image"]
-        assert recipe.mask[1]["image"] == str(tmp_path / "out" / "masks" / "0001.png")
+        assert [part.get("shape", "image") for part in recipe.mask] == ["box", "sphere", "image"]
+        assert recipe.mask[2]["image"] == str(tmp_path / "out" / "masks" / "0001.png")
         while page.locator(".part").count():
             count = page.locator(".part").count()
             page.locator(".part .head button[title=remove]").first.click()
-            page.wait_for_function(f"document.querySelectorAll('.part').length < {count}")
+            page.locator(".part").nth(count - 1).wait_for(state="detached")
         page.locator(".job button[data-action=open]").click()
         page.locator(".part[data-form=image]").wait_for()
-        assert other.page.locator(".part").count() == 2
+        other.page.locator(".part").nth(2).wait_for()
         shown.settled()
         shown.photographed("9_reopened")
         assert page.locator("#error").is_hidden()

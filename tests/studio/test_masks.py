@@ -295,6 +295,16 @@ def test_a_cut_shows_the_mask_itself(studio: Studio) -> None:
     np.testing.assert_allclose(picture[..., 1], density * np.where(inside, 0.36, 1.0), atol=1e-6)
 
 
+def test_the_share_of_the_smoke_in_a_mask(studio: Studio) -> None:
+    assert studio.get("/share", target=0, frame=0).values == {"share": None}
+    studio.post("/mask", action="add", values=BOX)
+    studio.post("/mask", action="change", part=0, values={"strength": 0.5})
+    density = frames()[0].density.astype(np.float64)
+    inside = density[1:9, 1:10, 1:6].sum() / density.sum()
+    assert studio.get("/share", target=0, frame=0).values["share"] == pytest.approx(inside / 2, rel=1e-5)
+    assert studio.get("/share", target=0, frame=3).status == 400
+
+
 def test_without_a_mask_nothing_is_coloured(studio: Studio) -> None:
     painter = SightPainter(opened(studio.session.places.within("smoke")))
     for recipe, target in ((Recipe(), 0), (Recipe(mask=BOX), 5)):

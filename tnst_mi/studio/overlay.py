@@ -15,7 +15,7 @@ from tnst_mi.regions.regions import Regions
 from tnst_mi.regions.shapes import smoke_extent
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.studio.masks import mask_tables
-from tnst_mi.studio.opened import Opened, pooled
+from tnst_mi.studio.opened import BEFORE, Opened, pooled
 
 #: The colour of what is in a mask.
 _COLOUR = np.array([1.0, 0.36, 0.26])
@@ -83,6 +83,14 @@ class MaskOverlay:
                     self._smoke.popitem(last=False)
             self._smoke.move_to_end(key)
             return self._smoke[key]
+
+    def share(self, recipe: Recipe, target: int, index: int) -> float | None:
+        """The part of the smoke of a frame, before, that is in the mask of a target, in [0, 1]; see `mask`."""
+        masked = self.smoke(recipe, target, index, BEFORE)
+        if masked is None:
+            return None
+        mass = float(self.opened.frame(BEFORE, index).full.density.sum(dtype=np.float64))
+        return float(masked.full.sum(dtype=np.float64)) / mass if mass > 0 else 0.0
 
     def place(self, index: int) -> dict[str, list[list[float]] | None]:
         """Where a frame lies in the scene, in whose units masks are.

@@ -54,6 +54,7 @@ class StudioRoutes:
             ("GET", "/thumbnail"): self._thumbnail,
             ("POST", UPLOAD): self._upload,
             ("GET", "/place"): self._place,
+            ("GET", "/share"): self._share,
             ("POST", "/mask"): self._mask,
             ("POST", PAINTING): self._painting,
             ("GET", "/work/picture"): self._work_picture,
@@ -119,6 +120,10 @@ class StudioRoutes:
 
     def _place(self, request: PageRequest) -> PageAnswer:
         return PageAnswer.of_json(self.session.place(request.whole("frame")))
+
+    def _share(self, request: PageRequest) -> PageAnswer:
+        share = self.session.share(request.whole("target"), request.whole("frame"))
+        return PageAnswer.of_json({"share": share})
 
     def _mask(self, request: PageRequest) -> PageAnswer:
         values = request.json()

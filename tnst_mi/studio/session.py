@@ -139,6 +139,12 @@ class Session:
             painter = self._opened()
         return painter.masks.place(painter.index(frame))
 
+    def share(self, target: int, frame: int) -> float | None:
+        """The part of the smoke of a frame, by its index, that is in the mask of a target; see `MaskOverlay.share`."""
+        with self._news:
+            painter, recipe = self._opened(), self.settings.recipe
+        return painter.masks.share(recipe, target, painter.index(frame))
+
     def paint(self, query: Mapping[str, str]) -> tuple[Sight, np.ndarray]:
         """What a tab wants to see, by the query of `Sight.of_query`, and its picture with values in [0, 1].
 

@@ -179,10 +179,30 @@ function showParts() {
   $("masked").hidden = targets.length < 2;
   for (const id of ["add-sphere", "add-box", "add-painting"]) $(id).disabled = !state.opened || Boolean(painting);
   const rows = parts().map(partRow);
-  if (rows.length > 1) rows.push(element("p", "Only what is in all of these changes."));
   // What is being typed stays.
   if (!$("parts").contains(document.activeElement) || document.activeElement.type !== "number") $("parts").replaceChildren(...rows);
   alsoAsked.mask = $("masks-shown").checked && parts().length ? targetIndex() : "none";
+}
+
+let shareOf = "";
+
+// Says how much of the shown frame's smoke is in the mask: what holds none of it cannot be tried.
+async function showShare() {
+  $("share").hidden = !parts().length || !state.opened;
+  const key = JSON.stringify([state.opened, state.masks, targetIndex(), frameIndex()]);
+  if ($("share").hidden || key === shareOf) return;
+  shareOf = key;
+  let text = "", share = null;
+  try {
+    ({ share } = await got(`share?${new URLSearchParams({ target: targetIndex(), frame: frameIndex() })}`));
+    const percent = share > 0 && share < 0.01 ? "less than 1%" : `${Math.round(100 * share)}%`;
+    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these, where it changes" : "is in it and changes"}.`;
+  } catch (error) {
+    text = error.message;
+  }
+  if (key !== shareOf) return; // it has changed by now
+  $("share").textContent = text;
+  $("share").classList.toggle("none", !share);
 }
 
 $("masked").addEventListener("change", () => { asked = 0; showParts(); look(); });
@@ -487,11 +507,12 @@ $("brush-cancel").addEventListener("click", endPainting);
 
 /* ---- what the page tells ------------------------------------------------------------------------------------------ */
 
-document.addEventListener("drawn", () => { askPlace(); drawGizmos(); });
+document.addEventListener("drawn", () => { askPlace(); showShare(); drawGizmos(); });
 document.addEventListener("told", () => {
   if (painting && painting.opened !== shownKey) { complain("Something else has been opened; what was painted is gone."); endPainting(); }
   const before = alsoAsked.mask;
   showParts();
   if (alsoAsked.mask !== before) look();
   askPlace();
+  showShare();
 });
