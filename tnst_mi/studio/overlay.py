@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tnst_mi.frame import Frame
+from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target
 from tnst_mi.regions.regions import Regions
@@ -18,7 +19,7 @@ from tnst_mi.studio.masks import mask_tables
 from tnst_mi.studio.opened import BEFORE, Opened, pooled
 
 #: The colour of what is in a mask.
-_COLOUR = np.array([1.0, 0.36, 0.26])
+_COLOUR = np.array([1.0, 0.36, 0.26], np.float32)
 
 #: Frames and sides whose masked smoke is kept: both sides of a wipe.
 _KEPT = 2
@@ -65,7 +66,8 @@ class MaskOverlay:
             InputError: the mask cannot be evaluated.
         """
         with self._evaluating:
-            return None if (found := self._found(recipe, target)) is None else found[1].masks(index, self._at(index))[0]
+            found = self._found(recipe, target)
+            return None if found is None else self._evaluated(found[1], index)
 
     def smoke(self, recipe: Recipe, target: int, index: int, side: str) -> MaskedSmoke | None:
         """The smoke of a side of a frame that is in a mask; see `mask`."""
@@ -73,8 +75,7 @@ class MaskOverlay:
             if (found := self._found(recipe, target)) is None:
                 return None
             if (key := (found[0], index, side)) not in self._smoke:
-                (mask,) = found[1].masks(index, self._at(index))
-                assert mask is not None  # the target has one
+                mask = self._evaluated(found[1], index)
                 grids = self.opened.frame(side, index)
                 full = mask * grids.full.density
                 coarse = full if grids.coarse is grids.full else pooled(full, round(grids.coarse.h))
@@ -119,6 +120,13 @@ class MaskOverlay:
             alone = Target(recipe, tuple(masks[target]), number=target + 1 if recipe.target else 0)
             self._regions = key, Regions([alone], self._frames, self._frames, results.numbers)
         return self._regions
+
+    def _evaluated(self, regions: Regions, index: int) -> np.ndarray:
+        frame = self._at(index)
+        with turn():  # masks that follow the smoke are moved on the device
+            (mask,) = regions.masks(index, frame)
+        assert mask is not None  # there are only regions where there is one
+        return mask
 
     def _at(self, index: int) -> Frame:
         """A frame without what masks do not need of it here: those that do read it themselves."""
