@@ -70,7 +70,7 @@ class SightPainter:
             recipe: whose γ and quadrature count where the smoke is seen as the network sees it.
 
         Raises:
-            InputError: there is no v*, a file cannot be read, or a mask cannot be evaluated.
+            InputError: there is no v*, or a file cannot be read.
         """
         if sight.mode in ("difference", "movement") and not self.opened.has_after:
             raise InputError(f"view: {sight.mode} is of a run, before and after; open one")
@@ -79,7 +79,10 @@ class SightPainter:
         # Differences and movements have colours of their own.
         if sight.mask is None or sight.mode not in (BEFORE, AFTER):
             return picture
-        masked = self.masks.smoke(recipe, sight.mask, sight.frame, sight.mode)
+        try:
+            masked = self.masks.smoke(recipe, sight.mask, sight.frame, sight.mode)
+        except InputError:  # the smoke is seen all the same; the page hears why from `Session.share`
+            return picture
         return picture if masked is None else tinted(picture, self._share(sight, masked))
 
     def _share(self, sight: Sight, masked: MaskedSmoke) -> np.ndarray:
