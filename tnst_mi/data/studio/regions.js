@@ -130,9 +130,10 @@ function numbersRow(index, part, key) {
   const inputs = (Array.isArray(value) ? value : [value]).map((number, axis, all) => {
     const input = element("input", undefined, { type: "number", step: "any", value: tidy(number) });
     input.setAttribute("aria-label", all.length > 1 ? `${key} ${"xyz"[axis]}` : key);
-    input.addEventListener("change", () => {
-      const numbers = inputs.map((other) => Number(other.value));
-      edit("change", index, { [key]: all.length > 1 ? numbers : numbers[0] });
+    input.addEventListener("change", async () => {
+      const numbers = inputs.map((other) => (other.value === "" ? null : Number(other.value)));
+      const done = await edit("change", index, { [key]: all.length > 1 ? numbers : numbers[0] });
+      if (!done) inputs.forEach((other, of) => { other.value = tidy(all[of]); });
     });
     return input;
   });
@@ -171,17 +172,22 @@ function partRow(part, index) {
   return row;
 }
 
+let shownList = "";
+
 function showParts() {
   if (!state) return;
-  const chosen = targetIndex(), targets = state.masks;
-  $("masked").replaceChildren(...targets.map((target, index) => element("option", target.title, { value: index })));
-  $("masked").value = Math.min(chosen, targets.length - 1);
-  $("masked").hidden = targets.length < 2;
+  const chosen = Math.min(targetIndex(), state.masks.length - 1);
+  alsoAsked.mask = $("masks-shown").checked && state.masks[chosen].parts.length ? chosen : "none";
   for (const id of ["add-sphere", "add-box", "add-painting"]) $(id).disabled = !state.opened || Boolean(painting);
-  const rows = parts().map(partRow);
-  // What is being typed stays.
-  if (!$("parts").contains(document.activeElement) || document.activeElement.type !== "number") $("parts").replaceChildren(...rows);
-  alsoAsked.mask = $("masks-shown").checked && parts().length ? targetIndex() : "none";
+  // The state comes often while something runs: what is being clicked or typed stays as long as it is true.
+  const key = JSON.stringify([state.masks, chosen, selected(), state.opened && state.opened.names.length]);
+  const typed = document.activeElement;
+  if (key === shownList || ($("parts").contains(typed) && typed.type === "number")) return;
+  shownList = key;
+  $("masked").replaceChildren(...state.masks.map((target, index) => element("option", target.title, { value: index })));
+  $("masked").value = chosen;
+  $("masked").hidden = state.masks.length < 2;
+  $("parts").replaceChildren(...parts().map(partRow));
 }
 
 let shareOf = "";
