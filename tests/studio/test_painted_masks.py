@@ -287,6 +287,18 @@ def test_the_smoke_is_coloured_by_the_mask_along_each_ray(studio: Studio) -> Non
     np.testing.assert_allclose(green[smoke > 0], 1 - 0.64 * share[smoke > 0], atol=0.005)
 
 
+def test_while_the_camera_moves_the_mask_is_where_it_is_when_it_is_still(studio: Studio) -> None:
+    painter = SightPainter(opened(studio.session.places.within("smoke")))
+    recipe = Recipe(gamma=0.05, mask={"shape": "sphere", "centre": [3.5, 5.5, 4.5], "radius": 6, "edge": 4})
+    moving, still = (
+        painter.paint(Sight(mode="before", height=14, rows=141, columns=97, mask=0, coarse=coarse), recipe)
+        for coarse in (True, False)
+    )
+    assert moving.shape == still.shape == (141, 97, 3)
+    # Twice as coarse, it differs most where the smoke begins.
+    assert np.abs(moving - still).mean() < 0.01 * still.mean()
+
+
 def test_a_cut_shows_the_mask_itself(studio: Studio) -> None:
     painter = SightPainter(opened(studio.session.places.within("smoke")))
     recipe = Recipe(mask=BOX)

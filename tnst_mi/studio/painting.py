@@ -10,6 +10,7 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
+from tnst_mi.losses.pictures import resized
 from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import looks
@@ -89,12 +90,15 @@ class SightPainter:
         """A mask as its mean over the smoke along each ray, (rows, columns) in [0, 1]; 0 where there is no smoke."""
         if sight.cut:
             return _fitted(_oriented(*sight.cut, self.opened.shape)(masked.mask), sight.rows, sight.columns)
-        grid, size = self._grid(sight.mode, sight), (sight.rows, sight.columns)
+        # While the camera moves, a quarter of the rays has to do.
+        shrink = 2 if sight.coarse else 1
+        grid, size = self._grid(sight.mode, sight), (sight.rows // shrink, sight.columns // shrink)
         smoke, inside = (
             self._image(grid, values, _TRANSPARENT, "paper", sight.camera, size)
             for values in (grid.tensor, masked.coarse if sight.coarse else masked.full)
         )
-        return np.clip(np.where(smoke > 0, inside / np.maximum(smoke, 1e-30), 0.0), 0.0, 1.0)
+        share = np.clip(np.where(smoke > 0, inside / np.maximum(smoke, 1e-30), 0.0), 0.0, 1.0)
+        return resized(share, sight.rows, sight.columns) if sight.coarse else share
 
     def _marched(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         gamma, quadrature = self.optics(sight, recipe)
