@@ -21,12 +21,14 @@ from tnst_mi.studio.server import PAINTING, UPLOAD
 from tnst_mi.studio.session import Session
 from tnst_mi.studio.work import RENDERS, TRIES
 
+#: The scripts of the page.
+_SCRIPTS = ("studio.js", "projection.js", "gizmos.js", "brush.js", "regions.js")
+
 #: The files of the page.
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
-    "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
-    "/regions.js": ("regions.js", "text/javascript; charset=utf-8"),
+    **{f"/{name}": (name, "text/javascript; charset=utf-8") for name in _SCRIPTS},
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
