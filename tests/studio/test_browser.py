@@ -6,6 +6,7 @@ TNST_MI_SHOTS may name a folder for pictures of it.
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import signal
@@ -25,6 +26,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.network.shipped import shipped_weights
 from tnst_mi.recipe.paths import STYLES
+from tnst_mi.recipe.recipe import Recipe
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -288,3 +290,124 @@ def test_a_render_outlives_the_page_and_the_studio(
         shown.page.locator("#status", has_text="pass").wait_for(state="hidden")
         shown.photographed("5_reopened")
         shown.page.context.close()
+
+
+def test_regions_are_shaped_and_painted_in_the_view(
+    root: Path, tmp_path: Path, weights: Path, opened: Callable[[str], Page]
+) -> None:
+    with studio_url(root / "smoke.npz", tmp_path / "out", weights) as url:
+        shown, other = opened(url), opened(url)
+        page, drawing = shown.page, shown.page.locator("#gizmos")
+        plain = shown.settled()
+        page.locator("#add-box").click()
+        page.locator(".part.on[data-form=box]").wait_for()
+        # What is in the box is red, and so less bright; the rest is as it was.
+        coloured = shown.settled()
+        assert (coloured < plain - 0.1).sum() > 500
+        shown.photographed("6_box")
+
+        def handle(name: str) -> tuple[float, float]:
+            box, places = page.locator("#view").bounding_box(), dict(json.loads(drawing.get_attribute("data-handles")))
+            return box["x"] + places[name][0], box["y"] + places[name][1]
+
+        def number(label: str) -> float:
+            return float(page.get_by_label(label, exact=True).input_value())
+
+        def dragged(name: str, right: float, down: float) -> None:
+            x, y = handle(name)
+            page.mouse.move(x, y)
+            page.mouse.down()
+            page.mouse.move(x + right, y + down, steps=5)
+            page.mouse.up()
+            shown.settled()
+
+        # Pixels of a cell, by which a face moves if it is dragged, here and in perspective.
+        (left, _), (right, _) = handle("low x"), handle("high x")
+        pixels = (right - left) / (number("high x") - number("low x"))
+        before = number("high x"), number("low x")
+        dragged("high x", 3 * pixels, 20)
+        assert number("high x") == pytest.approx(before[0] + 3, abs=0.1) and number("low x") == before[1]
+        dragged("centre", -pixels, 2 * pixels)
+        assert number("low x") == pytest.approx(before[1] - 1, abs=0.1)
+        page.locator("#perspective").check()
+        shown.settled()
+        x, y = handle("high y")
+        dragged("high y", 0, 2 * pixels)
+        assert handle("high y") == pytest.approx((x, y + 2 * pixels), abs=1.5)
+        shown.photographed("7_perspective")
+        # A sphere, whose numbers can be typed, and which another tab has too.
+        page.locator("#add-sphere").click()
+        page.locator(".part.on[data-form=sphere]").wait_for()
+        page.get_by_label("radius", exact=True).fill("6.5")
+        page.get_by_label("radius", exact=True).press("Enter")
+        other.page.locator(".part[data-form=sphere] .head button").first.click()
+        playwright.expect(other.page.get_by_label("radius", exact=True)).to_have_value("6.5")
+        dragged("edge", 20, 0)
+        page.locator(".part.on [data-key=invert]").check()
+        shown.settled()
+        shown.photographed("8_sphere")
+        page.locator(".part.on [data-key=invert]").uncheck()
+        # Paint: a disc, where the view has been panned and zoomed; a stroke that is undone, and one that is erased.
+        page.locator("#home").click()
+        page.locator("#add-painting").click()
+        assert not page.locator("#perspective").is_checked()
+        area = page.locator("#view").bounding_box()
+        x, y = area["x"] + area["width"] / 2, area["y"] + area["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.wheel(0, -300)
+        page.mouse.down(button="right")
+        page.mouse.move(x + 90, y + 40, steps=3)
+        page.mouse.up(button="right")
+        shown.settled()
+        camera = page.evaluate("view")
+        page.locator("#brush-size").fill("0.25")
+        page.locator("#brush-soft").fill("0")
+        spot = x + 40, y + 100
+        page.mouse.click(*spot)
+        page.mouse.click(x - 130, y - 120)
+        page.locator("#brush-undo").click()
+        page.mouse.click(x - 130, y - 120)
+        page.locator("#brush-erase").click()
+        page.mouse.click(x - 130, y - 120)
+        shown.photographed("9_painting")
+        page.locator("#brush-done").click()
+        page.locator(".part.on[data-form=image]").wait_for()
+        shown.settled()
+        shown.photographed("9_painted")
+        # The cells that the disc covers, from the pixel alone.
+        cell = camera["height"] / area["height"]
+        across = camera["right"] + (spot[0] - x) * cell
+        upwards = camera["up"] - (spot[1] - y) * cell
+        with Image.open(tmp_path / "out" / "masks" / "0001.png") as kept:
+            alpha = np.asarray(kept)[..., 1] / 255
+        rows, columns = 20, 16
+        places = [np.arange(n) - (n - 1) / 2 for n in (rows, columns)]
+        distance = np.hypot(places[0][::-1, None] - upwards, places[1] - across)
+        pixel = alpha.shape[0] / rows
+        sampled = alpha[np.ix_(*[((np.arange(n) + 0.5) * pixel).astype(int) for n in (rows, columns)])]
+        clear = np.abs(distance - 2.5) > 0.1
+        assert 5 < (distance < 2.5).sum() < 30
+        np.testing.assert_array_equal(sampled[clear], (distance < 2.5)[clear])
+        # They are part of what is tried, and of what is opened again.
+        page.locator("#share", has_text="is in all of these").wait_for()
+        page.locator("#motifs [data-key=style][data-goal=net]").click()
+        for key, value in (("iterations", 3), ("octaves", 1), ("views", 1)):
+            page.locator(f"#knob-{key}").fill(str(value))
+            page.locator(".knob.set", has_text=key).wait_for()
+        page.locator("#try").click()
+        page.locator(".job.done").wait_for()
+        recipe = Recipe.from_toml(tmp_path / "out" / "tries" / "0001.toml")
+        assert [part.get("shape", "image") for part in recipe.mask] == ["box", "sphere", "image"]
+        assert recipe.mask[2]["image"] == str(tmp_path / "out" / "masks" / "0001.png")
+        while page.locator(".part").count():
+            count = page.locator(".part").count()
+            page.locator(".part .head button[title=remove]").first.click()
+            page.locator(".part").nth(count - 1).wait_for(state="detached")
+        page.locator(".job button[data-action=open]").click()
+        page.locator(".part[data-form=image]").wait_for()
+        other.page.locator(".part").nth(2).wait_for()
+        shown.settled()
+        shown.photographed("9_reopened")
+        assert page.locator("#error").is_hidden()
+        for tab in (shown, other):
+            tab.page.context.close()

@@ -80,6 +80,18 @@ def parts_of(mask: Any) -> tuple[Part, ...]:
     return mask if isinstance(mask, tuple) else (mask,)
 
 
+def table_of(part: Part) -> Mapping[str, Any]:
+    """A part of a mask as a table: a text means a file or a grid; located recipes hold files by absolute paths.
+
+    Example:
+        >>> table_of("heat"), table_of("/masks/m.npz")
+        ({'grid': 'heat'}, {'file': '/masks/m.npz'})
+    """
+    if isinstance(part, Mapping):
+        return part
+    return {"file": part} if is_path(part) else {"grid": part}
+
+
 def part_at(part: Mapping[str, Any], frame: int | float | None) -> dict[str, Any]:
     """The table of a mask at one frame, without keyframes.
 

@@ -12,7 +12,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.frame import Frame
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import form_of
-from tnst_mi.recipe.targets import Part, Target, is_path, part_at, targets_of
+from tnst_mi.recipe.targets import Part, Target, part_at, table_of, targets_of
 from tnst_mi.regions.following import FollowingMask
 from tnst_mi.regions.projection import Painting, painted, projected
 from tnst_mi.regions.shapes import shape_mask
@@ -96,7 +96,7 @@ class Regions:
         return product
 
     def _part(self, key: tuple[int, int], part: Part, index: int, frame: Frame) -> np.ndarray:
-        table: Mapping[str, Any] = part if isinstance(part, Mapping) else _named(part)
+        table = table_of(part)
         follow: bool | int = table.get("follow", False)
         now = part_at(table, self._numbers[index])
         # What is painted or shaped moves; how much it counts is that of the frame itself.
@@ -143,11 +143,6 @@ class Regions:
             before = self._spans.get(name, (least, largest))
             self._spans[name] = min(least, before[0]), max(largest, before[1])
         return mask
-
-
-def _named(text: str) -> dict[str, Any]:
-    """The table that a text means: located recipes hold files by absolute paths."""
-    return {"file": text} if is_path(text) else {"grid": text}
 
 
 def regions_of(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.machine.terminal import one_line
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,28 @@ class PageRequest:
     path: str
     query: Mapping[str, str] = field(default_factory=dict)
     body: bytes = b""
+
+    def number(self, name: str) -> float:
+        """A number of the query.
+
+        Raises:
+            InputError: it is none, or not finite.
+        """
+        text = self.query.get(name, "")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(one_line(f"{self.path}: {name} = {text!r}: expected a number"))
+        return value
+
+    def whole(self, name: str) -> int:
+        """A whole number of the query; see `number`."""
+        value = self.number(name)
+        if not value.is_integer():
+            raise InputError(one_line(f"{self.path}: {name} = {value:g}: expected a whole number"))
+        return int(value)
 
     def json(self) -> dict[str, Any]:
         """The body as a JSON object.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import threading
@@ -14,12 +13,10 @@ from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
-from PIL import Image
 
 from tnst_mi.atlas.layer_atlas import means_in
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
-from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.gate import decoding
 from tnst_mi.machine.terminal import one_line
@@ -31,7 +28,7 @@ from tnst_mi.recipe.paths import STYLES, shipped_styles
 from tnst_mi.studio.examples import ATLASES
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.similarity import COMPARED, PictureAnswer
-from tnst_mi.studio.uploads import uploaded_picture
+from tnst_mi.studio.uploads import as_png, read_upload
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64
@@ -208,7 +205,7 @@ class MotifBrowser:
             InputError: it cannot be read as a picture, or there are too many.
         """
         stem = re.sub(r"[^\w-]+", "_", Path(name.replace("\\", "/")).stem).strip("_")[:40] or "picture"
-        image = uploaded_picture(name, body)
+        image = read_upload(Path(name).name, body)
         make_folder(self._pictures)
         if len(list(self._pictures.glob("*.png"))) >= _UPLOADS:
             raise InputError(f"{self._pictures}: has {_UPLOADS} pictures already; remove some")
@@ -216,7 +213,7 @@ class MotifBrowser:
         while file.exists():
             file, number = self._pictures / f"{stem}_{number}.png", number + 1
         with written_whole(file) as temporary:
-            temporary.write_bytes(_png(image))
+            temporary.write_bytes(as_png(image.grey, image.alpha))
 
     def _styles(self) -> Iterator[Motif]:
         return (motif for motif, _ in self._style_files())
@@ -301,12 +298,5 @@ def _channels_of(atlas: Path) -> Iterator[tuple[_AtlasChannel, Path]]:
 
 
 def _thumbnail(image: GreyImage) -> bytes:
-    return _png(image.fitted(_EDGE, _EDGE))
-
-
-def _png(image: GreyImage) -> bytes:
-    picture, encoded = Image.fromarray(eight_bits(image.grey)), io.BytesIO()
-    if image.alpha is not None:
-        picture.putalpha(Image.fromarray(eight_bits(image.alpha)))
-    picture.save(encoded, "PNG")
-    return encoded.getvalue()
+    fitted = image.fitted(_EDGE, _EDGE)
+    return as_png(fitted.grey, fitted.alpha)

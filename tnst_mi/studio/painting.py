@@ -9,6 +9,8 @@ import numpy as np
 from PIL import Image
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.losses.pictures import resized
 from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import looks
@@ -19,6 +21,7 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.run.panels import difference, on_canvas
 from tnst_mi.studio.movement import Arrows, MovingSmoke, arrows_on, cut_movement, lattice_of
 from tnst_mi.studio.opened import AFTER, BEFORE, Opened, ShownGrid
+from tnst_mi.studio.overlay import MaskedSmoke, MaskOverlay, tinted
 from tnst_mi.studio.sight import AS_SEEN, Sight
 from tnst_mi.studio.wheel import coloured, coloured_by_depth
 
@@ -37,14 +40,28 @@ class SightPainter:
 
     Args:
         opened: an input or a run.
+
+    Attributes:
+        masks: where the masks of recipes are in it.
     """
 
     def __init__(self, opened: Opened) -> None:
-        self.opened = opened
+        self.opened, self.masks = opened, MaskOverlay(opened)
         self._moving: tuple[int, MovingSmoke] | None = None
         #: What has been measured, by γ and quadrature; a cache of methods would keep the frames for as long as itself.
         self._exposures: dict[tuple[float, str], float] = {}
         self._differences: dict[tuple[int, float, str], float] = {}
+
+    def index(self, frame: int) -> int:
+        """The index of a frame, if it is one.
+
+        Raises:
+            InputError: it is none.
+        """
+        count = len(self.opened.results.frames)
+        if not 0 <= frame < count:
+            raise InputError(f"studio: frame {frame}: there are {count}, from 0")
+        return frame
 
     def paint(self, sight: Sight, recipe: Recipe) -> np.ndarray:
         """A picture (rows, columns) or (rows, columns, 3), values for the display in [0, 1].
@@ -59,7 +76,29 @@ class SightPainter:
         if sight.mode not in (BEFORE, AFTER):
             self._require_run(sight.mode)
         picture = self._cut(sight) if sight.cut else self._marched(sight, recipe)
-        return np.clip(picture, 0.0, 1.0)
+        picture = np.clip(picture, 0.0, 1.0)
+        # Differences and movements have colours of their own.
+        if sight.mask is None or sight.mode not in (BEFORE, AFTER):
+            return picture
+        try:
+            masked = self.masks.smoke(recipe, sight.mask, sight.frame, sight.mode)
+        except InputError:  # the smoke is seen all the same; the page hears why from `Session.share`
+            return picture
+        return picture if masked is None else tinted(picture, self._share(sight, masked))
+
+    def _share(self, sight: Sight, masked: MaskedSmoke) -> np.ndarray:
+        """A mask as its mean over the smoke along each ray, (rows, columns) in [0, 1]; 0 where there is no smoke."""
+        if sight.cut:
+            return _fitted(_oriented(*sight.cut, self.opened.shape)(masked.mask), sight.rows, sight.columns)
+        # While the camera moves, a quarter of the rays has to do.
+        shrink = 2 if sight.coarse else 1
+        grid, size = self._grid(sight.mode, sight), (sight.rows // shrink, sight.columns // shrink)
+        smoke, inside = (
+            self._image(grid, values, _TRANSPARENT, "paper", sight.camera, size)
+            for values in (grid.tensor, masked.coarse if sight.coarse else masked.full)
+        )
+        share = np.clip(np.where(smoke > 0, inside / np.maximum(smoke, 1e-30), 0.0), 0.0, 1.0)
+        return resized(share, sight.rows, sight.columns) if sight.coarse else share
 
     def arrows(self, sight: Sight) -> Arrows:
         """v* as arrows in the picture of a sight.
@@ -192,11 +231,7 @@ class SightPainter:
 
     def _cut(self, sight: Sight) -> np.ndarray:
         assert sight.cut is not None
-        name, place = sight.cut
-        axis, (vertical, horizontal) = _AXES[name]
-        index = min(int(place * self.opened.shape[axis]), self.opened.shape[axis] - 1)
-        # From the right, z runs to the left, and from above, to the bottom.
-        oriented = _oriented(axis, index, (vertical, horizontal))
+        oriented = _oriented(*sight.cut, self.opened.shape)
 
         def density(side: str) -> np.ndarray:
             return oriented(self.opened.frame(side, sight.frame).full.density)
@@ -204,14 +239,17 @@ class SightPainter:
         if sight.mode == "difference":
             picture = difference(density(BEFORE), density(AFTER), 1.0)
         elif sight.mode in ("movement", "depth"):
-            picture = cut_movement(self._moving_smoke(sight.frame), oriented, name, density(AFTER), sight.mode)
+            picture = cut_movement(self._moving_smoke(sight.frame), oriented, sight.cut[0], density(AFTER), sight.mode)
         else:
             picture = density(sight.mode)
         return _fitted(picture, sight.rows, sight.columns)
 
 
-def _oriented(axis: int, index: int, shown: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:
-    """Cuts (D, H, W, …) into pictures (rows, columns, …), row 0 at the top."""
+def _oriented(name: str, place: float, shape: Shape) -> Callable[[np.ndarray], np.ndarray]:
+    """Cuts (D, H, W, …) across an axis, at a place from 0 to 1, into pictures (rows, columns, …), row 0 at the top."""
+    # From the right, z runs to the left, and from above, to the bottom.
+    axis, shown = _AXES[name]
+    index = min(int(place * shape[axis]), shape[axis] - 1)
 
     def cut(values: np.ndarray) -> np.ndarray:
         plane = np.take(values, index, axis=axis)

@@ -14,22 +14,26 @@ from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.machine.terminal import printable
 from tnst_mi.resources import DATA
 from tnst_mi.studio.examples import ExampleMaker
+from tnst_mi.studio.masks import MaskEdit
 from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.processes import tail
-from tnst_mi.studio.server import ALIKE, UPLOAD
+from tnst_mi.studio.server import ALIKE, PAINTING, UPLOAD
 from tnst_mi.studio.session import Session
 from tnst_mi.studio.similarity import PictureAnswers
 from tnst_mi.studio.work import RENDERS, TRIES
+
+#: The scripts of the page.
+_SCRIPTS = (
+    *("movement.js", "studio.js", "alike.js", "examples.js"),
+    *("projection.js", "gizmos.js", "brush.js", "regions.js"),
+)
 
 #: The files of the page.
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
-    "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
-    "/alike.js": ("alike.js", "text/javascript; charset=utf-8"),
-    "/examples.js": ("examples.js", "text/javascript; charset=utf-8"),
-    "/movement.js": ("movement.js", "text/javascript; charset=utf-8"),
+    **{f"/{name}": (name, "text/javascript; charset=utf-8") for name in _SCRIPTS},
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
@@ -62,6 +66,10 @@ class StudioRoutes:
             ("POST", "/examples"): self._make_examples,
             ("POST", UPLOAD): self._upload,
             ("POST", ALIKE): self._alike,
+            ("GET", "/place"): self._place,
+            ("GET", "/share"): self._share,
+            ("POST", "/mask"): self._mask,
+            ("POST", PAINTING): self._painting,
             ("GET", "/work/picture"): self._work_picture,
             ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
             ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
@@ -133,6 +141,26 @@ class StudioRoutes:
     def _goal(self, request: PageRequest) -> PageAnswer:
         values = request.json()
         self.session.toggle(_text(values, "key"), _text(values, "goal"))
+        return PageAnswer.of_json({})
+
+    def _place(self, request: PageRequest) -> PageAnswer:
+        return PageAnswer.of_json(self.session.place(request.whole("frame")))
+
+    def _share(self, request: PageRequest) -> PageAnswer:
+        share = self.session.share(request.whole("target"), request.whole("frame"))
+        return PageAnswer.of_json({"share": share})
+
+    def _mask(self, request: PageRequest) -> PageAnswer:
+        values = request.json()
+        frame = values.get("frame", 0)
+        if not isinstance(frame, int) or isinstance(frame, bool):
+            raise InputError("mask: frame is the index of a frame, from 0")
+        self.session.edit_mask(MaskEdit.of_json(values), frame)
+        return PageAnswer.of_json({})
+
+    def _painting(self, request: PageRequest) -> PageAnswer:
+        view = request.number("azimuth"), request.number("elevation")
+        self.session.paint_mask(request.body, request.whole("target"), view, request.whole("frame"))
         return PageAnswer.of_json({})
 
     def _work(self, request: PageRequest) -> PageAnswer:

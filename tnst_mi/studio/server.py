@@ -24,11 +24,11 @@ from tnst_mi.studio.messages import PageAnswer, PageRequest
 #: Answers a request that has been let in.
 Routes = Callable[[PageRequest], PageAnswer]
 
-#: Largest body of a request in bytes: of an uploaded picture, and of all others.
+#: Largest body of a request in bytes: of a picture, and of all others.
 LARGEST_UPLOAD, LARGEST_BODY = 16 << 20, 64 << 10
 
-#: Where pictures are sent to: to be kept, and to be compared with.
-UPLOAD, ALIKE = "/upload", "/alike"
+#: Where pictures are sent to: to be kept, to be compared with, and painted on the page.
+UPLOAD, ALIKE, PAINTING = "/upload", "/alike", "/painting"
 
 #: Connections at a time; a page keeps up to six.
 _CONNECTIONS = 64
@@ -131,6 +131,11 @@ class StudioServer(ThreadingHTTPServer):
             print(one_line(f"tnst-mi: studio: {type(error).__name__}: {error}"), file=sys.stderr)
 
 
+def _largest(path: str) -> int:
+    """The largest body of a request."""
+    return LARGEST_UPLOAD if path in (UPLOAD, ALIKE, PAINTING) else LARGEST_BODY
+
+
 class _Handler(BaseHTTPRequestHandler):
     """Answers the requests of a connection."""
 
@@ -164,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(403, _CLOSED)
         elif method == "POST" and not from_own_page(self.headers.get("Origin"), self.headers.get("Host")):
             self._refuse(403, "403: only the studio's own page may change something\n")
-        elif (body := self._body(LARGEST_UPLOAD if address.path in (UPLOAD, ALIKE) else LARGEST_BODY)) is not None:
+        elif (body := self._body(_largest(address.path))) is not None:
             self._send(self._routed(PageRequest(method, address.path, query, body)))
 
     def _body(self, largest: int) -> bytes | None:

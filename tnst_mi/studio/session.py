@@ -14,9 +14,12 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.driving import image_size
 from tnst_mi.studio.lit import LitPainter
+from tnst_mi.studio.masks import MaskEdit, starts_of_following
 from tnst_mi.studio.opened import opened
 from tnst_mi.studio.painting import SightPainter
+from tnst_mi.studio.paintings import Paintings
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.settings import StudioSettings
 from tnst_mi.studio.sight import Sight
@@ -43,6 +46,7 @@ class Session:
 
     Attributes:
         workshop: these.
+        paintings: what has been painted on the page.
         settings: what is set.
         painter, lit: paint what is opened; None as long as nothing is.
     """
@@ -54,6 +58,7 @@ class Session:
         self._source: Path | None = None
         self._news, self._version, self._ended = threading.Condition(), 0, False
         self.workshop = Workshop(out, self._changed)
+        self.paintings = Paintings(out / "masks")
 
     def open(self, path: Path) -> None:
         """Show densities or a run, whose recipe is taken over with its goals.
@@ -77,8 +82,7 @@ class Session:
         Raises:
             InputError: nothing is opened, or the run had no file as its input.
         """
-        if self.painter is None:
-            raise InputError(_NOTHING)
+        self._opened()
         if self._source is None:
             raise InputError("studio: the input of this run was no file; open one")
         return self._source
@@ -94,6 +98,58 @@ class Session:
         with self._news:
             self.settings.toggle(key, goal)
             self._changed()
+
+    def edit_mask(self, edit: MaskEdit, frame: int = 0) -> None:
+        """Edit a mask of the recipe.
+
+        Args:
+            edit: of the mask. What begins to follow the smoke does so from the shown frame.
+            frame: index of that frame.
+
+        Raises:
+            InputError: nothing is opened, there is no such mask, or what becomes of it cannot be used in that frame.
+        """
+        with self._news:
+            painter, settings = self._opened(), self.settings
+        number = painter.opened.results.numbers[painter.index(frame)]
+        if edit.values.get("follow") is True and isinstance(number, int) and len(painter.opened.results.numbers) > 1:
+            edit = dataclasses.replace(edit, values={**edit.values, "follow": number})
+        if edit.action != "remove":  # which must be possible with what cannot be used
+            painter.masks.mask(settings.edited(edit).recipe, edit.target, frame)
+        with self._news:
+            self.settings = self.settings.edited(edit)
+            self._changed()
+
+    def paint_mask(self, body: bytes, target: int, view: tuple[float, float], frame: int) -> None:
+        """Add what has been painted over a view of a frame to the mask of a target.
+
+        Args:
+            body: the file of a picture with transparency, of the whole frame of the view; see `Paintings.keep`.
+            target: index of the target.
+            view: (azimuth, elevation) in degrees.
+            frame: index of the frame.
+
+        Raises:
+            InputError: see `edit_mask` and `Paintings.keep`.
+        """
+        file = self.paintings.keep(body)
+        try:
+            self.edit_mask(MaskEdit("add", target, values={"image": str(file), "view": list(view)}), frame)
+        except InputError:
+            file.unlink()
+            raise
+
+    def place(self, frame: int) -> dict[str, Any]:
+        """Where a frame, by its index, lies in the scene; see `MaskOverlay.place`."""
+        with self._news:
+            painter = self._opened()
+        return painter.masks.place(painter.index(frame))
+
+    def share(self, target: int, frame: int) -> float | None:
+        """The part of the smoke of a frame, by its index, that is in the mask of a target; see `MaskOverlay.share`."""
+        with self._news:
+            painter, recipe = self._opened(), self.settings.recipe
+        return painter.masks.share(recipe, target, painter.index(frame))
 
     def paint(self, query: Mapping[str, str]) -> tuple[Sight, np.ndarray]:
         """What a tab wants to see, by the query of `Sight.of_query`, and its picture with values in [0, 1].
@@ -152,9 +208,12 @@ class Session:
         assert painter is not None  # there is a source
         numbers, number = painter.opened.results.numbers, None
         if alone is not None and len(numbers) > 1:
-            if not 0 <= alone < len(numbers):
-                raise InputError(f"studio: frame {alone}: there are {len(numbers)}, from 0")
-            number = numbers[alone]
+            number = numbers[painter.index(alone)]
+            if away := starts_of_following(recipe, numbers[0]) - {number}:
+                raise InputError(
+                    f"studio: a mask follows the smoke from frame {away.pop()}, which a try of frame {number} alone "
+                    "does not have; show that frame, or try all frames"
+                )
         self.workshop.begin(kind, source, recipe, painter.opened.shape, number)
 
     def state(self) -> dict[str, Any]:
@@ -164,7 +223,7 @@ class Session:
             return {
                 "work": work,
                 "version": self._version,
-                "opened": None if self.painter is None else _described(self.painter, self.places),
+                "opened": None if self.painter is None else self._described(self.painter),
                 "physics": _PATH_TRACED if self.settings.recipe.integrator == "prbvolpath" else None,
                 **self.settings.described(),
             }
@@ -185,6 +244,28 @@ class Session:
             self._news.notify_all()
         return self.workshop.end()
 
+    def _opened(self) -> SightPainter:
+        if self.painter is None:
+            raise InputError(_NOTHING)
+        return self.painter
+
+    def _described(self, painter: SightPainter) -> dict[str, Any]:
+        results = painter.opened.results
+        d, h, w = painter.opened.shape
+        recipe = results.recipe or Recipe()
+        return {
+            "title": results.title,
+            "path": self.places.relative(results.path),
+            "run": results.record is not None,
+            "after": painter.opened.has_after,
+            "names": list(results.names),
+            "numbers": list(results.numbers),
+            "painted_size": list(image_size(self.settings.recipe, painter.opened.shape)),
+            "shape": [d, h, w],
+            "main_view": list(recipe.main_view[:2]),
+            "notes": list(results.notes),
+        }
+
     def _changed(self) -> None:
         with self._news:
             self._version += 1
@@ -194,19 +275,3 @@ class Session:
 def _input_of(record: Any) -> Path | None:
     source = record.get("input")
     return Path(source) if isinstance(source, str) else None
-
-
-def _described(painter: SightPainter, places: Places) -> dict[str, Any]:
-    results = painter.opened.results
-    d, h, w = painter.opened.shape
-    recipe = results.recipe or Recipe()
-    return {
-        "title": results.title,
-        "path": places.relative(results.path),
-        "run": results.record is not None,
-        "after": painter.opened.has_after,
-        "names": list(results.names),
-        "shape": [d, h, w],
-        "main_view": list(recipe.main_view[:2]),
-        "notes": list(results.notes),
-    }

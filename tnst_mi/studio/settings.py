@@ -12,6 +12,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
+from tnst_mi.studio.masks import MaskEdit, masks_described
 
 #: Keys that name goals, and what one of theirs is called on the page.
 GOAL_KEYS = ("style", "tag", "semantic")
@@ -106,6 +107,16 @@ class StudioSettings:
         self._with(values)
         self.values = values
 
+    def edited(self, edit: MaskEdit) -> StudioSettings:
+        """These settings after an edit of a mask.
+
+        Raises:
+            InputError: there is no such mask, or the recipe does not allow what becomes of it.
+        """
+        settings = StudioSettings(self.base, self.values | edit.applied(self.recipe))
+        settings._with(settings.values)
+        return settings
+
     def described(self) -> dict[str, Any]:
         """What the page shows: sliders with their help, goals, and the keys that have others."""
         recipe, texts = self.recipe, documentation()
@@ -121,7 +132,12 @@ class StudioSettings:
             for knob in KNOBS
         ]
         goals = [{"key": key, "goal": shipped_name(name)} for key in GOAL_KEYS for name in getattr(recipe, key)]
-        return {"knobs": knobs, "goals": goals, "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)]}
+        return {
+            "knobs": knobs,
+            "goals": goals,
+            "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)],
+            "masks": masks_described(recipe),
+        }
 
     def _with(self, values: Mapping[str, Any]) -> Recipe:
         return self.base.updated(values, "studio: ", Path.cwd())

@@ -30,6 +30,9 @@ _SMALLEST, _LARGEST = 8, 2160
 #: Distance of the orthographic camera, in cells.
 _BEFORE_ALL = 2048.0
 
+#: Index of a target, at most.
+_MOST_TARGETS = 999
+
 #: Heights of pictures in cells.
 _NEAREST, _FARTHEST = 1.0, 1e5
 
@@ -49,6 +52,7 @@ class Sight:
         perspective: whether it is a pinhole camera rather than the network's parallel one.
         rows, columns: of the picture, in pixels.
         coarse: of a coarser grid if this one is large, since it is seen only in passing.
+        mask: index of the target whose mask colours the smoke, or None.
         cut: None, or the axis "x", "y" or "z" across which the grid is cut, and where, from 0 to 1.
     """
 
@@ -64,6 +68,7 @@ class Sight:
     rows: int = 96
     columns: int = 96
     coarse: bool = False
+    mask: int | None = None
     cut: tuple[str, float] | None = None
 
     @classmethod
@@ -77,6 +82,7 @@ class Sight:
         Raises:
             InputError: a value is not as it should be.
         """
+        masked = query.get("mask", "none") != "none"
         axis = _word(query, "cut", "none", ("none", "x", "y", "z"))
         return cls(
             frame=int(_number(query, "frame", 0, 0, frames - 1, whole=True)),
@@ -91,6 +97,7 @@ class Sight:
             rows=int(_number(query, "rows", 96, _SMALLEST, _LARGEST, whole=True)),
             columns=int(_number(query, "columns", 96, _SMALLEST, _LARGEST, whole=True)),
             coarse=_word(query, "coarse", "0", ("0", "1")) == "1",
+            mask=int(_number(query, "mask", 0, 0, _MOST_TARGETS, whole=True)) if masked else None,
             cut=None if axis == "none" else (axis, _number(query, "at", 0.5, 0, 1)),
         )
 

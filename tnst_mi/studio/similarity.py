@@ -24,7 +24,7 @@ from tnst_mi.machine.turns import turn
 from tnst_mi.network.googlenet import LAYERS, LOGITS, GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
-from tnst_mi.studio.uploads import uploaded_picture
+from tnst_mi.studio.uploads import read_upload
 
 #: Rows and columns in which the network sees a picture: those of an atlas, whose means can be compared with these.
 EDGE = 96
@@ -73,7 +73,7 @@ class PictureAnswers:
         key = path, hashlib.sha256(body).digest()
         with self._asking:
             if key not in self._answers:
-                image = uploaded_picture(name, body)
+                image = read_upload(Path(name).name, body)
                 if self._network is None or self._network[0] != path:
                     self._network = path, _ScaledNetwork(GoogLeNet.from_file(path))
                 self._answers[key] = self._network[1].answer(image)

@@ -1,21 +1,26 @@
-"""Pictures that are sent to the page, by the readers of untrusted pictures."""
+"""Pictures that the page sends: read by the readers for untrusted ones, and written again as what these have read."""
 
 from __future__ import annotations
 
+import io
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from tnst_mi.errors import InputError
+from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.machine.terminal import displayable, one_line
 
 
-def uploaded_picture(name: str, body: bytes) -> GreyImage:
-    """What is read of a picture.
+def read_upload(name: str, body: bytes) -> GreyImage:
+    """Read a picture that was sent.
 
     Args:
-        name: that of its file, for what is said of it.
-        body: the bytes of the file, bounded in number.
+        name: that it had where it came from, for messages.
+        body: the bytes of its file.
 
     Raises:
         InputError: it cannot be read as a picture.
@@ -26,4 +31,13 @@ def uploaded_picture(name: str, body: bytes) -> GreyImage:
         try:
             return read_image(path)
         except InputError as error:
-            raise InputError(one_line(str(error).replace(str(path), displayable(Path(name).name)))) from None
+            raise InputError(one_line(str(error).replace(str(path), displayable(name)))) from None
+
+
+def as_png(grey: np.ndarray, alpha: np.ndarray | None = None) -> bytes:
+    """A picture (H, W) in [0, 1] as PNG of 8 bits, with its transparency (H, W) in [0, 1] if there is some."""
+    picture, encoded = Image.fromarray(eight_bits(grey)), io.BytesIO()
+    if alpha is not None:
+        picture.putalpha(Image.fromarray(eight_bits(alpha)))
+    picture.save(encoded, "PNG")
+    return encoded.getvalue()

@@ -11,6 +11,7 @@ const LIT_PASSES = 32; // of a path-traced picture, one after the other
 let state = null; // what all tabs share, as the server tells it
 const view = { azimuth: 0, elevation: 0, height: 100, right: 0, up: 0 }; // this tab's camera
 let mode = "before", wipe = 0.5;
+const alsoAsked = {}; // what other scripts of the page want of its pictures
 
 /* ---- talking to the server ---------------------------------------------------------------------------------- */
 
@@ -66,6 +67,7 @@ function query(side, coarse, lit) {
     azimuth: view.azimuth, elevation: view.elevation, height: view.height, right: view.right, up: view.up,
     perspective: $("perspective").checked ? 1 : 0, cut: $("cut").value, at: $("at").value, coarse: coarse ? 1 : 0,
     rows: Math.max(8, Math.round(height * shrink)), columns: Math.max(8, Math.round(width * shrink)),
+    ...alsoAsked,
   });
 }
 
@@ -160,6 +162,7 @@ function draw() {
     pen.setLineDash([4, 4]);
     pen.strokeRect((width - w * cell) / 2 - view.right * cell, (height - h * cell) / 2 + view.up * cell, w * cell, h * cell);
   }
+  document.dispatchEvent(new Event("drawn"));
 }
 
 function home() {
@@ -479,7 +482,8 @@ function curve(drawn, losses, octaves) {
 let shownKey = null, shownShape = null;
 
 function told(next) {
-  const before = state && JSON.stringify([state.knobs, state.opened]);
+  const shownParts = () => JSON.stringify([state.knobs, state.opened, state.masks]);
+  const before = state && shownParts();
   state = next;
   const key = state.opened && JSON.stringify([state.opened.title, state.opened.path, state.opened.names]);
   shownMode();
@@ -502,9 +506,10 @@ function told(next) {
     shownShape = shape;
     for (const row of $("files").children) row.classList.toggle("on", row.dataset.path === state.opened.path);
     if (state.opened.notes.length) complain(state.opened.notes.join(" "));
-  } else if (before !== JSON.stringify([state.knobs, state.opened])) {
+  } else if (before !== shownParts()) {
     look();
   }
+  document.dispatchEvent(new Event("told"));
 }
 
 const events = new EventSource("events");

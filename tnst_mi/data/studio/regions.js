@@ -1,0 +1,162 @@
+"use strict";
+// Regions: the masks of the recipe as a list. The last script of the page, which tells the others what has changed.
+
+let asked = 0; // index of the part that is to have handles: a new one is not there yet
+const targetIndex = () => Number($("masked").value) || 0;
+const selected = () => Math.max(0, Math.min(asked, parts().length - 1));
+const parts = () => (state && state.masks[targetIndex()] ? state.masks[targetIndex()].parts : []);
+const keyed = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
+const frameIndex = () => Number($("frame").value);
+
+function edit(action, part, values = {}) {
+  return post("mask", { action, target: targetIndex(), part, values, frame: frameIndex() });
+}
+
+// Edits while something is dragged: one at a time, the latest next.
+let editing = false, nextEdit = null;
+async function editSoon(part, values) {
+  nextEdit = [part, values];
+  if (editing) return;
+  editing = true;
+  while (nextEdit) {
+    const [index, latest] = nextEdit;
+    nextEdit = null;
+    await edit("change", index, latest);
+  }
+  editing = false;
+}
+
+const tidy = (value) => Number(value.toPrecision(5));
+const inScene = (point) => point.map((value) => tidy(value));
+
+function numbersRow(index, part, key) {
+  const row = element("div", undefined, { className: "row" }), value = part.table[key] ?? (key === "strength" ? 1 : 0);
+  row.append(element("span", key));
+  if (keyed(value)) {
+    row.append(element("span", "changes over the frames", { style: "grid-column: 2 / -1" }));
+    return row;
+  }
+  const inputs = (Array.isArray(value) ? value : [value]).map((number, axis, all) => {
+    const input = element("input", undefined, { type: "number", step: "any", value: tidy(number) });
+    input.setAttribute("aria-label", all.length > 1 ? `${key} ${"xyz"[axis]}` : key);
+    input.addEventListener("change", async () => {
+      const numbers = inputs.map((other) => (other.value === "" ? null : Number(other.value)));
+      const done = await edit("change", index, { [key]: all.length > 1 ? numbers : numbers[0] });
+      if (!done) inputs.forEach((other, of) => { other.value = tidy(all[of]); });
+    });
+    return input;
+  });
+  if (key === "strength") Object.assign(inputs[0], { min: 0, max: 1, step: 0.05 });
+  row.append(...inputs);
+  return row;
+}
+
+function switchFor(index, key, text, on, title) {
+  const label = element("label", undefined, { title }), box = element("input", undefined, { type: "checkbox", checked: on });
+  box.dataset.key = key;
+  box.addEventListener("change", () => edit("change", index, { [key]: box.checked || null }));
+  label.append(box, text);
+  return label;
+}
+
+function partRow(part, index) {
+  const row = element("div", undefined, { className: index === selected() ? "part on" : "part" });
+  row.dataset.form = part.form;
+  const head = element("div", undefined, { className: "head" }), name = element("button", part.title);
+  const remove = element("button", "×", { title: "remove" });
+  name.addEventListener("click", () => { asked = index; showParts(); drawGizmos(); });
+  remove.addEventListener("click", () => edit("remove", index));
+  head.append(name, remove);
+  row.append(head);
+  if (index !== selected()) return row;
+  const keys = { sphere: ["centre", "radius", "edge"], box: ["low", "high", "edge"] }[part.form] || [];
+  row.append(...[...keys, "strength"].map((key) => numbersRow(index, part, key)));
+  const follow = part.table.follow ?? false, switches = element("div", undefined, { className: "switches" });
+  const follows = `follow${typeof follow === "number" ? ` from frame ${follow}` : ""}`;
+  switches.append(switchFor(index, "invert", "invert", Boolean(part.table.invert), "Everywhere but there"));
+  if (state.opened && state.opened.names.length > 1) {
+    switches.append(switchFor(index, "follow", follows, follow !== false, "Moves with the smoke from the shown frame on, by its velocities"));
+  }
+  row.append(switches);
+  return row;
+}
+
+let shownList = "";
+
+function showParts() {
+  if (!state) return;
+  const chosen = Math.min(targetIndex(), state.masks.length - 1);
+  alsoAsked.mask = $("masks-shown").checked && state.masks[chosen].parts.length ? chosen : "none";
+  for (const id of ["add-sphere", "add-box", "add-painting"]) $(id).disabled = !state.opened || Boolean(painting);
+  // The state comes often while something runs: what is being clicked or typed stays as long as it is true.
+  const key = JSON.stringify([state.masks, chosen, selected(), state.opened && state.opened.names.length]);
+  const typed = document.activeElement;
+  if (key === shownList || ($("parts").contains(typed) && typed.type === "number")) return;
+  shownList = key;
+  $("masked").replaceChildren(...state.masks.map((target, index) => element("option", target.title, { value: index })));
+  $("masked").value = chosen;
+  $("masked").hidden = state.masks.length < 2;
+  $("parts").replaceChildren(...parts().map(partRow));
+}
+
+let shareOf = "";
+
+// Says how much of the shown frame's smoke is in the mask: what holds none of it cannot be tried.
+async function showShare() {
+  $("share").hidden = !parts().length || !state.opened;
+  const key = JSON.stringify([state.opened, state.masks, targetIndex(), frameIndex()]);
+  if ($("share").hidden || key === shareOf) return;
+  shareOf = key;
+  let text = "", share = null;
+  try {
+    ({ share } = await got(`share?${new URLSearchParams({ target: targetIndex(), frame: frameIndex() })}`));
+    const percent = share > 0 && share < 0.01 ? "less than 1%" : `${Math.round(100 * share)}%`;
+    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these, where it changes" : "is in it and changes"}.`;
+  } catch (error) {
+    text = error.message;
+  }
+  if (key !== shareOf) return; // it has changed by now
+  $("share").textContent = text;
+  $("share").classList.toggle("none", !share);
+}
+
+$("masked").addEventListener("change", () => { asked = 0; showParts(); look(); });
+$("masks-shown").addEventListener("change", () => { showParts(); look(); });
+
+// In the middle of what is seen, as deep as the middle of the smoke, and about half as large.
+async function addShape(shape) {
+  await askPlace();
+  if (!place) return;
+  if (!place.smoke) { complain("There is no smoke in this frame to put a region in."); return; }
+  const { right, up, towards } = cameraAxes(), corners = place.smoke.map(fromScene);
+  const middle = times(plus(corners[0], corners[1]), 0.5);
+  const seen = plus(plus(times(right, view.right), up, view.up), towards, dot(middle, towards));
+  // Not beside the smoke, where nothing would change.
+  const centre = seen.map((value, axis) => {
+    const [low, high] = corners.map((corner) => corner[axis]).sort((a, b) => a - b);
+    return Math.min(high, Math.max(low, value));
+  });
+  const half = plus(corners[1], corners[0], -1).map((size) => Math.max(1, Math.min(Math.abs(size) / 4, view.height / 4)));
+  const radius = Math.max(...half), edge = tidy(0.3 * (shape === "sphere" ? radius : Math.min(...half)) * cellEdge());
+  const at = toScene(centre), halfInScene = directionToScene(half).map(Math.abs);
+  const values = shape === "sphere"
+    ? { shape, centre: inScene(at), radius: tidy(radius * cellEdge()), edge }
+    : { shape, low: inScene(plus(at, halfInScene, -1)), high: inScene(plus(at, halfInScene)), edge };
+  asked = parts().length;
+  await edit("add", 0, values);
+}
+$("add-sphere").addEventListener("click", () => addShape("sphere"));
+$("add-box").addEventListener("click", () => addShape("box"));
+
+/* ---- what the page tells ------------------------------------------------------------------------------------------ */
+
+document.addEventListener("drawn", () => { askPlace(); showShare(); drawGizmos(); });
+document.addEventListener("told", () => {
+  if (painting && painting.opened !== shownKey) { complain("Something else has been opened; what was painted is gone."); endPainting(); }
+  const before = alsoAsked.mask;
+  showParts();
+  if (alsoAsked.mask !== before) look();
+  askPlace();
+  showShare();
+});
+if (state) document.dispatchEvent(new Event("told")); // it may have come before this script
