@@ -11,27 +11,23 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.png import eight_bits
-from tnst_mi.machine.terminal import printable
 from tnst_mi.resources import DATA
 from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.motifs import MotifBrowser
-from tnst_mi.studio.processes import tail
 from tnst_mi.studio.server import UPLOAD
 from tnst_mi.studio.session import Session
-from tnst_mi.studio.work import RENDERS, TRIES
+from tnst_mi.studio.work_routes import WorkRoutes
 
 #: The files of the page.
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/studio.css": ("studio.css", "text/css; charset=utf-8"),
     "/studio.js": ("studio.js", "text/javascript; charset=utf-8"),
+    "/work.js": ("work.js", "text/javascript; charset=utf-8"),
 }
 
 #: Quality of JPEG while the camera moves, and when it is still.
 _MOVING, _STILL = 80, 92
-
-#: Bytes of a log that are shown, at most.
-_LONGEST_TEXT = 1 << 18
 
 
 class StudioRoutes:
@@ -51,13 +47,10 @@ class StudioRoutes:
             ("GET", "/motifs"): self._motifs,
             ("GET", "/thumbnail"): self._thumbnail,
             ("POST", UPLOAD): self._upload,
-            ("GET", "/work/picture"): self._work_picture,
-            ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
-            ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
             ("POST", "/open"): self._open,
             ("POST", "/set"): self._set,
             ("POST", "/goal"): self._goal,
-            ("POST", "/work"): self._work,
+            **WorkRoutes(session).routes,
         }
 
     def __call__(self, request: PageRequest) -> PageAnswer:
@@ -111,42 +104,6 @@ class StudioRoutes:
         values = request.json()
         self.session.toggle(_text(values, "key"), _text(values, "goal"))
         return PageAnswer.of_json({})
-
-    def _work(self, request: PageRequest) -> PageAnswer:
-        values, workshop = request.json(), self.session.workshop
-        action = _text(values, "action")
-        if action in ("try", "render"):
-            alone = values.get("alone")
-            if not isinstance(alone, int | None) or isinstance(alone, bool):
-                raise InputError("studio: alone is the index of a frame, or nothing")
-            self.session.begin(TRIES if action == "try" else RENDERS, alone)
-            return PageAnswer.of_json({})
-        act = {
-            "pause": workshop.pause,
-            "resume": workshop.resume,
-            "finish": workshop.finish,
-            "open": self.session.open_work,
-        }.get(action)
-        if act is None:
-            raise InputError("studio: an action is try, render, pause, resume, finish or open")
-        act(_text(values, "id"))
-        return PageAnswer.of_json({})
-
-    def _work_picture(self, request: PageRequest) -> PageAnswer:
-        picture = self.session.workshop.work(request.query.get("id", "")).picture
-        if picture is None:
-            raise InputError("studio: there is no picture yet")
-        return PageAnswer(picture.read_bytes(), "image/png")
-
-    def _work_text(self, request: PageRequest, suffix: str) -> PageAnswer:
-        process = self.session.workshop.work(request.query.get("id", "")).process
-        text = printable_lines(tail(process.folder.with_suffix(suffix), _LONGEST_TEXT))
-        return PageAnswer(text.encode("utf-8"), "text/plain; charset=utf-8")
-
-
-def printable_lines(text: str) -> str:
-    """A text of several lines, without what controls a terminal."""
-    return "\n".join(printable(line) for line in text.splitlines())
 
 
 def jpeg(picture: np.ndarray, quality: int) -> bytes:
