@@ -94,6 +94,7 @@ def test_a_try_goes_on_from_a_kept_state_to_the_bits_of_the_command(studio: Stud
     assert studio.post("/work", action="try").status == 200
     branched = ended(studio, "tries/0002")
     assert branched["status"] == "done", branched
+    assert branched["line"].startswith("net, from try 1, loss ")
     assert set(branched["octaves"]) == {1} and branched["done"] == branched["total"] == 8
     tries = tmp_path / "out" / "tries"
     command = ["stylize", "--from", str(tries / "0001" / "octaves" / "1"), "--recipe", str(tries / "0002.toml")]

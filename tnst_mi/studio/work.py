@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,22 @@ from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProc
 TRIES, RENDERS = "tries", "renders"
 _KINDS = {TRIES: "try", RENDERS: "render"}
 
+#: What they are called in the folder of the studio.
+ID = re.compile(r"(?:tries|renders)/\d{4,6}")
+
 #: Points of a curve that are sent, at most, and their digits: more than its pixels show.
 _POINTS, _DIGITS = 140, 4
+
+
+def title_of(name: str) -> str:
+    """What the page calls a try or a render.
+
+    Example:
+        >>> title_of("tries/0003")
+        'try 3'
+    """
+    kind, number = name.split("/")
+    return f"{_KINDS[kind]} {int(number)}"
 
 
 class StudioWork:
@@ -79,14 +94,14 @@ class StudioWork:
         return self._described
 
     def _now(self) -> dict[str, Any]:
-        kind, number = self.name.split("/")
+        kind = self.name.split("/")[0]
         losses, octaves = self.live.losses, self.live.octaves
         every = -(-len(losses) // _POINTS) or 1
         ended_early = self.status in (FAILED, INTERRUPTED)
         picture = self.picture
         return {
             "id": self.name,
-            "title": f"{_KINDS[kind]} {int(number)}",
+            "title": title_of(self.name),
             "status": self.status,
             "goals": self.goals,
             "line": self._line(),
@@ -135,9 +150,19 @@ class StudioWork:
             return ["open", *(["finish"] if kind == TRIES else []), "delete"]
         return ["resume", "delete"]
 
+    def _origin(self) -> str | None:
+        """The title of the try or render that this one has gone on from, if there is one in the same folder."""
+        begun, out = self.process.record.start_from, self.process.folder.parents[1]
+        if begun is None or not Path(begun).is_relative_to(out):
+            return None
+        name = "/".join(Path(begun).relative_to(out).parts[:2])
+        return title_of(name) if ID.fullmatch(name) else None
+
     def _line(self) -> str:
         """How far it has got, or what has come out, in a few words."""
         parts = [self.goals]
+        if (origin := self._origin()) is not None:
+            parts.append(f"from {origin}")
         losses, octaves = self.live.losses, self.live.octaves
         if self.status == DONE:
             parts += _outcome(self.process.folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -19,9 +18,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
 from tnst_mi.studio.removal import finish_removals, highest_number, remove
 from tnst_mi.studio.settings import GOAL_KEYS, OTHER_GOALS
-from tnst_mi.studio.work import RENDERS, TRIES, StudioWork
-
-_ID = re.compile(r"(?:tries|renders)/\d{4,6}")
+from tnst_mi.studio.work import ID, RENDERS, TRIES, StudioWork
 
 #: Seconds between two looks at what runs, and how long a run may take to end by itself when it is asked to.
 _INTERVAL, _PATIENCE = 0.4, 15.0
@@ -142,7 +139,7 @@ class Workshop:
                 removed; or it has been resumed meanwhile. Then those before it are removed.
         """
         for name in names:
-            if not _ID.fullmatch(name):
+            if not ID.fullmatch(name):
                 raise InputError(one_line(f"studio: {name!r}: no such try or render"))
         with self._lock:
             self._require_unneeded(names)
@@ -236,7 +233,7 @@ class Workshop:
         found = []
         for file in sorted(file for kind in (TRIES, RENDERS) for file in (self._out / kind).glob("*.toml")):
             name = file.relative_to(self._out).with_suffix("").as_posix()
-            sound = _ID.fullmatch(name) and file.is_file()
+            sound = ID.fullmatch(name) and file.is_file()
             record = WorkRecord.read(file.with_suffix(".json")) if sound else None
             if record is not None:
                 found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))

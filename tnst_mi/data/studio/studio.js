@@ -366,7 +366,8 @@ function showRecipe() {
   for (const knob of state.knobs) {
     const { row, slider, value, back } = rows[knob.key] = rows[knob.key] || knobRow(knob);
     row.classList.toggle("set", knob.set);
-    slider.disabled = Boolean(state.start) && !knob.free; // what goes on from a state has the same way
+    slider.disabled = Boolean(state.start) && !knob.free;
+    slider.title = slider.disabled ? "stays as it was in what is gone on from" : "";
     back.hidden = !knob.set;
     if (document.activeElement === slider && slider.matches(":active")) continue;
     value.textContent = knob.keyframed ? "changes over the frames" : knob.value;

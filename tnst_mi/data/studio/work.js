@@ -13,8 +13,8 @@ function act(action, id) {
 
 // Delete tries or renders, after a question; running ones are stopped first.
 function deleteJobs(ids, question) {
-  const running = state.work.filter((job) => ids.includes(job.id) && job.status === "running").length;
-  const stopped = running ? ` ${running === 1 ? "One of them runs" : `${running} of them run`}, and will be stopped.` : "";
+  const running = state.work.some((job) => ids.includes(job.id) && job.status === "running");
+  const stopped = !running ? "" : ids.length === 1 ? " It is stopped first." : " Those that run are stopped first.";
   if (ids.length && window.confirm(`${question}${stopped} This cannot be undone.`)) post("work", { action: "delete", ids });
 }
 
@@ -48,7 +48,10 @@ function jobCard(job) {
   const branch = element("button", "go on from…", { title: "Choose a state that was kept, and go on from there with other settings" });
   const states = element("div", undefined, { className: "states", hidden: true });
   branch.dataset.action = "branch";
-  branch.addEventListener("click", () => { states.hidden = !states.hidden; });
+  branch.addEventListener("click", () => {
+    states.hidden = !states.hidden;
+    states.scrollIntoView({ block: "nearest" });
+  });
   actions.finish.title = "The whole recipe, from here to the end; nothing is computed twice";
   buttons.insertBefore(branch, actions.delete);
   const of = new URLSearchParams({ id: job.id });
