@@ -260,10 +260,6 @@ def test_tries_are_gone_on_from_and_deleted(
         for tab in (page, other.page):
             tab.locator("#start", has_text="goes on from try 1, end of octave 1").wait_for()
         assert page.locator("#knob-motif_size").is_disabled() and page.locator("#knob-eta").is_enabled()
-        page.locator("#try").click()
-        second.locator("b", has_text="try 2").wait_for()
-        page.locator(".job.done[data-id='tries/0002']").wait_for()
-        shown.photographed("7_branched")
         # An address that means no cluster is told at once; of one that does, all tabs hear.
         page.locator("#cluster").fill("local:many")
         page.locator("#cluster").blur()
@@ -273,29 +269,29 @@ def test_tries_are_gone_on_from_and_deleted(
         page.locator("#cluster").blur()
         expect(other.page.locator("#cluster")).to_have_value("local:2", timeout=PATIENCE)
         assert page.locator("#error").is_hidden()
-        # All but the chosen, after a question.
-        second.locator("input[type=checkbox]").check()
+        shown.photographed("7_going_on")
+        for key, value in (("iterations", 60), ("views", 8)):
+            page.locator(f"#knob-{key}").fill(str(value))
+            page.locator(".knob.set", has_text=key).wait_for()
+        page.locator("#try").click()
+        second.locator("p", has_text="from try 1, octave 2").wait_for()
+        # All but the chosen, after a question; what runs is stopped first.
+        first.locator("input[type=checkbox]").check()
         questions = []
         page.once("dialog", lambda dialog: questions.append(dialog.message) or dialog.dismiss())
         page.locator("#clear").click()
         page.once("dialog", lambda dialog: questions.append(dialog.message) or dialog.accept())
-        assert first.count() == 1
+        assert second.count() == 1
         page.locator("#clear").click()
-        first.wait_for(state="detached")
-        assert questions == ["Delete the other try, all but the chosen? This cannot be undone."] * 2
-        assert [other.page.locator(".job").count(), second.count()] == [1, 1]
-        # Nothing goes on from what is gone. A running one is stopped first.
+        second.wait_for(state="detached")
+        question = "Delete the other try, all but the chosen? It is stopped first. This cannot be undone."
+        assert questions == [question] * 2
+        assert [other.page.locator(".job").count(), first.count()] == [1, 1]
+        assert not (tmp_path / "out" / "tries" / "0002").exists()
+        # Nothing goes on from what is gone.
+        page.once("dialog", lambda dialog: dialog.accept())
+        first.locator("[data-action=delete]").click()
         page.locator("#start").wait_for(state="hidden")
-        page.locator("#knob-iterations").fill("60")
-        page.locator(".knob.set", has_text="iterations").wait_for()
-        page.locator("#try").click()
-        third = page.locator(".job[data-id='tries/0003']")
-        third.locator("p", has_text="loss").wait_for()
-        shown.photographed("8_running")
-        page.once("dialog", lambda dialog: questions.append(dialog.message) or dialog.accept())
-        third.locator("[data-action=delete]").click()
-        third.wait_for(state="detached")
-        assert questions[-1] == "Delete try 3? It is stopped first. This cannot be undone."
-        assert not (tmp_path / "out" / "tries" / "0003").exists()
+        shown.photographed("8_deleted")
         for tab in (shown, other):
             tab.page.context.close()
