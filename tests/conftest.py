@@ -58,6 +58,8 @@ SLOW = (
     "scripts/test_measure_gpu.py::test_the_cpu_agrees_with_itself_and_a_part_that_fails_is_told",
     "scripts/test_train_patterns.py::test_an_interrupted_training_ends_as_an_uninterrupted_one",
     "studio/test_browser.py::test_a_render_outlives_the_page_and_the_studio",
+    "studio/test_tries.py::test_a_render_on_a_cluster_outlives_the_studio_and_is_resumed",
+    "studio/test_tries.py::test_a_try_that_runs_and_one_that_was_killed_are_gone_on_from",
     "studio/test_work.py::test_a_killed_run_is_found_again_by_another_studio",
     "studio/test_work.py::test_a_try_is_a_draft_whose_losses_are_seen_as_they_come",
     "studio/test_work.py::test_the_end_of_the_studio_pauses_tries_and_leaves_renders",

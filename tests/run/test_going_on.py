@@ -20,6 +20,7 @@ from tnst_mi.io import save_frames
 from tnst_mi.optimisation.gradient import OctaveProblem
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.job import Run
+from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
 from tnst_mi.run.prepare import prepare
 
 __all__ = ["run", "tiny_weights"]
@@ -259,3 +260,54 @@ def test_the_command_takes_input_recipe_and_the_next_quality_from_the_run(
     refused(run, tmp_path, ["stylize", "--from", none, "--out", tmp_path / "x"], "none: holds no run to go on from")
     refused(run, tmp_path, ["stylize", "--from", last, "--out", last, "--overwrite"], "is --from and --out")
     refused(run, tmp_path, ["stylize", "--from", last, "--out", last, "--resume"], "expected only one of them")
+
+
+# ---------------------------------------------------------------- from the end of an octave
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What a run leaves of smoke, and of what it moves by."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.glob("*/*.npz"))}
+
+
+@pytest.mark.parametrize(
+    ("frames", "others"), [(1, {}), (3, {"window": 3, "coherence": 1.0}), (2, {"parameterisation": "density"})]
+)
+def test_a_kept_octave_is_gone_on_from_to_the_same_bits(
+    frames: int, others: dict[str, Any], keys: dict[str, Any], tmp_path: Path
+) -> None:
+    keys = keys | others | {"octaves": 3}
+    whole = stylized(keys, frames, tmp_path / "whole")
+    assert kept_octaves(tmp_path / "whole") == []
+    kept = stylized(keys | {"keep_octaves": True}, frames, tmp_path / "kept")
+    assert same(kept, whole)
+    assert kept_octaves(tmp_path / "kept") == [0, 1]
+    for octave in (0, 1):
+        folder = octave_folder(tmp_path / "kept", octave)
+        later = stylized(keys, frames, tmp_path / f"later_{octave}", start_from=folder)
+        assert same(later, whole)
+        begun = [(level, k) for level in range(octave + 1, 3) for k in range(4)]
+        assert [iterations(later, frame) for frame in range(frames)] == [begun] * frames
+        assert later.run["from"]["octave"] == octave and later.run["from"]["iterations"] == 4
+        assert [path.name.endswith("_comparison.png") for path in (folder / "images").iterdir()] == [True]
+
+
+def test_a_run_that_is_replaced_loses_its_kept_octaves(keys: dict[str, Any], tmp_path: Path) -> None:
+    stylized(keys | {"keep_octaves": True}, 1, tmp_path / "run")
+    recipe = Recipe.from_dict(keys | {"seed": 1})
+    for _ in Run(prepare(moving_smoke(1, SHAPE), recipe, tmp_path / "run", overwrite=True), progress=False):
+        assert kept_octaves(tmp_path / "run") == []
+
+
+@pytest.mark.parametrize("after", [4, 5, 7])
+def test_octaves_are_kept_whenever_a_run_is_stopped(
+    after: int, keys: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = keys | {"keep_octaves": True}
+    interrupted(monkeypatch, after, keys, 1, tmp_path / "run")
+    recipe = Recipe.from_dict(keys)
+    for _ in Run(prepare(moving_smoke(1, SHAPE), recipe, tmp_path / "run", resume=True), progress=False):
+        pass
+    whole = stylized(keys, 1, tmp_path / "whole")
+    later = stylized(keys, 1, tmp_path / "later", start_from=octave_folder(tmp_path / "run", 0))
+    assert same(later, whole) and len(iterations(later)) == 4

@@ -34,7 +34,10 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
         yield started
 
 
-PATHS = ("/", "/studio.js", "/events", "/view", "/files", "/motifs", "/thumbnail?style=net", "/nothing")
+PATHS = (
+    *("/", "/studio.js", "/work.js", "/events", "/view", "/files", "/motifs", "/thumbnail?style=net", "/nothing"),
+    *("/work/picture?id=tries/0001", "/work/recipe?id=tries/0001", "/work/log?id=tries/0001"),
+)
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -78,7 +81,7 @@ def test_no_two_studios_have_one_token(studio: Studio) -> None:
         assert other.request("GET", "/", Cookie=studio.cookie).status == 403
 
 
-@pytest.mark.parametrize("path", ["/open", "/set", "/goal", "/upload"])
+@pytest.mark.parametrize("path", ["/open", "/set", "/goal", "/upload", "/work", "/cluster"])
 def test_pages_of_other_ports_change_nothing(studio: Studio, path: str) -> None:
     """They are of the same site, so that browsers send them our cookie."""
     for origin in ("http://127.0.0.1:1", "http://localhost", "https://evil.example", "null"):

@@ -29,6 +29,7 @@ from tnst_mi.recipe.paths import STYLES
 from tnst_mi.recipe.recipe import Recipe
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = playwright.expect
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 if BROWSER is None:
@@ -409,5 +410,64 @@ def test_regions_are_shaped_and_painted_in_the_view(
         shown.settled()
         shown.photographed("9_reopened")
         assert page.locator("#error").is_hidden()
+        for tab in (shown, other):
+            tab.page.context.close()
+
+
+def test_tries_are_gone_on_from_and_deleted(
+    root: Path, tmp_path: Path, weights: Path, opened: Callable[[str], Page]
+) -> None:
+    with studio_url(root / "smoke.npz", tmp_path / "out", weights) as url:
+        shown, other = opened(url), opened(url)
+        page = shown.page
+        page.locator("#motifs [data-key=style][data-goal=spirals]").click()
+        for key, value in (("iterations", 6), ("octaves", 3), ("views", 1)):
+            page.locator(f"#knob-{key}").fill(str(value))
+            page.locator(".knob.set", has_text=key).wait_for()
+        page.locator("#try").click()
+        first, second = (page.locator(f".job[data-id='tries/000{number}']") for number in (1, 2))
+        page.locator(".job.done").wait_for()
+        # From the end of the first octave, with the settings that may differ.
+        first.locator("[data-action=branch]").click()
+        assert first.locator(".states button").count() == 2
+        first.locator(".states img").last.wait_for()
+        shown.photographed("6_states")
+        first.locator(".states [data-octave='0']").click()
+        for tab in (page, other.page):
+            tab.locator("#start", has_text="goes on from try 1, end of octave 1").wait_for()
+        assert page.locator("#knob-motif_size").is_disabled() and page.locator("#knob-eta").is_enabled()
+        # An address that means no cluster is told at once; of one that does, all tabs hear.
+        page.locator("#cluster").fill("local:many")
+        page.locator("#cluster").blur()
+        page.locator("#error", has_text="expected local:N").wait_for()
+        shown.troubles.clear()  # the browser's own words of the refusal
+        page.locator("#cluster").fill("local:2")
+        page.locator("#cluster").blur()
+        expect(other.page.locator("#cluster")).to_have_value("local:2", timeout=PATIENCE)
+        assert page.locator("#error").is_hidden()
+        shown.photographed("7_going_on")
+        for key, value in (("iterations", 60), ("views", 8)):
+            page.locator(f"#knob-{key}").fill(str(value))
+            page.locator(".knob.set", has_text=key).wait_for()
+        page.locator("#try").click()
+        second.locator("p", has_text="from try 1, octave 2").wait_for()
+        # All but the chosen, after a question; what runs is stopped first.
+        first.locator("input[type=checkbox]").check()
+        questions = []
+        page.once("dialog", lambda dialog: questions.append(dialog.message) or dialog.dismiss())
+        page.locator("#clear").click()
+        page.once("dialog", lambda dialog: questions.append(dialog.message) or dialog.accept())
+        assert second.count() == 1
+        page.locator("#clear").click()
+        second.wait_for(state="detached")
+        question = "Delete the other try, all but the chosen? It is stopped first. This cannot be undone."
+        assert questions == [question] * 2
+        assert [other.page.locator(".job").count(), first.count()] == [1, 1]
+        assert not (tmp_path / "out" / "tries" / "0002").exists()
+        # Nothing goes on from what is gone.
+        page.once("dialog", lambda dialog: dialog.accept())
+        first.locator("[data-action=delete]").click()
+        page.locator("#start").wait_for(state="hidden")
+        shown.photographed("8_deleted")
         for tab in (shown, other):
             tab.page.context.close()

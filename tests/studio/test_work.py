@@ -22,7 +22,8 @@ from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.studio.live import LiveRun
 from tnst_mi.studio.processes import RunProcess, WorkRecord
-from tnst_mi.studio.work import TRIES, Workshop
+from tnst_mi.studio.work import TRIES
+from tnst_mi.studio.workshop import Workshop
 
 SHAPE = (10, 16, 12)
 
@@ -71,7 +72,7 @@ def test_a_try_is_a_draft_whose_losses_are_seen_as_they_come(studio: Studio) -> 
     assert done == sorted(done) and done[-1] == counts[-1]["total"] == 4  # of two octaves, a draft has the coarse one
     assert len(counts[-1]["losses"]) == 4 and set(counts[-1]["octaves"]) == {0}
     assert counts[-1]["goals"] == "net" and "mass" in counts[-1]["line"]
-    assert counts[-1]["actions"] == ["open", "finish"]
+    assert counts[-1]["actions"] == ["open", "finish", "delete"]
     # Its recipe makes the same try anywhere.
     text = studio.get("/work/recipe", id="tries/0001").body.decode()
     assert 'quality = "draft"' in text and 'style = ["net"]' in text
@@ -97,7 +98,7 @@ def test_a_run_is_paused_after_an_iteration_and_resumed(studio: Studio, weights:
     studio.post("/work", action="pause", id="tries/0001")
     waited_for(lambda: told(studio)["status"] == "paused")
     paused = told(studio)["done"]
-    assert 1 < paused < 500 and told(studio)["actions"] == ["resume"]
+    assert 1 < paused < 500 and told(studio)["actions"] == ["resume", "delete"]
     # Tabs hear of nothing while nothing happens.
     version = studio.session.state()["version"]
     time.sleep(1.0)
@@ -115,10 +116,11 @@ def test_a_killed_run_is_found_again_by_another_studio(studio: Studio, weights: 
     waited_for(lambda: told(studio)["done"] > 3)
     process = studio.session.workshop.work("renders/0001").process
     os.kill(process.record.pid, signal.SIGKILL)
-    waited_for(lambda: told(studio)["status"] == "failed")
+    waited_for(lambda: told(studio)["status"] == "interrupted")
+    assert told(studio)["error"].startswith("killed by SIGKILL: ")
     assert studio.get("/files", at="").status == 200
     again = Workshop(process.folder.parents[1], lambda: None)
-    assert again.work("renders/0001").status == "failed"
+    assert again.work("renders/0001").status == "interrupted"
     again.resume("renders/0001")
     waited_for(lambda: again.work("renders/0001").status == "done")
     assert again.work("renders/0001").live.done == 120
@@ -151,9 +153,10 @@ def test_what_cannot_be_done_is_told_in_one_line(studio: Studio, place: Path, we
     studio.session.settings.base = Recipe(weights=str(weights), tag=("no such thing",))
     studio.post("/work", action="try")
     waited_for(lambda: told(studio)["status"] == "failed")
-    assert "no such thing" in told(studio)["error"] and told(studio)["losses"] == []
-    assert told(studio)["actions"] == ["resume"]
-    assert "is failed" in studio.post("/work", action="finish", id="tries/0001").error
+    assert told(studio)["error"].startswith("exit code 2: tnst-mi: ") and "no such thing" in told(studio)["error"]
+    assert told(studio)["losses"] == [] and told(studio)["states"] == []
+    assert told(studio)["actions"] == ["resume", "delete"]
+    assert "has kept no state of its end" in studio.post("/work", action="finish", id="tries/0001").error
     assert "cannot" not in studio.get("/work/log", id="tries/0001").body.decode()
 
 
@@ -177,8 +180,9 @@ def test_another_process_with_the_number_of_a_dead_one_is_left_alone(tmp_path: P
     own = psutil.Process()
     record = WorkRecord("smoke.npz", SHAPE, pid=own.pid, began=own.create_time() - 100)
     process = RunProcess(tmp_path / "0001", record)
-    assert process.status() == "failed"
+    assert process.status() == "interrupted"
     process.pause()  # would end the tests
+    process.kill()
     assert not process.record.paused
 
 
@@ -251,7 +255,7 @@ def test_tries_are_numbered_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert [workshop.begin(TRIES, Path("a.npz"), recipe, SHAPE) for _ in range(2)] == ["tries/0001", "tries/0002"]
     assert Workshop(tmp_path / "out", lambda: None).begin(TRIES, Path("a.npz"), recipe, SHAPE) == "tries/0003"
     waited_for(lambda: workshop.work("tries/0001").process.status() == "failed")
-    assert workshop.work("tries/0001").process.complaint() == "ended without a word"
+    assert workshop.work("tries/0001").process.ending() == "exit code 1: without a word"
     with pytest.raises(InputError, match="no such try"):
         workshop.pause("tries/0003")
     workshop.end()

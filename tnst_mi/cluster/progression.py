@@ -126,7 +126,7 @@ class Progression:
             self._counted = set()
             yield from self._all(iterating(plan, level, self._done, self._has, finished))
             if on_octave is not None and level < last:
-                on_octave(Glimpses(items))
+                on_octave(Glimpses(items, self._store.numbers(f"scales.{level}") or {}))
 
     def _measured(self, items: Items) -> dict[str, float]:
         """The scales of the octave's loss; see `octave.calibrated`."""

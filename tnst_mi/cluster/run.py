@@ -61,7 +61,7 @@ class ClusterRun(Run):
                 plan, store, network, crew, interrupt, self._bar.advance, None if shared else home
             )
             try:
-                for index, record, history in progression.results(done, live and live.octave_done):
+                for index, record, history in progression.results(done, self._octave_done):
                     if live is not None:
                         live.frame_done(prepared.names[index])
                     yield FinishedFrame(record, history)

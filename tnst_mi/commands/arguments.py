@@ -13,7 +13,7 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.commands.run_arguments import BatchArguments, DemoArguments, StylizeArguments
+from tnst_mi.commands.run_arguments import BatchArguments, ClusterAddress, DemoArguments, StylizeArguments
 from tnst_mi.commands.studio_flags import StudioFlags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
 from tnst_mi.recipe.keys import Choice
@@ -213,6 +213,8 @@ class StudioArguments(Arguments):
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen on: by default only programs of this machine reach it. Others expose the page, and what it can
     read and do, to whoever reaches them and has the URL."""
+    cluster: ClusterAddress = None
+    """Have several processes render, as with stylize --cluster; the page can name another (docs/cluster.md)."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_VariantFlag)] = field(default_factory=_VariantFlag)
     """On which device to render."""
 

@@ -17,7 +17,7 @@ _MethodFlags = recipe_flags(Method.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _InputFlags = recipe_flags(Reading.__annotations__)
 
-_Cluster = Annotated[str | None, tyro.conf.arg(metavar="local:N|tcp://…|slurm[:FILE]")]
+ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local:N|tcp://…|slurm[:FILE]")]
 
 
 @dataclass(kw_only=True)
@@ -48,7 +48,7 @@ class StylizeArguments(Arguments):
     """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
     """Replace the run in --out."""
-    cluster: _Cluster = None
+    cluster: ClusterAddress = None
     """Have several processes do the work, to the same bits: N on this machine, a Dask cluster by its scheduler's
     address, or jobs of a batch system (docs/cluster.md)."""
     unshared: bool = False
@@ -79,7 +79,7 @@ class BatchArguments(Arguments):
     """New or empty folder, or that of the batch to go on with; OUT/index.html shows the results."""
     overwrite: bool = False
     """Replace the runs in --out."""
-    cluster: _Cluster = None
+    cluster: ClusterAddress = None
     """Have several processes do the work of each run: N on this machine, a Dask cluster by its scheduler's address, or
     jobs of a batch system (docs/cluster.md)."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)

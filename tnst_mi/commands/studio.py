@@ -14,6 +14,7 @@ from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import holds_run
+from tnst_mi.studio.clusters import checked_address
 from tnst_mi.studio.examples import ExampleMaker
 from tnst_mi.studio.motifs import MotifBrowser
 from tnst_mi.studio.places import Places
@@ -31,7 +32,8 @@ def run(arguments: StudioArguments) -> int:
     first, root = first_and_root(arguments.input)
     activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
     out = expanded(arguments.out)
-    session = Session(Places(root), out)
+    cluster = None if arguments.cluster is None else checked_address(arguments.cluster, None)
+    session = Session(Places(root), out, cluster)
     if first is not None:
         session.open(first)
     motifs, examples = MotifBrowser(session.places, out), ExampleMaker(out)

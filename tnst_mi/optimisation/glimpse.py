@@ -1,8 +1,8 @@
-"""Frames as they stand at the end of an octave: cheap pictures, on its grid, of what the result will be."""
+"""Frames as they stand at the end of an octave: their states, and cheap pictures, on its grid, of what will come."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 import drjit as dr
 import mitsuba as mi
@@ -10,21 +10,34 @@ import numpy as np
 
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.optimisation.items.state import Current, Items
+from tnst_mi.optimisation.start import State
 from tnst_mi.rendering.driving import driving_renderer
 
 
 class Glimpses:
-    """The main views of the frames of a run, before and as they stand; each is rendered when it is asked for.
+    """The frames of a run as they stand; what is asked for is read or rendered then.
 
     Args:
         items: of the octave, all of whose iterations are done.
+        scales: of the terms of its loss, by name.
     """
 
-    def __init__(self, items: Items) -> None:
-        self._items = items
+    def __init__(self, items: Items, scales: Mapping[str, float]) -> None:
+        self._items, self._scales = items, dict(scales)
+
+    @property
+    def octave(self) -> int:
+        """Which octave, from 0."""
+        return self._items.level
+
+    def states(self) -> Iterator[tuple[str, State]]:
+        """Name and state of each frame that is changed."""
+        for now in self._items.current(self._items.plan.alive):
+            fields = {name: field.numpy() for name, field in now.fields.items()}
+            yield now.frame.name, State(self.octave, now.done, fields, self._scales)
 
     def of(self, indices: Collection[int]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Name and both views, with the rows and columns of the octave's images and values in [0, 1].
+        """Name and main views, before and after, with the rows and columns of the octave's images and values in [0, 1].
 
         Args:
             indices: of the frames; those that stay unchanged are left out.

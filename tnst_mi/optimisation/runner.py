@@ -166,7 +166,7 @@ class SequenceOptimisation:
         """All frames have done all iterations of an octave."""
         if self._on_octave is not None and items.octave is not self._plan.octaves[-1]:
             self._stop_here()
-            self._on_octave(Glimpses(items))
+            self._on_octave(Glimpses(items, self._store.numbers(f"scales.{items.level}") or {}))
 
     def _stop_here(self) -> None:
         """End the run here if Ctrl-C was pressed."""

@@ -8,6 +8,7 @@ three fifths of it. Both are states that the final passes through, and it can go
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 from tnst_mi.choices import QUALITIES
@@ -50,3 +51,24 @@ def following(recipe: Recipe) -> str:
         'preview'
     """
     return QUALITIES[min(QUALITIES.index(recipe.quality) + 1, len(QUALITIES) - 1)]
+
+
+def quality_beyond(recipe: Recipe, octave: int, iterations: int) -> str:
+    """The lowest quality with which a run has something left to do from a state on; final if none has.
+
+    Args:
+        recipe: of the run; its own quality does not matter.
+        octave: of the state, counted from 0.
+        iterations: that are done in this octave.
+
+    Example:
+        >>> recipe = Recipe(octaves=3, iterations=20)
+        >>> [quality_beyond(recipe, octave, 20) for octave in range(3)]
+        ['draft', 'preview', 'final']
+    """
+    for quality in QUALITIES:
+        run = replace(recipe, quality=quality)
+        last = octaves_run(run) - 1
+        if octave < last or (octave == last and iterations < iterations_run(run, octave)):
+            return quality
+    return FINAL

@@ -238,6 +238,8 @@ class Resources:
     carry: Annotated[str, Names()] = "all"
     """Grids of the input that move with the smoke and come back with it: all, such as temperature, flame and velocity;
     those with the given names, separated by commas; or none. Vectors keep their directions, obstacles their places."""
+    keep_octaves: Annotated[bool, Switch()] = False
+    """Keep the states of all frames at the end of each octave too, from which --from RUN/octaves/1 goes on."""
     fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None
     """Frames per second of a sequence, above 0: of its preview video (24 if not set), and of velocities per time, of
     which a frame lasts 1 / fps seconds, or 2.5 / fps of Mantaflow's units of time."""

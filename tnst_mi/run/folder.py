@@ -6,6 +6,7 @@
     images/NAME_*        main view before and after (PNG, EXR), side by side, and the loss over the iterations
     recipe.toml          the recipe as run              run.json             the record of the run
     metrics.jsonl        one line per iteration         state/NAME.*         from which another run can go on
+    octaves/N/           state and picture at the end of octave N, if they are kept
 
 Every file is written atomically and durably, but for metrics.jsonl, which grows with each frame and is on the disk
 before run.json, which is written last, lists the frame as complete: then it counts as finished, as long as its files
@@ -63,8 +64,8 @@ _MARKS = ("run.json", "recipe.toml")
 
 _FOLDERS = ("density", "velocity", "images", "state")
 
-#: Folder of the working state.
-WORK = ".work"
+#: Folder of the working state, and of the states at the end of each octave.
+WORK, OCTAVES = ".work", "octaves"
 
 #: What a damaged run.json makes those raise who read it.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -279,9 +280,10 @@ def _remove_results(out: Path, names: Iterable[str]) -> None:
         # A symlinked folder is not ours, whatever its files are called.
         if (path.parent == out or not path.parent.is_symlink()) and (path.is_file() or path.is_symlink()):
             path.unlink()
-    if (out / WORK).is_dir() and not (out / WORK).is_symlink():
-        # An error here must end the run: the state left behind would be that of another run.
-        remove_folder(out / WORK)
+    for folder in (out / WORK, out / OCTAVES):
+        if folder.is_dir() and not folder.is_symlink():
+            # An error here must end the run: the state left behind would be that of another run.
+            remove_folder(folder)
     for name in _MARKS:
         (out / name).unlink(missing_ok=True)
     for folder in _FOLDERS:

@@ -28,6 +28,7 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.run.announcement import announcement
 from tnst_mi.run.folder import RunFolder
+from tnst_mi.run.kept_octaves import KeptOctaves
 from tnst_mi.run.live_pictures import LivePictures
 from tnst_mi.run.prepare import Prepared
 from tnst_mi.run.progress import ProgressBar
@@ -100,6 +101,8 @@ class Run(Iterator[FinishedFrame]):
         shape, left = prepared.plan.shape, len(prepared.wanted) - len(self.record["frames"])
         self._bar = ProgressBar(progress, octave_sizes(prepared.recipe, shape), math.prod(shape), left)
         self._interrupted = False
+        #: Called at the end of every octave but the last.
+        self._octave_listeners: list[Callable[[Glimpses], None]] = []
         self._frames = self._stylized()
 
     def __next__(self) -> FinishedFrame:
@@ -172,6 +175,11 @@ class Run(Iterator[FinishedFrame]):
         live = None
         if folder is not None:
             live = LivePictures(folder, {index: names[index] for index in wanted}, prepared.plan.full.size, finished)
+            self._octave_listeners.append(live.octave_done)
+            if prepared.recipe.keep_octaves and lock is not None:
+                shown, may_write = wanted[len(wanted) // 2], lock.require_held
+                kept = KeptOctaves(folder.out, prepared.recipe, self.record, shown, may_write)
+                self._octave_listeners.append(kept.octave_done)
         with closing(self._computed(folder, store, live, done)) as frames:
             for frame in frames:
                 self.record["frames"].append(frame.record)
@@ -195,7 +203,7 @@ class Run(Iterator[FinishedFrame]):
         """The frames that are not done, computed and written, but for what the folder holds of all frames."""
         prepared = self.prepared
         optimisation = self._optimiser(prepared.plan, prepared.moving, prepared.network.model, store)
-        with closing(optimisation.run(self._bar.advance, done, live and live.octave_done)) as results:
+        with closing(optimisation.run(self._bar.advance, done, self._octave_done)) as results:
             for index, stylized in results:
                 source = prepared.unchanged[index]
                 if folder is None:
@@ -208,6 +216,10 @@ class Run(Iterator[FinishedFrame]):
                 # Callers may keep every frame of a run; what moves its grids and its state are not part of the result.
                 stylized.movement = stylized.state = None
         self._interrupted = optimisation.interrupted
+
+    def _octave_done(self, glimpses: Glimpses) -> None:
+        for listener in self._octave_listeners:
+            listener(glimpses)
 
     def _conclude(self, folder: RunFolder, started: float) -> None:
         """Write the results for all frames together, and clean up."""

@@ -47,6 +47,14 @@ class LiveRun:
         return [octave for octave, _ in sorted(self._losses)]
 
     @property
+    def reached(self) -> tuple[int, int] | None:
+        """The octave that has been reached, from 0, and the iterations that are done in it; None before the first."""
+        if not self._losses:
+            return None
+        octave, iteration = max(self._losses)
+        return octave, iteration + 1
+
+    @property
     def done(self) -> int:
         """Iterations of all frames that are done, those of the run that this one goes on from included."""
         return self._skipped + sum(len(of) for of in self._losses.values())

@@ -8,6 +8,8 @@ under way; to resume is `--resume`, to the same bits.
 from __future__ import annotations
 
 import json
+import re
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -21,14 +23,21 @@ import psutil
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.run.folder import DAMAGE, holds_run
 
-#: What can be said of a run: its process is there; it has ended; it can be resumed; it cannot be done as it is.
-RUNNING, DONE, PAUSED, FAILED = "running", "done", "paused", "failed"
+#: What can be said of a run: its process is there; it has ended; the studio has paused it; it was ended by something
+#: else, such as a restart of the machine or a full disk, and can be resumed; it cannot be done as it is.
+RUNNING, DONE, PAUSED, INTERRUPTED, FAILED = "running", "done", "paused", "interrupted", "failed"
 
 #: Exit code of a run that was interrupted and can be resumed.
-_INTERRUPTED = 3
+_STOPPED = 3
 
 #: How much less urgent tries and renders are than the page.
 _NICENESS = 10
+
+#: Bytes that are read of a record, of the first and of the last words of a run.
+_RECORD, _FIRST_WORDS, _LAST_WORDS = 1 << 16, 1 << 16, 1 << 12
+
+#: How a run on a cluster says where Dask shows what it does.
+_DASHBOARD = re.compile(r"\bdashboard (https?://[\w.:\[\]-]+/[\w/.-]*)")
 
 #: Two readings of the time when a process began differ by less, in seconds.
 _SAME_START = 1.0
@@ -44,9 +53,11 @@ class WorkRecord:
         start_from: the folder of the run that this one goes on from; None for the beginning.
         alone: whether it is of the frame alone that was shown, of several.
         frames: the recipe's key without that.
+        cluster: the address of the cluster that does it; None for a process of this machine.
         pid, began: its latest process, by its number and the time when that began; 0 before the first.
         code: exit code of that process; None while it is not known.
         paused: whether the studio has asked it to pause.
+        log_begin: bytes of the log that are of earlier processes.
     """
 
     source: str
@@ -54,24 +65,27 @@ class WorkRecord:
     start_from: str | None = None
     alone: bool = False
     frames: str | None = None
+    cluster: str | None = None
     pid: int = 0
     began: float = 0.0
     code: int | None = None
     paused: bool = False
+    log_begin: int = 0
 
     @classmethod
     def read(cls, path: Path) -> Self | None:
         """The record in a file; None if it is damaged."""
         try:
-            values: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+            values: Mapping[str, Any] = json.loads(excerpt(path, _RECORD))
             record = cls(**{**values, "shape": tuple(int(n) for n in values["shape"])})
         except DAMAGE:
             return None
         texts = isinstance(record.source, str) and all(
-            isinstance(text, str | None) for text in (record.start_from, record.frames)
+            isinstance(text, str | None) for text in (record.start_from, record.frames, record.cluster)
         )
-        numbers = isinstance(record.pid, int) and isinstance(record.began, int | float) and record.pid >= 0
-        sound = texts and numbers and len(record.shape) == 3
+        numbers = isinstance(record.began, int | float) and isinstance(record.code, int | None)
+        counts = all(isinstance(count, int) and count >= 0 for count in (record.pid, record.log_begin))
+        sound = texts and numbers and counts and len(record.shape) == 3
         return record if sound else None
 
     def write(self, path: Path) -> None:
@@ -113,7 +127,11 @@ class RunProcess:
             command += ["--from", self.record.start_from, *(["--overwrite"] if self.folder.exists() else [])]
         elif self.folder.exists():
             command.append("--resume")
+        if self.record.cluster is not None:
+            command += ["--cluster", self.record.cluster]
         with self.log_file.open("ab") as log:
+            # Before it begins: were this process to end here, the run could be resumed.
+            self._note(pid=0, began=0.0, code=None, paused=False, log_begin=log.tell())
             self._child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
@@ -123,7 +141,7 @@ class RunProcess:
             began = process.create_time()
             if psutil.POSIX:
                 process.nice(_NICENESS)
-        self._note(pid=self._child.pid, began=began, code=None, paused=False)
+        self._note(pid=self._child.pid, began=began)
 
     def pause(self) -> None:
         """Ask the run to end after the iteration under way."""
@@ -131,6 +149,14 @@ class RunProcess:
             self._note(paused=True)
             with suppress(psutil.Error):
                 process.terminate()
+
+    def kill(self) -> None:
+        """End the process and those that it has begun, at once."""
+        if (process := self._process()) is not None:
+            with suppress(psutil.Error):
+                for one in (*process.children(recursive=True), process):
+                    with suppress(psutil.NoSuchProcess):
+                        one.kill()
 
     def wait(self, seconds: float) -> None:
         """Wait until the process has ended, but no longer than some seconds."""
@@ -142,20 +168,37 @@ class RunProcess:
 
     def status(self) -> str:
         """What can be said of the run now."""
-        if self._child is not None and self._child.poll() is not None and self.record.code is None:
-            self._note(code=self._child.returncode)
         if self._process() is not None:
             return RUNNING
-        if (recorded := self._recorded_status()) == DONE:
+        # Only now: it may have ended a moment ago.
+        if self._child is not None and self.record.code is None:
+            self._note(code=self._child.poll())
+        if self._recorded_status() == DONE:
             return DONE
-        ended_early = self.record.paused or self.record.code == _INTERRUPTED or recorded == "interrupted"
-        # Of a process that an earlier studio began the code is not known; killed ones can be resumed.
-        return PAUSED if ended_early or (self.record.code is None and recorded is not None) else FAILED
+        if self.record.paused:
+            return PAUSED
+        code = self.record.code
+        return FAILED if code is not None and code > 0 and code != _STOPPED else INTERRUPTED
 
-    def complaint(self) -> str:
-        """The last line that a failed run has said."""
-        lines = tail(self.log_file, 4096).strip().splitlines()
-        return lines[-1] if lines else "ended without a word"
+    def ending(self) -> str:
+        """Why a run that is not done has ended: its exit code, or what is known of it, and its last line."""
+        code = self.record.code
+        if code is None:
+            # Of a process that an earlier studio has begun the code is not known.
+            how = "ended while no studio looked on, as when the machine was restarted"
+        elif code < 0:
+            how = f"killed by {_signal_name(-code)}"
+        else:
+            how = f"exit code {code}"
+        lines = excerpt(self.log_file, _LAST_WORDS, self.record.log_begin, last=True).strip().splitlines()
+        return f"{how}: {lines[-1] if lines else 'without a word'}"
+
+    def dashboard(self) -> str | None:
+        """The URL under which Dask shows what a run on a cluster does, as the run has said; None if it has not."""
+        if self.record.cluster is None:
+            return None
+        found = _DASHBOARD.search(excerpt(self.log_file, _FIRST_WORDS, self.record.log_begin))
+        return None if found is None else found[1]
 
     def _process(self) -> psutil.Process | None:
         """The process, if it is still there."""
@@ -179,11 +222,27 @@ class RunProcess:
         self.record.write(self.folder.with_suffix(".json"))
 
 
-def tail(file: Path, most: int) -> str:
-    """The last bytes of a text file; nothing if it is not there."""
+def _signal_name(number: int) -> str:
     try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def excerpt(file: Path, most: int, begin: int = 0, last: bool = False) -> str:
+    """Some bytes of a text file; nothing if there is none.
+
+    Args:
+        file: the file; what is no plain one, such as a pipe, for which one would wait, counts as none.
+        most: how many bytes, at most.
+        begin: those before are left out.
+        last: whether to take the last ones rather than the first.
+    """
+    try:
+        if not file.is_file():
+            return ""
         with file.open("rb") as opened:
-            opened.seek(max(0, file.stat().st_size - most))
+            opened.seek(max(begin, file.stat().st_size - most) if last else begin)
             return opened.read(most).decode("utf-8", "replace")
     except OSError:
         return ""

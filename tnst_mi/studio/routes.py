@@ -11,21 +11,19 @@ from PIL import Image
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.png import eight_bits
-from tnst_mi.machine.terminal import printable
 from tnst_mi.resources import DATA
 from tnst_mi.studio.examples import ExampleMaker
 from tnst_mi.studio.masks import MaskEdit
 from tnst_mi.studio.messages import PageAnswer, PageRequest
 from tnst_mi.studio.motifs import MotifBrowser
-from tnst_mi.studio.processes import tail
 from tnst_mi.studio.server import ALIKE, PAINTING, UPLOAD
 from tnst_mi.studio.session import Session
 from tnst_mi.studio.similarity import PictureAnswers
-from tnst_mi.studio.work import RENDERS, TRIES
+from tnst_mi.studio.work_routes import WorkRoutes
 
 #: The scripts of the page.
 _SCRIPTS = (
-    *("movement.js", "studio.js", "alike.js", "examples.js"),
+    *("movement.js", "work.js", "studio.js", "alike.js", "examples.js"),
     *("projection.js", "gizmos.js", "brush.js", "regions.js"),
 )
 
@@ -38,9 +36,6 @@ _PAGE = {
 
 #: Quality of JPEG while the camera moves, and when it is still.
 _MOVING, _STILL = 80, 92
-
-#: Bytes of a log that are shown, at most.
-_LONGEST_TEXT = 1 << 18
 
 
 class StudioRoutes:
@@ -70,13 +65,10 @@ class StudioRoutes:
             ("GET", "/share"): self._share,
             ("POST", "/mask"): self._mask,
             ("POST", PAINTING): self._painting,
-            ("GET", "/work/picture"): self._work_picture,
-            ("GET", "/work/recipe"): lambda request: self._work_text(request, ".toml"),
-            ("GET", "/work/log"): lambda request: self._work_text(request, ".log"),
             ("POST", "/open"): self._open,
             ("POST", "/set"): self._set,
             ("POST", "/goal"): self._goal,
-            ("POST", "/work"): self._work,
+            **WorkRoutes(session).routes,
         }
 
     def __call__(self, request: PageRequest) -> PageAnswer:
@@ -162,42 +154,6 @@ class StudioRoutes:
         view = request.number("azimuth"), request.number("elevation")
         self.session.paint_mask(request.body, request.whole("target"), view, request.whole("frame"))
         return PageAnswer.of_json({})
-
-    def _work(self, request: PageRequest) -> PageAnswer:
-        values, workshop = request.json(), self.session.workshop
-        action = _text(values, "action")
-        if action in ("try", "render"):
-            alone = values.get("alone")
-            if not isinstance(alone, int | None) or isinstance(alone, bool):
-                raise InputError("studio: alone is the index of a frame, or nothing")
-            self.session.begin(TRIES if action == "try" else RENDERS, alone)
-            return PageAnswer.of_json({})
-        act = {
-            "pause": workshop.pause,
-            "resume": workshop.resume,
-            "finish": workshop.finish,
-            "open": self.session.open_work,
-        }.get(action)
-        if act is None:
-            raise InputError("studio: an action is try, render, pause, resume, finish or open")
-        act(_text(values, "id"))
-        return PageAnswer.of_json({})
-
-    def _work_picture(self, request: PageRequest) -> PageAnswer:
-        picture = self.session.workshop.work(request.query.get("id", "")).picture
-        if picture is None:
-            raise InputError("studio: there is no picture yet")
-        return PageAnswer(picture.read_bytes(), "image/png")
-
-    def _work_text(self, request: PageRequest, suffix: str) -> PageAnswer:
-        process = self.session.workshop.work(request.query.get("id", "")).process
-        text = printable_lines(tail(process.folder.with_suffix(suffix), _LONGEST_TEXT))
-        return PageAnswer(text.encode("utf-8"), "text/plain; charset=utf-8")
-
-
-def printable_lines(text: str) -> str:
-    """A text of several lines, without what controls a terminal."""
-    return "\n".join(printable(line) for line in text.splitlines())
 
 
 def jpeg(picture: np.ndarray, quality: int) -> bytes:

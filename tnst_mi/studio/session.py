@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,18 @@ from tnst_mi.errors import InputError
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
+from tnst_mi.studio.clusters import checked_address
 from tnst_mi.studio.lit import LitPainter
 from tnst_mi.studio.masks import MaskEdit, starts_of_following
 from tnst_mi.studio.opened import opened
 from tnst_mi.studio.painting import SightPainter
 from tnst_mi.studio.paintings import Paintings
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.processes import DONE
 from tnst_mi.studio.settings import StudioSettings
 from tnst_mi.studio.sight import Sight
-from tnst_mi.studio.work import Workshop
+from tnst_mi.studio.work import RENDERS
+from tnst_mi.studio.workshop import Workshop
 
 #: Seconds after which a connection without news is told that it is still one.
 _STILL_HERE = 15.0
@@ -43,16 +46,20 @@ class Session:
     Args:
         places: what may be opened.
         out: the folder of the studio's tries and renders.
+        cluster: address of the one that renders, which has been checked; None for this machine.
 
     Attributes:
-        workshop: these.
+        workshop: tries and renders.
         paintings: what has been painted on the page.
+        start: the name of the try or render, and the octave of its state, from which the next one goes on; None to
+            begin anew.
         settings: what is set.
         painter, lit: paint what is opened; None as long as nothing is.
     """
 
-    def __init__(self, places: Places, out: Path) -> None:
-        self.places, self.settings = places, StudioSettings()
+    def __init__(self, places: Places, out: Path, cluster: str | None = None) -> None:
+        self.places, self.settings, self.cluster = places, StudioSettings(), cluster
+        self.start: tuple[str, int | None] | None = None
         self.painter: SightPainter | None = None
         self.lit: LitPainter | None = None
         self._source: Path | None = None
@@ -73,6 +80,7 @@ class Session:
                 self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
             record = found.results.record
             self._source = path if record is None else _input_of(record)
+            self.start = None
             self._changed()
 
     @property
@@ -204,7 +212,11 @@ class Session:
             InputError: there is nothing to stylize, or nothing to stylize towards, or no such frame.
         """
         with self._news:
-            source, recipe, painter = self.source, self.settings.recipe, self.painter
+            source, recipe, painter, start = self.source, self.settings.recipe, self.painter, self.start
+        cluster = self.cluster if kind == RENDERS else None
+        if start is not None:
+            self.workshop.go_on(kind, *start, recipe, cluster)
+            return
         assert painter is not None  # there is a source
         numbers, number = painter.opened.results.numbers, None
         if alone is not None and len(numbers) > 1:
@@ -214,7 +226,56 @@ class Session:
                     f"studio: a mask follows the smoke from frame {away.pop()}, which a try of frame {number} alone "
                     "does not have; show that frame, or try all frames"
                 )
-        self.workshop.begin(kind, source, recipe, painter.opened.shape, number)
+        self.workshop.begin(kind, source, recipe, painter.opened.shape, number, cluster)
+
+    def go_on_from(self, name: str, octave: int | None) -> None:
+        """Take over the recipe of a try or a render, and let the next one go on from a state that it has kept.
+
+        Args:
+            name: of the try or the render.
+            octave: at whose end the state was kept, from 0; None for the end of the run.
+
+        Raises:
+            InputError: there is no such state, or its input cannot be opened any more.
+        """
+        work = self.workshop.work(name)
+        work.kept(octave)
+        if work.status == DONE:
+            self.open_work(name)
+        else:
+            recipe = Recipe.from_toml(work.process.recipe_file)
+            self.open(Path(work.process.record.source))
+            with self._news:
+                self.settings = StudioSettings(dataclasses.replace(recipe, quality=FINAL))
+        with self._news:
+            self.start = name, octave
+            self._changed()
+
+    def begin_anew(self) -> None:
+        """Let the next try or render begin anew."""
+        with self._news:
+            self.start = None
+            self._changed()
+
+    def delete(self, names: Collection[str]) -> None:
+        """Remove tries or renders, see `Workshop.delete`; in place of one that is shown, its input is."""
+        try:
+            self.workshop.delete(names)
+        finally:
+            with self._news:
+                if self.start is not None and not self.workshop.holds(self.start[0]):
+                    self.start = None
+                shown = None if self.painter is None else self.painter.opened.results.path
+                gone, source = shown is not None and not shown.exists(), self._source
+            if gone and source is not None:
+                self.open(source)
+
+    def set_cluster(self, text: str) -> None:
+        """Render on a cluster from now on, or on this machine if the address is empty; see `checked_address`."""
+        address = checked_address(text, self.places)
+        with self._news:
+            self.cluster = address
+            self._changed()
 
     def state(self) -> dict[str, Any]:
         """All that a tab has to know, as values for JSON."""
@@ -223,6 +284,8 @@ class Session:
             return {
                 "work": work,
                 "version": self._version,
+                "start": None if self.start is None else {"id": self.start[0], "octave": self.start[1]},
+                "cluster": self.cluster or "",
                 "opened": None if self.painter is None else self._described(self.painter),
                 "physics": _PATH_TRACED if self.settings.recipe.integrator == "prbvolpath" else None,
                 **self.settings.described(),

@@ -12,6 +12,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
+from tnst_mi.run.going_on import FREE
 from tnst_mi.studio.masks import MaskEdit, masks_described
 
 #: Keys that name goals, and what one of theirs is called on the page.
@@ -125,6 +126,7 @@ class StudioSettings:
             | {
                 "value": getattr(recipe, knob.key),
                 "set": knob.key in self.values,
+                "free": knob.key in FREE,
                 "keyframed": knob.key in recipe.keyframes,
                 "help": texts[knob.key],
                 "expected": KINDS[knob.key].expected,

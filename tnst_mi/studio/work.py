@@ -1,39 +1,41 @@
-"""The tries and renders of a studio: begun from its settings, watched, and kept as its history."""
+"""A try or a render of a studio: how far it has got, what the page shows of it, and what can be done with it."""
 
 from __future__ import annotations
 
 import json
 import re
-import threading
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
-from tnst_mi.fields.grid import Shape
-from tnst_mi.io.atomic import make_folder, written_whole
-from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.paths import shipped_name
-from tnst_mi.recipe.quality import DRAFT, FINAL
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE
+from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
 from tnst_mi.studio.live import LiveRun
-from tnst_mi.studio.processes import DONE, FAILED, PAUSED, RUNNING, RunProcess, WorkRecord
-from tnst_mi.studio.settings import GOAL_KEYS, OTHER_GOALS
+from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProcess
 
 #: Folders of both kinds of work below that of the studio, and what one of them is called.
 TRIES, RENDERS = "tries", "renders"
 _KINDS = {TRIES: "try", RENDERS: "render"}
 
-_ID = re.compile(r"(?:tries|renders)/\d{4,6}")
+#: What they are called in the folder of the studio.
+ID = re.compile(r"(?:tries|renders)/\d{4,6}")
 
-#: Seconds between two looks at what runs, and how long a try may take to pause when the studio ends.
-_INTERVAL, _PATIENCE = 0.4, 15.0
+#: Points of a curve that are sent, at most, and their digits: more than its pixels show.
+_POINTS, _DIGITS = 140, 4
 
-#: Points of a curve that are sent, at most.
-_POINTS = 400
+
+def title_of(name: str) -> str:
+    """What the page calls a try or a render.
+
+    Example:
+        >>> title_of("tries/0003")
+        'try 3'
+    """
+    kind, number = name.split("/")
+    return f"{_KINDS[kind]} {int(number)}"
 
 
 class StudioWork:
@@ -49,54 +51,118 @@ class StudioWork:
         self.live = LiveRun(process.folder, process.recipe_file, process.record.shape)
         self.goals, self.asked_at = _goals(process.recipe_file), _written_at(process.recipe_file)
         self.status = process.status()
-        self._picture: str | None = None
-        self.live.update()
+        self._described: dict[str, Any] = {}
+        self.update()
 
     def update(self) -> bool:
         """Look again; whether something has changed."""
-        before = self.status, self._picture
+        before = self._described
         self.status = self.process.status()
-        self._picture = self._newest_picture()
-        return self.live.update() or (self.status, self._picture) != before
+        self.live.update()
+        self._described = self._now()
+        return self._described != before
 
     @property
     def picture(self) -> Path | None:
         """The comparison of a frame before and after, as far as the run has got."""
-        pictures = sorted((self.process.folder / "images").glob("*_comparison.png"))
-        return pictures[len(pictures) // 2] if pictures else None
+        return _comparison(self.process.folder)
+
+    def picture_of(self, octave: int) -> Path | None:
+        """Likewise at the end of an octave, counted from 0, of which the state is kept."""
+        return _comparison(octave_folder(self.process.folder, octave))
+
+    def kept(self, octave: int | None) -> tuple[Path, tuple[int, int]]:
+        """A state from which another run can go on: the folder that it has, its octave, and the iterations done there.
+
+        Args:
+            octave: the one, counted from 0, at whose end it was kept; None for that in which the run has ended.
+
+        Raises:
+            InputError: there is none.
+        """
+        if octave is None and self.status != RUNNING and (reached := self._reached()) is not None:
+            return self.process.folder, reached
+        if octave is not None and octave in kept_octaves(self.process.folder):
+            folder = octave_folder(self.process.folder, octave)
+            if (reached := _recorded_state(folder)) is not None:
+                return folder, reached
+        where = "its end" if octave is None else f"octave {octave + 1}"
+        raise InputError(f"studio: {self.name} has kept no state of {where}; choose one of those that it shows")
 
     def described(self) -> dict[str, Any]:
-        """What the page shows."""
-        kind, number = self.name.split("/")
+        """What the page shows, as it was found by the last `update`."""
+        return self._described
+
+    def _now(self) -> dict[str, Any]:
+        kind = self.name.split("/")[0]
         losses, octaves = self.live.losses, self.live.octaves
         every = -(-len(losses) // _POINTS) or 1
-        error = one_line(self.process.complaint()) if self.status == FAILED else None
+        ended_early = self.status in (FAILED, INTERRUPTED)
+        picture = self.picture
         return {
             "id": self.name,
-            "title": f"{_KINDS[kind]} {int(number)}",
+            "title": title_of(self.name),
             "status": self.status,
             "goals": self.goals,
             "line": self._line(),
-            "error": error,
-            "losses": losses[::every],
+            "error": one_line(self.process.ending()) if ended_early else None,
+            "losses": [float(f"{loss:.{_DIGITS}g}") for loss in losses[::every]],
             "octaves": octaves[::every],
             "done": self.live.done,
             "total": self.live.total,
             "left": self.live.left if self.status == RUNNING else None,
-            "picture": self._newest_picture(),
+            "picture": None if picture is None else _version(picture),
+            "states": self._states(),
+            "cluster": self.process.record.cluster,
+            "dashboard": self.process.dashboard() if self.status == RUNNING else None,
             "actions": self._actions(kind),
         }
 
+    def _states(self) -> list[dict[str, Any]]:
+        """The states from which another run can go on, by their octaves; that of None is where the run has ended."""
+        folder = self.process.folder
+        states = [
+            {
+                "octave": octave,
+                "title": f"end of octave {octave + 1}",
+                "picture": self.picture_of(octave) is not None,
+            }
+            for octave in kept_octaves(folder)
+        ]
+        if self.status != RUNNING and (reached := self._reached()) is not None:
+            octave, iterations = reached
+            ended = "the end" if self.status == DONE else "where it stopped"
+            title = f"{ended}: octave {octave + 1}, iteration {iterations}"
+            states.append({"octave": None, "title": title, "picture": self.picture is not None})
+        return states
+
+    def _reached(self) -> tuple[int, int] | None:
+        """The octave and the iterations in it that are done, from which another run can go on; None if there are none.
+
+        A run that has gone on from the end of another may have done none of its own.
+        """
+        return _recorded_state(self.process.folder) if self.status == DONE else self.live.reached
+
     def _actions(self, kind: str) -> list[str]:
         if self.status == RUNNING:
-            return ["pause"]
+            return ["pause", "delete"]
         if self.status == DONE:
-            return ["open", *(["finish"] if kind == TRIES else [])]
-        return ["resume"]
+            return ["open", *(["finish"] if kind == TRIES else []), "delete"]
+        return ["resume", "delete"]
+
+    def _origin(self) -> str | None:
+        """The title of the try or render that this one has gone on from, if there is one in the same folder."""
+        begun, out = self.process.record.start_from, self.process.folder.parents[1]
+        if begun is None or not Path(begun).is_relative_to(out):
+            return None
+        name = "/".join(Path(begun).relative_to(out).parts[:2])
+        return title_of(name) if ID.fullmatch(name) else None
 
     def _line(self) -> str:
         """How far it has got, or what has come out, in a few words."""
         parts = [self.goals]
+        if (origin := self._origin()) is not None:
+            parts.append(f"from {origin}")
         losses, octaves = self.live.losses, self.live.octaves
         if self.status == DONE:
             parts += _outcome(self.process.folder)
@@ -110,153 +176,30 @@ class StudioWork:
             parts.append("begins")
         return ", ".join(parts)
 
-    def _newest_picture(self) -> str | None:
-        """What identifies the picture, which changes with every octave."""
-        picture = self.picture
-        try:
-            return None if picture is None else str(picture.stat().st_mtime_ns)
-        except OSError:
-            return None
+
+def _comparison(folder: Path) -> Path | None:
+    """The picture of the middle frame of a run, before and after; links are not followed."""
+    pictures = sorted((folder / "images").glob("*_comparison.png"))
+    middle = pictures[len(pictures) // 2] if pictures else None
+    return None if middle is None or middle.is_symlink() else middle
 
 
-class Workshop:
-    """All work of a studio, in its folder.
+def _version(file: Path) -> str | None:
+    """What changes when a file is written anew; None if it is gone."""
+    try:
+        return str(file.stat().st_mtime_ns)
+    except OSError:
+        return None
 
-    Args:
-        out: the folder of the studio, which need not exist.
-        changed: called when something has changed; from other threads too.
 
-    Raises:
-        InputError: nothing can be written there.
-    """
-
-    def __init__(self, out: Path, changed: Callable[[], None]) -> None:
-        require_writable(out, remedy=None)
-        self._out, self._changed = out.absolute(), changed
-        self._lock, self._busy, self._ended = threading.RLock(), threading.Event(), threading.Event()
-        self._works = {work.name: work for work in self._found()}
-        if any(work.status == RUNNING for work in self._works.values()):
-            self._busy.set()
-        self._watching = threading.Thread(target=self._watch, daemon=True)
-        self._watching.start()
-
-    def begin(self, kind: str, source: Path, recipe: Recipe, shape: Shape, alone: int | float | None = None) -> str:
-        """Begin a try (a draft) or a render (the whole recipe), and return its name.
-
-        Args:
-            kind: `TRIES` or `RENDERS`.
-            source: the input.
-            recipe: for all frames.
-            shape: (D, H, W) of these.
-            alone: the number of the only frame that is to be stylized; None for all.
-
-        Raises:
-            InputError: the recipe has no goals.
-        """
-        record = WorkRecord(str(source.absolute()), shape, alone=alone is not None, frames=recipe.frames)
-        return self._begin(kind, record, recipe if alone is None else replace(recipe, frames=str(alone)))
-
-    def finish(self, name: str) -> str:
-        """Begin to render what a try has begun, from where it ended; returns the name.
-
-        Raises:
-            InputError: there is no such try, or it is not done.
-        """
-        work = self.work(name)
-        if work.status != DONE:
-            raise InputError(f"studio: {name} is {work.status}: what is done can be rendered")
-        record = replace(work.process.record, start_from=str(work.process.folder), pid=0, began=0.0, code=None)
-        return self._begin(RENDERS, record, Recipe.from_toml(work.process.recipe_file))
-
-    def pause(self, name: str) -> None:
-        """Ask a run to end after the iteration under way."""
-        self.work(name).process.pause()
-        self._busy.set()
-
-    def resume(self, name: str) -> None:
-        """Go on with a run that is not done.
-
-        Raises:
-            InputError: there is no such run, or it runs, or is done.
-        """
-        with self._lock:
-            work = self.work(name)
-            work.update()
-            if work.status not in (PAUSED, FAILED):
-                raise InputError(f"studio: {name} is {work.status}: nothing is to be resumed")
-            work.process.start()
-            work.update()
-        self._busy.set()
-        self._changed()
-
-    def work(self, name: str) -> StudioWork:
-        """The work of a name.
-
-        Raises:
-            InputError: there is none.
-        """
-        with self._lock:
-            if name not in self._works:
-                raise InputError(one_line(f"studio: {name!r}: no such try or render"))
-            return self._works[name]
-
-    def described(self) -> list[dict[str, Any]]:
-        """What the page shows, the latest first."""
-        with self._lock:
-            works = sorted(self._works.values(), key=lambda work: -work.asked_at)
-            return [work.described() for work in works]
-
-    def end(self) -> list[str]:
-        """Pause the tries that run, and stop watching; returns the names of those paused."""
-        self._ended.set()
-        self._busy.set()
-        with self._lock:
-            running = [work for work in self._works.values() if work.name.startswith(TRIES) and work.status == RUNNING]
-            for work in running:
-                work.process.pause()
-            for work in running:
-                work.process.wait(_PATIENCE)
-        return [work.name for work in running]
-
-    def _begin(self, kind: str, record: WorkRecord, recipe: Recipe) -> str:
-        if not any(getattr(recipe, key) for key in (*GOAL_KEYS, *OTHER_GOALS)):
-            raise InputError("studio: nothing to stylize towards; choose a motif on the left")
-        with self._lock:
-            make_folder(self._out / kind)
-            numbers = [int(file.stem) for file in (self._out / kind).glob("*.toml") if file.stem.isdigit()]
-            name = f"{kind}/{max(numbers, default=0) + 1:04d}"
-            process = RunProcess(self._out / name, record)
-            quality = DRAFT if kind == TRIES else FINAL
-            with written_whole(process.recipe_file) as temporary:
-                temporary.write_text(replace(recipe, quality=quality).to_toml(), "utf-8")
-            process.start()
-            self._works[name] = StudioWork(name, process)
-        self._busy.set()
-        self._changed()
-        return name
-
-    def _found(self) -> list[StudioWork]:
-        """What earlier studios have begun in this folder."""
-        found = []
-        for file in sorted(self._out.glob("*/*.toml")):
-            name = file.relative_to(self._out).with_suffix("").as_posix()
-            record = WorkRecord.read(file.with_suffix(".json")) if _ID.fullmatch(name) else None
-            if record is not None:
-                found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))
-        return found
-
-    def _watch(self) -> None:
-        """Look at what runs, as long as something does."""
-        while not self._ended.is_set():
-            self._busy.wait()
-            with self._lock:
-                works = [work for work in self._works.values() if work.status == RUNNING]
-                news = [work.update() for work in works]
-                if not any(work.status == RUNNING for work in works):
-                    self._busy.clear()
-            if any(news):
-                self._changed()
-            self._ended.wait(_INTERVAL)
+def _recorded_state(folder: Path) -> tuple[int, int] | None:
+    """The octave and the iterations of the state that a run has written of all its frames; None if there is none."""
+    try:
+        states = [frame["state"] for frame in json.loads((folder / "run.json").read_text("utf-8"))["frames"]]
+        octaves, iterations = ([int(state[key]) for state in states] for key in ("octave", "iterations"))
+        return max(octaves), min(iterations)
+    except DAMAGE:
+        return None
 
 
 def _goals(recipe_file: Path) -> str:

@@ -382,6 +382,8 @@ function showRecipe() {
   for (const knob of state.knobs) {
     const { row, slider, value, back } = rows[knob.key] = rows[knob.key] || knobRow(knob);
     row.classList.toggle("set", knob.set);
+    slider.disabled = Boolean(state.start) && !knob.free;
+    slider.title = slider.disabled ? "stays as it was in what is gone on from" : "";
     back.hidden = !knob.set;
     if (document.activeElement === slider && slider.matches(":active")) continue;
     value.textContent = knob.keyframed ? "changes over the frames" : knob.value;
@@ -398,83 +400,6 @@ function showRecipe() {
   for (const key of state.other_goals) goals.push(element("span", `${key} of the recipe`, { className: "goal" }));
   $("goals").replaceChildren(...(goals.length ? goals : [element("small", "choose motifs on the left")]));
   $("try").disabled = $("render").disabled = !goals.length || !state.opened;
-}
-
-/* ---- tries and renders --------------------------------------------------------------------------------------- */
-
-$("try").addEventListener("click", () => {
-  const only = !$("alone").hidden && $("only").checked;
-  post("work", { action: "try", alone: only ? Number($("frame").value) : null });
-});
-$("render").addEventListener("click", () => post("work", { action: "render" }));
-
-const jobs = new Map();
-
-function jobCard(job) {
-  const card = element("div", undefined, { className: "job" });
-  const head = element("div", undefined, { className: "head" }), status = element("span");
-  head.append(element("b", job.title), status);
-  const image = element("img", undefined, { alt: "before and after", hidden: true, title: "open" });
-  image.addEventListener("click", () => post("work", { action: "open", id: job.id }));
-  image.addEventListener("error", () => { image.hidden = true; });
-  const curve = element("canvas", undefined, { hidden: true }), line = element("p"), told = element("p", "", { className: "told" });
-  const buttons = element("div", undefined, { className: "buttons" }), actions = {};
-  const labels = { pause: "pause", resume: "resume", open: "open", finish: "render this" };
-  for (const [action, label] of Object.entries(labels)) {
-    const button = actions[action] = element("button", label);
-    button.dataset.action = action;
-    button.addEventListener("click", () => post("work", { action, id: job.id }));
-    buttons.append(button);
-  }
-  const of = new URLSearchParams({ id: job.id });
-  for (const [name, path] of [["recipe.toml", "work/recipe"], ["log", "work/log"]]) {
-    buttons.append(element("a", name, { href: `${path}?${of}`, target: "_blank", rel: "noopener" }));
-  }
-  card.append(head, image, curve, line, told, buttons);
-  return { card, status, image, curve, line, told, actions, picture: "" };
-}
-
-function showJobs() {
-  const cards = [];
-  for (const job of state.work || []) {
-    if (!jobs.has(job.id)) jobs.set(job.id, jobCard(job));
-    const shown = jobs.get(job.id);
-    shown.card.className = `job ${job.status}`;
-    shown.card.dataset.id = job.id;
-    shown.status.textContent = job.status;
-    shown.line.textContent = job.line;
-    shown.told.textContent = job.error || "";
-    if (job.picture && job.picture !== shown.picture) {
-      shown.picture = job.picture;
-      shown.image.hidden = false;
-      shown.image.src = `work/picture?${new URLSearchParams({ id: job.id, of: job.picture })}`;
-    }
-    shown.curve.hidden = job.losses.length < 2;
-    if (!shown.curve.hidden) curve(shown.curve, job.losses, job.octaves);
-    for (const [action, button] of Object.entries(shown.actions)) button.hidden = !job.actions.includes(action);
-    cards.push(shown.card);
-  }
-  const there = [...$("work").children];
-  if (cards.length !== there.length || cards.some((card, index) => card !== there[index])) $("work").replaceChildren(...cards);
-}
-
-// The loss over the iterations; each octave has a scale of its own, since its losses are not those of others.
-function curve(drawn, losses, octaves) {
-  const width = drawn.width = 560, height = drawn.height = 88, pen = drawn.getContext("2d");
-  pen.clearRect(0, 0, width, height);
-  pen.lineWidth = 3;
-  for (const octave of new Set(octaves)) {
-    const places = losses.map((loss, index) => [index, loss]).filter(([index]) => octaves[index] === octave);
-    const values = places.map(([, loss]) => loss), low = Math.min(...values), high = Math.max(...values);
-    pen.beginPath();
-    for (const [index, loss] of places) {
-      const x = 4 + (width - 8) * index / Math.max(1, losses.length - 1);
-      const y = 6 + (height - 12) * (high > low ? (high - loss) / (high - low) : 0.5);
-      if (index === places[0][0]) pen.moveTo(x, y); else pen.lineTo(x, y);
-    }
-    pen.strokeStyle = octave % 2 ? "#ffd28a" : "#8fb8d8";
-    pen.stroke();
-  }
 }
 
 /* ---- what the server tells ------------------------------------------------------------------------------------ */
@@ -495,7 +420,7 @@ function told(next) {
     $("hint").hidden = true;
     $("frame").max = state.opened.names.length - 1;
     $("frame").value = Math.min(Number($("frame").value), state.opened.names.length - 1);
-    $("time").hidden = $("alone").hidden = state.opened.names.length < 2;
+    $("time").hidden = state.opened.names.length < 2;
     $("name").textContent = state.opened.names[Number($("frame").value)];
     document.title = `${state.opened.title} – tnst-mi studio`;
     if (state.opened.after && mode === "before") mode = "wipe";

@@ -1,0 +1,253 @@
+"""The tries and renders of a studio: begun from its settings, watched, removed, and kept as its history."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Shape
+from tnst_mi.io.atomic import make_folder, written_whole
+from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.terminal import one_line
+from tnst_mi.recipe.quality import DRAFT, FINAL, quality_beyond
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
+from tnst_mi.studio.removal import finish_removals, highest_number, remove
+from tnst_mi.studio.settings import GOAL_KEYS, OTHER_GOALS
+from tnst_mi.studio.work import ID, RENDERS, TRIES, StudioWork
+
+#: Seconds between two looks at what runs, and how long a run may take to end by itself when it is asked to.
+_INTERVAL, _PATIENCE = 0.4, 15.0
+
+
+class Workshop:
+    """All work of a studio, in its folder.
+
+    Args:
+        out: the folder of the studio, which need not exist.
+        changed: called when something has changed; from other threads too.
+
+    Raises:
+        InputError: nothing can be written there.
+    """
+
+    def __init__(self, out: Path, changed: Callable[[], None]) -> None:
+        require_writable(out, remedy=None)
+        self._out, self._changed = out.absolute(), changed
+        self._lock, self._busy, self._ended = threading.RLock(), threading.Event(), threading.Event()
+        for kind in (TRIES, RENDERS):
+            finish_removals(self._out / kind)
+        self._works = {work.name: work for work in self._found()}
+        if any(work.status == RUNNING for work in self._works.values()):
+            self._busy.set()
+        self._watching = threading.Thread(target=self._watch, daemon=True)
+        self._watching.start()
+
+    def begin(
+        self,
+        kind: str,
+        source: Path,
+        recipe: Recipe,
+        shape: Shape,
+        alone: int | float | None = None,
+        cluster: str | None = None,
+    ) -> str:
+        """Begin a try (a draft) or a render (the whole recipe), and return its name.
+
+        Args:
+            kind: `TRIES` or `RENDERS`.
+            source: the input.
+            recipe: for all frames.
+            shape: (D, H, W) of these.
+            alone: the number of the only frame that is to be stylized; None for all.
+            cluster: address of the one that does it; None for a process of this machine.
+
+        Raises:
+            InputError: the recipe has no goals.
+        """
+        record = WorkRecord(
+            str(source.absolute()), shape, alone=alone is not None, frames=recipe.frames, cluster=cluster
+        )
+        recipe = recipe if alone is None else replace(recipe, frames=str(alone))
+        return self._begin(kind, record, replace(recipe, quality=DRAFT if kind == TRIES else FINAL))
+
+    def go_on(
+        self, kind: str, name: str, octave: int | None, recipe: Recipe | None = None, cluster: str | None = None
+    ) -> str:
+        """Begin a try or a render that goes on from a state which another one has kept; returns its name.
+
+        A try goes as far as a draft, or as a preview or to the end, if the state is that far already.
+
+        Args:
+            kind: `TRIES` or `RENDERS`.
+            name: of the other one.
+            octave: at whose end the state was kept, see `StudioWork.kept`.
+            recipe: for the same frames; what must not differ from the other one's is said by the run (its `--from`).
+                None for the same recipe.
+            cluster: address of the one that does it; None for a process of this machine.
+
+        Raises:
+            InputError: there is no such state.
+        """
+        work = self.work(name)
+        folder, reached = work.kept(octave)
+        earlier = Recipe.from_toml(work.process.recipe_file)
+        recipe = earlier if recipe is None else replace(recipe, frames=earlier.frames)
+        recipe = replace(recipe, quality=quality_beyond(recipe, *reached) if kind == TRIES else FINAL)
+        of_earlier = work.process.record
+        record = WorkRecord(
+            of_earlier.source, of_earlier.shape, str(folder), of_earlier.alone, of_earlier.frames, cluster
+        )
+        return self._begin(kind, record, recipe)
+
+    def pause(self, name: str) -> None:
+        """Ask a run to end after the iteration under way."""
+        self.work(name).process.pause()
+        self._busy.set()
+
+    def resume(self, name: str, cluster: str | None = None) -> None:
+        """Go on with a run that is not done.
+
+        Args:
+            name: of the run.
+            cluster: address of the one that goes on with a render; None for where it was done until now.
+
+        Raises:
+            InputError: there is no such run, or it runs, or is done.
+        """
+        with self._lock:
+            work = self.work(name)
+            work.update()
+            if work.status not in (PAUSED, INTERRUPTED, FAILED):
+                raise InputError(f"studio: {name} is {work.status}: nothing is to be resumed")
+            if cluster is not None and name.startswith(RENDERS):
+                work.process.record = replace(work.process.record, cluster=cluster)
+            work.process.start()
+            work.update()
+        self._busy.set()
+        self._changed()
+
+    def delete(self, names: Collection[str]) -> None:
+        """Stop tries or renders if they run, and remove them; what is gone already is left alone.
+
+        Raises:
+            InputError: one is no name of a try or a render; another one goes on from it and is not done; it cannot be
+                removed; or it has been resumed meanwhile. Then those before it are removed.
+        """
+        for name in names:
+            if not ID.fullmatch(name):
+                raise InputError(one_line(f"studio: {name!r}: no such try or render"))
+        with self._lock:
+            self._require_unneeded(names)
+            works = [work for name, work in self._works.items() if name in names]
+            for work in works:
+                work.process.pause()
+        try:
+            for work in works:
+                # Others are served while it comes to its end.
+                work.process.wait(_PATIENCE)
+                work.process.kill()
+                work.process.wait(_PATIENCE)
+                self._remove(work)
+        finally:
+            self._changed()
+
+    def work(self, name: str) -> StudioWork:
+        """The work of a name.
+
+        Raises:
+            InputError: there is none.
+        """
+        with self._lock:
+            if name not in self._works:
+                raise InputError(one_line(f"studio: {name!r}: no such try or render"))
+            return self._works[name]
+
+    def holds(self, name: str) -> bool:
+        """Whether there is a work of a name."""
+        with self._lock:
+            return name in self._works
+
+    def described(self) -> list[dict[str, Any]]:
+        """What the page shows, the latest first."""
+        with self._lock:
+            works = sorted(self._works.values(), key=lambda work: -work.asked_at)
+            return [work.described() for work in works]
+
+    def end(self) -> list[str]:
+        """Pause the tries that run, and stop watching; returns the names of those paused."""
+        self._ended.set()
+        self._busy.set()
+        with self._lock:
+            running = [work for work in self._works.values() if work.name.startswith(TRIES) and work.status == RUNNING]
+            for work in running:
+                work.process.pause()
+            for work in running:
+                work.process.wait(_PATIENCE)
+        return [work.name for work in running]
+
+    def _begin(self, kind: str, record: WorkRecord, recipe: Recipe) -> str:
+        if not any(getattr(recipe, key) for key in (*GOAL_KEYS, *OTHER_GOALS)):
+            raise InputError("studio: nothing to stylize towards; choose a motif on the left")
+        with self._lock:
+            make_folder(self._out / kind)
+            name = f"{kind}/{highest_number(self._out / kind) + 1:04d}"
+            process = RunProcess(self._out / name, record)
+            with written_whole(process.recipe_file) as temporary:
+                temporary.write_text(replace(recipe, keep_octaves=True).to_toml(), "utf-8")
+            process.start()
+            self._works[name] = StudioWork(name, process)
+        self._busy.set()
+        self._changed()
+        return name
+
+    def _remove(self, work: StudioWork) -> None:
+        """Remove what has been stopped, unless another tab was faster."""
+        with self._lock:
+            if self._works.get(work.name) is not work:
+                return
+            if work.process.status() == RUNNING:
+                raise InputError(f"studio: {work.name} has been resumed meanwhile; delete it again")
+            remove(work.process.folder)
+            del self._works[work.name]
+
+    def _require_unneeded(self, names: Collection[str]) -> None:
+        """Check that nothing that is left, and not done, goes on from what is to be removed."""
+        for name, work in self._works.items():
+            begun = work.process.record.start_from
+            if name in names or work.status == DONE or begun is None:
+                continue
+            for other in names:
+                if Path(begun).is_relative_to(self._out / other):
+                    raise InputError(
+                        f"studio: {name} goes on from {other} and is {work.status}; wait until it is done, or delete "
+                        "it too"
+                    )
+
+    def _found(self) -> list[StudioWork]:
+        """What earlier studios have begun in this folder; whatever else is there is left alone."""
+        found = []
+        for file in sorted(file for kind in (TRIES, RENDERS) for file in (self._out / kind).glob("*.toml")):
+            name = file.relative_to(self._out).with_suffix("").as_posix()
+            sound = ID.fullmatch(name) and file.is_file()
+            record = WorkRecord.read(file.with_suffix(".json")) if sound else None
+            if record is not None:
+                found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))
+        return found
+
+    def _watch(self) -> None:
+        """Look at what runs, as long as something does."""
+        while not self._ended.is_set():
+            self._busy.wait()
+            with self._lock:
+                works = [work for work in self._works.values() if work.status == RUNNING]
+                news = [work.update() for work in works]
+                if not any(work.status == RUNNING for work in works):
+                    self._busy.clear()
+            if any(news):
+                self._changed()
+            self._ended.wait(_INTERVAL)
