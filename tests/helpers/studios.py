@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from tnst_mi.studio.examples import ExampleMaker
-from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.choices.examples import ExampleMaker
+from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.page.routes import StudioRoutes
+from tnst_mi.studio.page.server import StudioServer
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.routes import StudioRoutes
-from tnst_mi.studio.server import StudioServer
 from tnst_mi.studio.session import Session
 
 

@@ -18,9 +18,9 @@ from studios import Studio, running
 
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
-from tnst_mi.studio.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.server import LARGEST_BODY, LARGEST_UPLOAD, StudioServer
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.server import LARGEST_BODY, LARGEST_UPLOAD, StudioServer
 
 
 @pytest.fixture(scope="module")

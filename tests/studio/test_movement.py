@@ -13,11 +13,11 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio.movement import MOST_ARROWS
-from tnst_mi.studio.opened import Opened, opened
-from tnst_mi.studio.painting import SightPainter
-from tnst_mi.studio.sight import Sight
-from tnst_mi.studio.wheel import coloured_by_depth
+from tnst_mi.studio.view.movement import MOST_ARROWS
+from tnst_mi.studio.view.opened import Opened, opened
+from tnst_mi.studio.view.painting import SightPainter
+from tnst_mi.studio.view.sight import Sight
+from tnst_mi.studio.view.wheel import coloured_by_depth
 
 SHAPE = (12, 16, 20)
 

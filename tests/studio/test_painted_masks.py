@@ -15,12 +15,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame, Placement
 from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio.masks import MaskEdit, mask_tables
-from tnst_mi.studio.opened import opened
-from tnst_mi.studio.painting import SightPainter
-from tnst_mi.studio.server import LARGEST_UPLOAD
-from tnst_mi.studio.settings import StudioSettings
-from tnst_mi.studio.sight import Sight
+from tnst_mi.studio.choices.masks import MaskEdit, mask_tables
+from tnst_mi.studio.choices.settings import StudioSettings
+from tnst_mi.studio.page.server import LARGEST_UPLOAD
+from tnst_mi.studio.view.opened import opened
+from tnst_mi.studio.view.painting import SightPainter
+from tnst_mi.studio.view.sight import Sight
 
 SHAPE = (10, 12, 8)
 

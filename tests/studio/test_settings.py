@@ -12,9 +12,9 @@ from PIL import Image
 from tnst_mi.errors import InputError
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.recipe import KINDS, Recipe
-from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.choices.settings import KNOBS, StudioSettings
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.settings import KNOBS, StudioSettings
 
 
 @pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.key)

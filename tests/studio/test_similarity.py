@@ -18,9 +18,11 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.paths import STYLES
-from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.choices.settings import StudioSettings
+from tnst_mi.studio.choices.similarity import COMPARED, PictureAnswers
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.similarity import COMPARED, PictureAnswers
 
 LAYER = "inception_4b/pool_proj"
 CHANNELS = (0, 14, 28, 63)
@@ -121,6 +123,8 @@ def test_channels_of_an_atlas_have_its_scale(tmp_path: Path, browser: MotifBrows
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Studio]:
     with running(tmp_path, tmp_path / "out") as started:
+        # Not those of ImageNet, where there are some.
+        started.session.settings = StudioSettings(Recipe(weights=PATTERNS))
         yield started
 
 

@@ -21,12 +21,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio import removal
-from tnst_mi.studio.clusters import checked_address
+from tnst_mi.studio.jobs import removal
+from tnst_mi.studio.jobs.clusters import checked_address
+from tnst_mi.studio.jobs.processes import RunProcess, WorkRecord
+from tnst_mi.studio.jobs.removal import finish_removals, highest_number, remove
+from tnst_mi.studio.jobs.workshop import Workshop
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.processes import RunProcess, WorkRecord
-from tnst_mi.studio.removal import finish_removals, highest_number, remove
-from tnst_mi.studio.workshop import Workshop
 
 SHAPE = (10, 16, 12)
 

@@ -22,11 +22,11 @@ from tnst_mi.rendering import looks
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
-from tnst_mi.studio import opened as opened_module
-from tnst_mi.studio.opened import AFTER, BEFORE, opened, pooled
-from tnst_mi.studio.painting import SightPainter
-from tnst_mi.studio.sight import Sight
-from tnst_mi.studio.wheel import coloured
+from tnst_mi.studio.view import opened as opened_module
+from tnst_mi.studio.view.opened import AFTER, BEFORE, opened, pooled
+from tnst_mi.studio.view.painting import SightPainter
+from tnst_mi.studio.view.sight import Sight
+from tnst_mi.studio.view.wheel import coloured
 
 __all__ = ["optimiser"]
 

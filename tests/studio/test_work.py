@@ -20,10 +20,10 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio.live import LiveRun
-from tnst_mi.studio.processes import RunProcess, WorkRecord
-from tnst_mi.studio.work import TRIES
-from tnst_mi.studio.workshop import Workshop
+from tnst_mi.studio.jobs.live import LiveRun
+from tnst_mi.studio.jobs.processes import RunProcess, WorkRecord
+from tnst_mi.studio.jobs.work import TRIES
+from tnst_mi.studio.jobs.workshop import Workshop
 
 SHAPE = (10, 16, 12)
 

@@ -14,12 +14,12 @@ from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.folder import holds_run
-from tnst_mi.studio.clusters import checked_address
-from tnst_mi.studio.examples import ExampleMaker
-from tnst_mi.studio.motifs import MotifBrowser
+from tnst_mi.studio.choices.examples import ExampleMaker
+from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.jobs.clusters import checked_address
+from tnst_mi.studio.page.routes import StudioRoutes
+from tnst_mi.studio.page.server import StudioServer
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.routes import StudioRoutes
-from tnst_mi.studio.server import StudioServer
 from tnst_mi.studio.session import Session
 
 #: What reaches no other machine.

@@ -1,1 +1,1 @@
-"""The studio in the browser: `server` answers the page that `access` lets in, by the `routes` of a `session`."""
+"""The studio in the browser: a `session`, what its tabs see (`view`), choose and do, and the `page` that they ask."""

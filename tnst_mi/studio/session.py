@@ -14,28 +14,22 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.driving import image_size
-from tnst_mi.studio.clusters import checked_address
-from tnst_mi.studio.lit import LitPainter
-from tnst_mi.studio.masks import MaskEdit, starts_of_following
-from tnst_mi.studio.opened import opened
-from tnst_mi.studio.painting import SightPainter
-from tnst_mi.studio.paintings import Paintings
+from tnst_mi.studio.choices.masks import MaskEdit, starts_of_following
+from tnst_mi.studio.choices.paintings import Paintings
+from tnst_mi.studio.choices.settings import StudioSettings
+from tnst_mi.studio.jobs.clusters import checked_address
+from tnst_mi.studio.jobs.processes import DONE
+from tnst_mi.studio.jobs.work import RENDERS
+from tnst_mi.studio.jobs.workshop import Workshop
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.processes import DONE
-from tnst_mi.studio.settings import StudioSettings
-from tnst_mi.studio.sight import Sight
-from tnst_mi.studio.work import RENDERS
-from tnst_mi.studio.workshop import Workshop
+from tnst_mi.studio.told import opened_told, physics_told
+from tnst_mi.studio.view.lit import LitPainter
+from tnst_mi.studio.view.opened import opened
+from tnst_mi.studio.view.painting import SightPainter
+from tnst_mi.studio.view.sight import Sight
 
 #: Seconds after which a connection without news is told that it is still one.
 _STILL_HERE = 15.0
-
-#: What the page says of recipes whose images are not those of the view.
-_PATH_TRACED = (
-    'integrator = "prbvolpath": tries and renders show the network scattered light, path traced. The view shows '
-    "emission and absorption; for path-traced pictures choose a look, and lit."
-)
 
 _NOTHING = "studio: nothing is opened; choose something on the left"
 
@@ -281,13 +275,16 @@ class Session:
         """All that a tab has to know, as values for JSON."""
         work = self.workshop.described()
         with self._news:
+            painter, recipe = self.painter, self.settings.recipe
             return {
                 "work": work,
                 "version": self._version,
                 "start": None if self.start is None else {"id": self.start[0], "octave": self.start[1]},
                 "cluster": self.cluster or "",
-                "opened": None if self.painter is None else self._described(self.painter),
-                "physics": _PATH_TRACED if self.settings.recipe.integrator == "prbvolpath" else None,
+                "opened": None
+                if self.painter is None
+                else opened_told(self.painter, self.places, self.settings.recipe),
+                "physics": physics_told(self.settings.recipe),
                 **self.settings.described(),
             }
 
@@ -311,23 +308,6 @@ class Session:
         if self.painter is None:
             raise InputError(_NOTHING)
         return self.painter
-
-    def _described(self, painter: SightPainter) -> dict[str, Any]:
-        results = painter.opened.results
-        d, h, w = painter.opened.shape
-        recipe = results.recipe or Recipe()
-        return {
-            "title": results.title,
-            "path": self.places.relative(results.path),
-            "run": results.record is not None,
-            "after": painter.opened.has_after,
-            "names": list(results.names),
-            "numbers": list(results.numbers),
-            "painted_size": list(image_size(self.settings.recipe, painter.opened.shape)),
-            "shape": [d, h, w],
-            "main_view": list(recipe.main_view[:2]),
-            "notes": list(results.notes),
-        }
 
     def _changed(self) -> None:
         with self._news:

@@ -437,8 +437,11 @@ function told(next) {
   document.dispatchEvent(new Event("told"));
 }
 
-const events = new EventSource("events");
-events.onmessage = (event) => { $("lost").hidden = true; told(JSON.parse(event.data)); };
-events.onerror = () => { $("lost").hidden = false; };
-list("");
-find();
+// Once all scripts are there.
+document.addEventListener("DOMContentLoaded", () => {
+  const events = new EventSource("events");
+  events.onmessage = (event) => { $("lost").hidden = true; told(JSON.parse(event.data)); };
+  events.onerror = () => { $("lost").hidden = false; };
+  list("");
+  find();
+});

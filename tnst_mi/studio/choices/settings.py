@@ -13,7 +13,7 @@ from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.going_on import FREE
-from tnst_mi.studio.masks import MaskEdit, masks_described
+from tnst_mi.studio.choices.masks import MaskEdit, masks_described
 
 #: Keys that name goals, and what one of theirs is called on the page.
 GOAL_KEYS = ("style", "tag", "semantic")

@@ -19,11 +19,11 @@ from tnst_mi.rendering.exposure import exposure_for
 from tnst_mi.rendering.levels import by_cell
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.run.panels import difference, on_canvas
-from tnst_mi.studio.movement import Arrows, MovingSmoke, arrows_on, cut_movement, lattice_of
-from tnst_mi.studio.opened import AFTER, BEFORE, Opened, ShownGrid
-from tnst_mi.studio.overlay import MaskedSmoke, MaskOverlay, tinted
-from tnst_mi.studio.sight import AS_SEEN, Sight
-from tnst_mi.studio.wheel import coloured, coloured_by_depth
+from tnst_mi.studio.view.movement import Arrows, MovingSmoke, arrows_on, cut_movement, lattice_of
+from tnst_mi.studio.view.opened import AFTER, BEFORE, Opened, ShownGrid
+from tnst_mi.studio.view.overlay import MaskedSmoke, MaskOverlay, tinted
+from tnst_mi.studio.view.sight import AS_SEEN, Sight
+from tnst_mi.studio.view.wheel import coloured, coloured_by_depth
 
 #: Views whose brightest pixel is white, if it is the brightest.
 _MEASURED_FROM = ((0.0, 0.0), (90.0, 0.0), (45.0, 20.0))

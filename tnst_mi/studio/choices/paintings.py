@@ -8,7 +8,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
-from tnst_mi.studio.uploads import as_png, read_upload
+from tnst_mi.studio.choices.uploads import as_png, read_upload
 
 #: Edge of a painting in pixels, and paintings that are kept, at most.
 _LARGEST, _MOST = 2048, 500

@@ -11,8 +11,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.png import srgb
 from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.studio import Smoke, Studio
-from tnst_mi.studio.opened import AFTER, BEFORE, Opened
-from tnst_mi.studio.sight import AS_SEEN, Sight
+from tnst_mi.studio.view.opened import AFTER, BEFORE, Opened
+from tnst_mi.studio.view.sight import AS_SEEN, Sight
 
 #: Pictures whose paths are kept: both sides of a wipe.
 _KEPT = 2

@@ -8,10 +8,10 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import printable
-from tnst_mi.studio.messages import PageAnswer, PageRequest
-from tnst_mi.studio.processes import excerpt
+from tnst_mi.studio.jobs.processes import excerpt
+from tnst_mi.studio.jobs.work import RENDERS, TRIES
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest
 from tnst_mi.studio.session import Session
-from tnst_mi.studio.work import RENDERS, TRIES
 
 #: Bytes of a log that are shown, at most; octaves that a recipe may have; and names that are deleted at once.
 _LONGEST_TEXT, _MOST_OCTAVES, _MOST_NAMES = 1 << 18, 16, 2000

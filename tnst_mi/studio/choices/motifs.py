@@ -25,10 +25,10 @@ from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
-from tnst_mi.studio.examples import ATLASES
+from tnst_mi.studio.choices.examples import ATLASES
+from tnst_mi.studio.choices.similarity import COMPARED, PictureAnswer
+from tnst_mi.studio.choices.uploads import as_png, read_upload
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.similarity import COMPARED, PictureAnswer
-from tnst_mi.studio.uploads import as_png, read_upload
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64

@@ -15,8 +15,8 @@ from tnst_mi.recipe.targets import Target
 from tnst_mi.regions.regions import Regions
 from tnst_mi.regions.shapes import smoke_extent
 from tnst_mi.rendering.driving import image_size
-from tnst_mi.studio.masks import mask_tables
-from tnst_mi.studio.opened import BEFORE, Opened, pooled
+from tnst_mi.studio.choices.masks import mask_tables
+from tnst_mi.studio.view.opened import BEFORE, Opened, pooled
 
 #: The colour of what is in a mask.
 _COLOUR = np.array([1.0, 0.36, 0.26], np.float32)

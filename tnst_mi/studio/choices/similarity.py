@@ -24,7 +24,7 @@ from tnst_mi.machine.turns import turn
 from tnst_mi.network.googlenet import LAYERS, LOGITS, GoogLeNet
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
-from tnst_mi.studio.uploads import read_upload
+from tnst_mi.studio.choices.uploads import read_upload
 
 #: Rows and columns in which the network sees a picture: those of an atlas, whose means can be compared with these.
 EDGE = 96

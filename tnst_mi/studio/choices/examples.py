@@ -19,7 +19,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.download import file_hash
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.weights import find_weights
-from tnst_mi.studio.processes import tail
+from tnst_mi.studio.jobs.processes import excerpt
 
 #: The folder of these atlases below that of the studio, and what the processes that make them say.
 ATLASES, _LOG = "atlases", "atlases.log"
@@ -128,7 +128,7 @@ class ExampleMaker:
             self._process = None
             if code == 0 or self._ended:
                 return None
-        said = tail(log, 4096).strip().splitlines()
+        said = excerpt(log, 4096, last=True).strip().splitlines()
         return one_line(said[-1] if said else f"the process that makes pictures has ended with code {code}")
 
 

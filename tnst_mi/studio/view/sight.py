@@ -13,7 +13,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.rendering.cameras.camera import Camera
 from tnst_mi.rendering.cameras.views import camera_frame
-from tnst_mi.studio.opened import AFTER, BEFORE
+from tnst_mi.studio.view.opened import AFTER, BEFORE
 
 #: What is shown: one side of a frame, how they differ, or v* in colours, in the picture or towards the eye.
 MODES = (BEFORE, AFTER, "difference", "movement", "depth")

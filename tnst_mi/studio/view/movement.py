@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tnst_mi.studio.opened import GridPair, pooled
-from tnst_mi.studio.sight import Sight
-from tnst_mi.studio.wheel import coloured, coloured_by_depth
+from tnst_mi.studio.view.opened import GridPair, pooled
+from tnst_mi.studio.view.sight import Sight
+from tnst_mi.studio.view.wheel import coloured, coloured_by_depth
 
 #: Share of the smoke that moves less far than what has the full colour.
 _USUAL = 0.98

@@ -18,8 +18,8 @@ from urllib.parse import parse_qsl, urlsplit
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line, printable
-from tnst_mi.studio.access import Access, from_own_page
-from tnst_mi.studio.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.access import Access, from_own_page
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest
 
 #: Answers a request that has been let in.
 Routes = Callable[[PageRequest], PageAnswer]

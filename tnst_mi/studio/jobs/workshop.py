@@ -15,10 +15,10 @@ from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.quality import DRAFT, FINAL, quality_beyond
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
-from tnst_mi.studio.removal import finish_removals, highest_number, remove
-from tnst_mi.studio.settings import GOAL_KEYS, OTHER_GOALS
-from tnst_mi.studio.work import ID, RENDERS, TRIES, StudioWork
+from tnst_mi.studio.choices.settings import GOAL_KEYS, OTHER_GOALS
+from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
+from tnst_mi.studio.jobs.removal import finish_removals, highest_number, remove
+from tnst_mi.studio.jobs.work import ID, RENDERS, TRIES, StudioWork
 
 #: Seconds between two looks at what runs, and how long a run may take to end by itself when it is asked to.
 _INTERVAL, _PATIENCE = 0.4, 15.0

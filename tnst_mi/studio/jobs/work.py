@@ -13,8 +13,8 @@ from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE
 from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
-from tnst_mi.studio.live import LiveRun
-from tnst_mi.studio.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProcess
+from tnst_mi.studio.jobs.live import LiveRun
+from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProcess
 
 #: Folders of both kinds of work below that of the studio, and what one of them is called.
 TRIES, RENDERS = "tries", "renders"

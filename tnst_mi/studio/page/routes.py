@@ -12,14 +12,14 @@ from PIL import Image
 from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.png import eight_bits
 from tnst_mi.resources import DATA
-from tnst_mi.studio.examples import ExampleMaker
-from tnst_mi.studio.masks import MaskEdit
-from tnst_mi.studio.messages import PageAnswer, PageRequest
-from tnst_mi.studio.motifs import MotifBrowser
-from tnst_mi.studio.server import ALIKE, PAINTING, UPLOAD
+from tnst_mi.studio.choices.examples import ExampleMaker
+from tnst_mi.studio.choices.masks import MaskEdit
+from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.choices.similarity import PictureAnswers
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.server import ALIKE, PAINTING, UPLOAD
+from tnst_mi.studio.page.work_routes import WorkRoutes
 from tnst_mi.studio.session import Session
-from tnst_mi.studio.similarity import PictureAnswers
-from tnst_mi.studio.work_routes import WorkRoutes
 
 #: The scripts of the page.
 _SCRIPTS = (

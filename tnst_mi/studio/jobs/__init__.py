@@ -1,0 +1,1 @@
+"""Tries and renders: `work` is one of them, `workshop` all."""

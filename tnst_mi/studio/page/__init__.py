@@ -1,0 +1,1 @@
+"""Who asks the studio for what, over HTTP: `server` and `routes` first."""

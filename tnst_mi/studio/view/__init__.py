@@ -1,0 +1,1 @@
+"""What a tab sees of what is opened: `sight`, then `painting`."""
