@@ -281,10 +281,8 @@ class Session:
                 "version": self._version,
                 "start": None if self.start is None else {"id": self.start[0], "octave": self.start[1]},
                 "cluster": self.cluster or "",
-                "opened": None
-                if self.painter is None
-                else opened_told(self.painter, self.places, self.settings.recipe),
-                "physics": physics_told(self.settings.recipe),
+                "opened": None if painter is None else opened_told(painter, self.places, recipe),
+                "physics": physics_told(recipe),
                 **self.settings.described(),
             }
 

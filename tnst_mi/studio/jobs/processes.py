@@ -12,6 +12,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -107,6 +108,8 @@ class RunProcess:
     def __init__(self, folder: Path, record: WorkRecord) -> None:
         self.folder, self.record = folder, record
         self._child: subprocess.Popen[bytes] | None = None
+        #: One thread may begin a run while another looks at it.
+        self._beginning = threading.Lock()
 
     @property
     def recipe_file(self) -> Path:
@@ -129,6 +132,10 @@ class RunProcess:
             command.append("--resume")
         if self.record.cluster is not None:
             command += ["--cluster", self.record.cluster]
+        with self._beginning:
+            self._begin(command)
+
+    def _begin(self, command: list[str]) -> None:
         with self.log_file.open("ab") as log:
             # Before it begins: were this process to end here, the run could be resumed.
             self._note(pid=0, began=0.0, code=None, paused=False, log_begin=log.tell())
@@ -168,17 +175,23 @@ class RunProcess:
 
     def status(self) -> str:
         """What can be said of the run now."""
-        if self._process() is not None:
-            return RUNNING
-        # Only now: it may have ended a moment ago.
-        if self._child is not None and self.record.code is None:
-            self._note(code=self._child.poll())
+        with self._beginning:
+            if self._runs():
+                return RUNNING
         if self._recorded_status() == DONE:
             return DONE
         if self.record.paused:
             return PAUSED
         code = self.record.code
         return FAILED if code is not None and code > 0 and code != _STOPPED else INTERRUPTED
+
+    def _runs(self) -> bool:
+        """Whether the process is still there; its exit code is noted once it is not, if it is our child."""
+        if self._child is None or self.record.code is not None:
+            return self._process() is not None
+        if (code := self._child.poll()) is not None:
+            self._note(code=code)
+        return code is None
 
     def ending(self) -> str:
         """Why a run that is not done has ended: its exit code, or what is known of it, and its last line."""
