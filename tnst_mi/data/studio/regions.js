@@ -1,5 +1,5 @@
 "use strict";
-// Regions: the masks of the recipe as a list. The last script of the page, which tells the others what has changed.
+// Regions: the masks of the recipe as a list.
 
 let asked = 0; // index of the part that is to have handles: a new one is not there yet
 const targetIndex = () => Number($("masked").value) || 0;

@@ -1,6 +1,6 @@
 "use strict";
 
-// Tries and renders: begun, watched, gone on from, and deleted. Loaded before studio.js, whose helpers it calls later.
+// Tries and renders: begun, watched, gone on from, and deleted.
 
 const jobs = new Map(); // cards by the names of tries and renders
 const chosenJobs = new Set(); // of this tab, kept when the other tries are deleted

@@ -23,8 +23,8 @@ from tnst_mi.studio.session import Session
 
 #: The scripts of the page.
 _SCRIPTS = (
-    *("movement.js", "work.js", "studio.js", "alike.js", "examples.js"),
-    *("projection.js", "gizmos.js", "brush.js", "regions.js"),
+    *("requests.js", "view.js", "movement.js", "projection.js", "gizmos.js", "brush.js", "regions.js"),
+    *("choices.js", "alike.js", "examples.js", "knobs.js", "work.js", "studio.js"),
 )
 
 #: The files of the page.
