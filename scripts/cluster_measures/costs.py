@@ -87,7 +87,7 @@ def _empty_tasks(folder: Path, iterations: int = 60) -> tuple[float, dict[str, f
         mock.patch.object(member, "perform", nothing),
         mock.patch.object(member, "join", lambda run, sharing: None),
     ):
-        crew = Crew(client, b"", plan, print, grows=False)
+        crew = Crew(client, b"", plan, print, lacking=None)
         told = Told(scales={"style": 1.0})
         crew.give(dict.fromkeys(graph.ready, told))
         pids = {"scheduler": cluster.scheduler.pid, "coordinator": None, "worker": cluster.workers[0].pid}

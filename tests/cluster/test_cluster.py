@@ -7,6 +7,7 @@ import json
 import pickle
 import random
 import shutil
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,6 +21,7 @@ pytest.importorskip("distributed", reason="needs tnst_mi[cluster]")
 
 import psutil
 from dask_cluster import Processes, processes
+from distributed import Client
 
 import tnst_mi
 from tnst_mi.cluster import crew, member
@@ -28,6 +30,7 @@ from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.sequence import save_frame
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.run import cluster_address
 from tnst_mi.run.cluster_address import cluster_of
 from tnst_mi.run.job import Run
 from tnst_mi.run.prepare import prepare
@@ -226,11 +229,34 @@ def test_workers_that_die_in_turn_blame_no_frame(
     assert seen >= 30 and contents(tmp_path / "out") == alone(window=3)
 
 
+def test_after_one_was_refused_tasks_of_one_that_has_left_go_to_others(
+    smoke: Path, weights: Path, alone: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Then tasks are for those that may do them, by their addresses."""
+    seen = 0
+    with processes(tmp_path, 0) as own:
+        own.add(threads=2)
+        own.add()
+
+        def report(progress: Progress) -> None:
+            nonlocal seen
+            seen += 1
+            if seen == 3:
+                own.add()
+            if seen == 12:
+                own.kill(own.workers[1])
+
+        stylized(smoke, recipe(weights, window=3), tmp_path / "out", own.address, report)
+    assert seen >= 30 and contents(tmp_path / "out") == alone(window=3)
+
+
 def test_a_frame_that_kills_its_workers_is_named(smoke: Path, weights: Path, tmp_path: Path) -> None:
     with processes(tmp_path, 0) as own:
         for _ in range(4):
             own.add("--preload", "deadly_frame", PYTHONPATH=str(Path(__file__).parents[1] / "helpers"))
-        with pytest.raises(InputError, match=r"s_007, step in iteration 1 of octave 1: 4 processes have died at it"):
+        with pytest.raises(
+            InputError, match=r"s_007, step in iteration 1 of octave 1: 4 processes or more have died at it"
+        ):
             stylized(smoke, recipe(weights, window=3), tmp_path / "out", own.address)
 
 
@@ -348,6 +374,7 @@ def test_without_any_fit_worker_the_run_says_why(
         ("tcp://host", "expected local:N, tcp://HOST:PORT"),
         ("tcp://host:99999", "expected local:N, tcp://HOST:PORT"),
         ("tcp://[::1:8786", "expected local:N, tcp://HOST:PORT"),
+        ("local:٣", "expected local:N"),
         ("slurm:/dev/zero", "/dev/zero: cannot be read"),
         ("slurm:none.toml", "none.toml: cannot be read"),
     ],
@@ -369,6 +396,12 @@ def test_a_file_of_a_batch_system_says_how_many_jobs(tmp_path: Path) -> None:
         ("jobs = 0", "jobs = 0, expected"),
         ("queue = 'gpu'", "jobs = None"),
         ("jobs =", "not valid TOML"),
+        ("jobs = 2\ncores = 4", "cores = 4: a job is one process with one thread of Dask's; take job_cpu"),
+        (
+            "jobs = 2\njob_script_prologue = 'module load cuda'",
+            "expected a list of texts, such as .'module load cuda'.",
+        ),
+        ("jobs = 2\njob_extra_directives = [5]", "job_extra_directives = .5., expected a list of texts"),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=message):
@@ -380,4 +413,21 @@ def test_where_no_scheduler_answers_is_told_before_anything_is_written(
 ) -> None:
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:9: no scheduler answers there \(Connection refused\)"):
         tnst_mi.stylize(smoke, recipe(weights), tmp_path / "out", cluster="tcp://127.0.0.1:9")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_port_of_another_kind_is_told_before_anything_is_written(
+    smoke: Path, weights: Path, cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker's address, and that of a program that never answers."""
+    monkeypatch.setattr(cluster_address, "_ANSWERS", 1.0)
+    with Client(cluster.address, set_as_default=False) as client:
+        worker = next(iter(client.scheduler_info()["workers"]))
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for address, reason in (
+            (worker, "that is the address of a worker"),
+            (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "no scheduler answers there"),
+        ):
+            with pytest.raises(InputError, match=reason):
+                tnst_mi.stylize(smoke, recipe(weights), tmp_path / "out", cluster=address)
     assert not (tmp_path / "out").exists()

@@ -40,6 +40,15 @@ def test_a_second_run_is_refused_until_the_first_has_ended(tmp_path: Path) -> No
         pass
 
 
+def test_each_run_of_a_process_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    """Workers of a run compare its contents before they write."""
+    contents = []
+    for _ in range(2):
+        with locked(tmp_path):
+            contents.append((tmp_path / LOCK).read_bytes())
+    assert contents[0] != contents[1]
+
+
 def test_the_lock_of_a_killed_process_is_not_believed(tmp_path: Path) -> None:
     program = (
         "import os, signal, sys; from pathlib import Path; from tnst_mi.machine.lock import locked\n"

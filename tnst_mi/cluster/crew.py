@@ -8,32 +8,27 @@ process does what is left to Dask's scheduler; it is asked to give neighbouring 
 from __future__ import annotations
 
 import queue
-import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, fire_and_forget
+from distributed import Client, Future, KilledWorker
 
 from tnst_mi.cluster import member
+from tnst_mi.cluster.blame import MOST_DEATHS, Blame
 from tnst_mi.cluster.exchange import Done, Given, Iterated
 from tnst_mi.cluster.graph import urgency
 from tnst_mi.cluster.member import NotJoinedError, RefusedError
 from tnst_mi.cluster.parcels import AHEAD, Parcel
+from tnst_mi.cluster.roster import Roster, error_of, gone
 from tnst_mi.cluster.shares import Shares
 from tnst_mi.cluster.tasks import Task, Told
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.optimisation.plan import Plan
 
-#: Seconds between two looks at which processes are there, and after which it is said that there are none.
-_LOOK, _PATIENCE = 1.0, 10.0
-
-#: How many processes have to die at a task for it to be the cause.
-_DEATHS = 4
-
-#: How long an answer of Dask is waited for at once: Ctrl-C is noticed in between.
-_MOMENT = 0.2
+#: How long an answer of Dask is waited for at once, in seconds: Ctrl-C is noticed in between; and how long one that a
+#: process has, which may be gone.
+_MOMENT, _PATIENCE = 0.2, 10.0
 
 
 class Crew:
@@ -44,7 +39,7 @@ class Crew:
         order: what the processes are told of it, pickled.
         plan: of the run.
         say: how to say something to the user.
-        grows: whether other processes may come when there are none.
+        lacking: what to say when there are no processes, where others may come; None if none will.
         pack: the items that a task needs, if the processes do not share the folder of the run.
 
     Attributes:
@@ -57,44 +52,40 @@ class Crew:
         order: bytes,
         plan: Plan,
         say: Callable[[str], None],
-        grows: bool,
+        lacking: str | None,
         pack: Callable[[Task], list[Parcel]] | None = None,
     ) -> None:
-        self._client, self._order, self._plan, self._say, self._grows = client, order, plan, say, grows
+        self._client, self._order, self._plan, self._say, self._lacking = client, order, plan, say, lacking
         self._pack = pack
-        self.shares = Shares()
-        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        #: Processes that may do tasks, in the order of their coming; those that have been asked to join; and refused.
-        self._members: list[str] = []
-        self._joining: dict[str, Future] = {}
-        self._refused: dict[str, str] = {}
-        self._given: dict[Task, Given] = {}
-        #: What tasks have returned that are about to be done; what each process is at; how many have died at a task.
-        self._results: dict[Task, Any] = {}
-        self._at: dict[str, Task] = {}
-        self._deaths: Counter[Task] = Counter()
-        #: Tasks at which Dask says that too many have died.
-        self._suspected: set[Task] = set()
-        #: Those that wait for others to be done: with items, only some are sent at once.
-        self._waiting: dict[Task, Told] = {}
-        self._looked, self._alone_since, self._attempts = 0.0, time.monotonic(), 0
+        self.shares, self._attempts = Shares(), 0
         self._begin()
 
     def _begin(self) -> None:
         #: Names the run in the cluster.
         self._run = uuid.uuid4().hex[:12]
-        self._client.subscribe_topic(member.topic_of(self._run), lambda event: self._events.put(event[1]))
+        #: What processes report, and tasks that Dask has finished; of an earlier beginning, nothing arrives here.
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._roster = Roster(self._client, self._run, self._order, self.shares, self._say, self._lacking)
+        self._blame = Blame()
+        #: Tasks that wait to be given: with items, only some are sent at once; to nobody, none.
+        self._waiting: dict[Task, Told] = {}
+        self._given: dict[Task, Given] = {}
+        #: What tasks have returned that are about to be done.
+        self._results: dict[Task, Any] = {}
+        events = self._events
+        self._client.subscribe_topic(member.topic_of(self._run), lambda event: events.put(event[1]))
 
     def begin_again(self) -> None:
-        """Take all tasks back, and let the processes forget what they know of the run."""
-        self.close()
-        self._members, self._joining, self._at, self._looked = [], {}, {}, 0.0
+        """Take all tasks back, and let the processes forget what they know of the run, once they are at none."""
+        self._end(patient=True)
         self._begin()
 
     @property
     def members(self) -> int:
         """Number of processes that may do tasks."""
-        return len(self._members)
+        return len(self._roster.members)
+
+    # ---------------------------------------------------------------- giving
 
     def give(self, tasks: Mapping[Task, Told]) -> None:
         """Have some tasks done, as soon as there is somebody to do them."""
@@ -102,7 +93,9 @@ class Crew:
         self._give_waiting()
 
     def _give_waiting(self) -> None:
-        most = float("inf") if self._pack is None else AHEAD * max(1, len(self._members))
+        if not self._roster.members:
+            return
+        most = float("inf") if self._pack is None else AHEAD * len(self._roster.members)
         for task in sorted(self._waiting, key=lambda task: urgency(task, len(self._plan.frames))):
             if len(self._given) >= most:
                 return
@@ -110,9 +103,7 @@ class Crew:
 
     def _give(self, task: Task, told: Told) -> None:
         self._attempts += 1
-        home = self._home(task.frame)
-        # Where some are not fit for it, a task may go to no others; else Dask may give it to whom it likes.
-        only = frozenset(self._members) if self._refused and self._members else None
+        asked = self._asked(task)
         future = self._client.submit(
             member.perform,
             self._run,
@@ -121,17 +112,43 @@ class Crew:
             None if self._pack is None else self._pack(task),
             # Dask learns from its beginning how long such a task takes.
             key=f"{task.kind}{task.level}-{self._run}-{task.frame}-{task.iteration}-{self._attempts}",
-            workers=list(only) if only else None if home is None else [home],
-            allow_other_workers=only is None and home is not None,
+            workers=list(asked),
+            allow_other_workers=not self._roster.refused,
             priority=-urgency(task, len(self._plan.frames)),
             pure=False,
         )
-        self._given[task] = Given(future, told, only if only else None if home is None else frozenset([home]))
-        future.add_done_callback(lambda future: self._events.put((task, future)))
+        self._given[task] = Given(future, told, asked)
+        events = self._events
+        future.add_done_callback(lambda future: events.put((task, future)))
 
-    def _home(self, frame: int) -> str | None:
+    def _asked(self, task: Task) -> frozenset[str]:
+        """Which processes a task is for.
+
+        Where some have been refused, it is for all others and for nobody else. Else it is best done by the one that
+        has its neighbours, and Dask may give it to others.
+        """
+        return frozenset(self._roster.members) if self._roster.refused else frozenset([self._home(task.frame)])
+
+    def _home(self, frame: int) -> str:
         """Where the neighbours of a frame are: each process has a part of the sequence."""
-        return self._members[frame * len(self._members) // len(self._plan.frames)] if self._members else None
+        members = self._roster.members
+        return members[frame * len(members) // len(self._plan.frames)]
+
+    def _place_again(self) -> None:
+        """Others are there than before: give tasks that nobody is at to those that they are for now.
+
+        Dask keeps a task for a process that it was given for, even where others are allowed, as long as that is there.
+        """
+        begun = set(self._blame.at.values())
+        moved = {
+            task: given.told
+            for task, given in self._given.items()
+            if task not in begun and not (self._roster.members and given.asked == self._asked(task))
+        }
+        self._client.cancel([self._given.pop(task).future for task in moved], force=True)
+        self.give(moved)
+
+    # ---------------------------------------------------------------- answers
 
     def answers(self) -> Iterator[Done | Iterated | None]:
         """What happens next, again and again as long as tasks are given; None after a moment without news.
@@ -141,7 +158,7 @@ class Crew:
             StoppedError: the cluster is gone, or nobody is left; or a process says so.
             OSError: as the process that could not read or write.
         """
-        while self._given:
+        while self._given or self._waiting:
             self._look()
             try:
                 event = self._events.get(timeout=_MOMENT)
@@ -149,14 +166,8 @@ class Crew:
                 yield None
                 continue
             if isinstance(event, dict):
-                if "entry" in event:
-                    yield Iterated(event["entry"])
-                elif "begun" in event:
-                    self._at[event["worker"]] = Task(*event["begun"])
-                else:
-                    self._at.pop(event["worker"], None)
-                    self._results[Task(*event["task"])] = event["result"]
-                    self.shares.count(event["worker"], event["took"])
+                if (iterated := self._reported(event)) is not None:
+                    yield iterated
                 continue
             task, future = event
             given = self._given.get(task)
@@ -171,6 +182,33 @@ class Crew:
             else:
                 self._failed(task, given.told, future)
 
+    def _reported(self, event: dict[str, Any]) -> Iterated | None:
+        """Take note of what a process has reported."""
+        address = event["worker"]
+        if "entry" in event:
+            self._blame.iterated(address, event["entry"]["iteration"])
+            return Iterated(event["entry"])
+        task = Task(*event["task"])
+        if "took" in event:
+            self._blame.ended(address, task)
+            self._results[task] = event["result"]
+            self.shares.count(address, event["took"])
+        else:
+            self._blame.begun(address, task)
+        return None
+
+    def _look(self) -> None:
+        """See who is there."""
+        before = list(self._roster.members), bool(self._roster.refused)
+        for address in self._roster.look():
+            self._missed(address)
+        if before != (self._roster.members, bool(self._roster.refused)):
+            self._place_again()
+
+    def _missed(self, address: str) -> None:
+        if (task := self._blame.left(address)) is not None:
+            raise self._deadly(task)
+
     def _parcels(self, future: Future) -> Sequence[Parcel] | None:
         """What a task has sent back; None if its process is gone."""
         try:
@@ -180,110 +218,30 @@ class Crew:
 
     def _failed(self, task: Task, told: Told, future: Future) -> None:
         """Give a task again that its process was not fit for; raise what cannot be helped."""
-        error = _error(future)
+        error = error_of(future)
         if error is None and self._client.status != "running":
-            raise _gone(self._client)
+            raise gone(self._client)
         if isinstance(error, RefusedError):
-            self._refuse(error.member, str(error))
-        if isinstance(error, NotJoinedError):
-            self._looked = 0.0
-        innocent = error is None  # its process died once it was done, before Dask had told so
-        if isinstance(error, KilledWorker):
-            # Dask also counts those to which it had been given while they were at others: so once is no proof.
-            innocent = self._deaths[task] < _DEATHS and task not in self._suspected
-            self._suspected.add(task)
-        if innocent or isinstance(error, RefusedError | NotJoinedError):
-            self._give(task, told)
+            self._roster.refuse(error.member, str(error))
+        elif isinstance(error, NotJoinedError):
+            # Another process has its address.
+            self._roster.missed(error.member)
+            self._missed(error.member)
         elif isinstance(error, KilledWorker):
-            raise self._deadly(task)
+            if self._blame.killed(task):
+                raise self._deadly(task)
         elif isinstance(error, InputError | OSError | StoppedError):
             raise error
-        else:
+        elif error is not None:
             raise InputError(f"{task.described(self._plan)}: {type(error).__name__}: {error}") from error
+        # Without an error, its process died once it was done, before Dask had told so.
+        self.give({task: told})
 
     def _deadly(self, task: Task) -> InputError:
         return InputError(
-            f"{task.described(self._plan)}: {max(_DEATHS, self._deaths[task])} processes have died at it; see what "
-            "they have written on stderr, and go on with --resume"
+            f"{task.described(self._plan)}: {MOST_DEATHS} processes or more have died at it, one after the other; see "
+            "what they have written on stderr, and go on with --resume"
         )
-
-    # ---------------------------------------------------------------- who is there
-
-    def _look(self) -> None:
-        """Ask processes that are new to join, and note which have left."""
-        for address, future in list(self._joining.items()):
-            if future.done():
-                del self._joining[address]
-                self._joined(address, future)
-        if time.monotonic() - self._looked < _LOOK:
-            return
-        self._looked = time.monotonic()
-        if self._client.status != "running":
-            raise _gone(self._client)
-        there = self._client.scheduler_info(n_workers=-1)["workers"]
-        hosts = [about["host"] for about in there.values()]
-        left = [address for address in self._members if address not in there]
-        for address in left:
-            self._members.remove(address)
-            self.shares.left(address)
-            self._say(f"worker {address} has left; there are {len(self._members)}")
-            if (task := self._at.pop(address, None)) is not None:
-                self._deaths[task] += 1
-                if self._deaths[task] >= _DEATHS:
-                    raise self._deadly(task)
-        for address in [address for address in self._joining if address not in there]:
-            self._joining.pop(address).cancel()
-        for address, about in there.items():
-            if address in self._members or address in self._joining or address in self._refused:
-                continue
-            key = f"join-{self._run}-{address}-{time.monotonic_ns()}"
-            self.shares.came(address, str(about["name"]), str(about["host"]))
-            self._joining[address] = self._client.submit(
-                member.join,
-                self._run,
-                hosts.count(about["host"]),
-                member.decisive_versions(),
-                self._order,
-                key=key,
-                workers=[address],
-                priority=1,
-                pure=False,
-            )
-        self._require_somebody()
-
-    def _joined(self, address: str, future: Future) -> None:
-        if future.status == "finished":
-            self._members.append(address)
-            # Dask keeps tasks for those that were asked for, even where others are allowed, if there was nobody else.
-            begun, before = set(self._at.values()), self._members[:-1]
-            lost = {task: of.told for task, of in self._given.items() if task not in begun and not of.fits(before)}
-            self._client.cancel([self._given.pop(task).future for task in lost], force=True)
-            self.give(lost)
-            return
-        error = _error(future)
-        if error is not None:
-            self._refuse(address, str(error) if isinstance(error, RefusedError) else f"{type(error).__name__}: {error}")
-
-    def _refuse(self, address: str, reason: str) -> None:
-        """Say why a process cannot take part, once, and do without it."""
-        if address not in self._refused:
-            self._refused[address] = reason
-            self._say(f"worker {address}: refused: {reason}")
-            if address in self._members:
-                self._members.remove(address)
-
-    def _require_somebody(self) -> None:
-        """Say that there is nobody to do the tasks; without hope, end the run."""
-        if self._members or self._joining:
-            self._alone_since = time.monotonic()
-        elif time.monotonic() - self._alone_since > _PATIENCE:
-            if not self._grows:
-                reasons = "; ".join(dict.fromkeys(self._refused.values()))
-                if reasons:
-                    raise InputError(f"no worker can take part: {reasons}")
-                raise StoppedError("all workers have ended; see what they have written, and go on with --resume")
-            self._say("no workers: waiting for some (dask worker SCHEDULER --nthreads 1 --memory-limit 0)")
-            self._alone_since = float("inf")
 
     # ---------------------------------------------------------------- the end
 
@@ -296,21 +254,10 @@ class Crew:
 
     def close(self) -> None:
         """Leave the cluster as it was."""
+        self._end(patient=False)
+
+    def _end(self, patient: bool) -> None:
         self.take_back()
         if self._client.status == "running":
             self._client.unsubscribe_topic(member.topic_of(self._run))
-            for address in self._members:
-                # Nobody waits for it: one of them may be frozen.
-                key = f"leave-{self._run}-{address}"
-                fire_and_forget(self._client.submit(member.leave, self._run, key=key, workers=[address], pure=False))
-
-
-def _error(future: Future) -> BaseException | None:
-    """What a task raised; None if it was not done, since the scheduler is gone."""
-    error: Any = future.exception() if future.status == "error" else None
-    return error
-
-
-def _gone(client: Client) -> StoppedError:
-    address = client.scheduler.address if client.scheduler is not None else "the scheduler"
-    return StoppedError(f"{address}: the scheduler is gone; start it again, and go on with --resume, nothing is lost")
+            self._roster.dismiss(patient)

@@ -35,13 +35,9 @@ class Given:
     Attributes:
         future: of the task.
         told: with it.
-        asked: the processes that it is for, or the one that would be best; None if any will do.
+        asked: the processes that it is for, or the one that would be best.
     """
 
     future: Future
     told: Told
-    asked: frozenset[str] | None
-
-    def fits(self, members: Sequence[str]) -> bool:
-        """Whether some process is there that it is for."""
-        return self.asked is None or not self.asked.isdisjoint(members)
+    asked: frozenset[str]

@@ -52,7 +52,15 @@ class RefusedError(InputError):
 
 
 class NotJoinedError(RuntimeError):
-    """A process was given a task of a run before it has joined."""
+    """A process was given a task of a run that it has not joined.
+
+    Attributes:
+        member: the address of the process.
+    """
+
+    def __init__(self, member: str) -> None:
+        super().__init__(member)
+        self.member = member
 
 
 @dataclass(frozen=True)
@@ -123,15 +131,16 @@ def perform(run: str, task: Task, told: Told, parcels: list[Parcel] | None = Non
     """
     since = time.perf_counter()
     with turn():
+        worker = get_worker()
         if run not in _delivered:
-            raise NotJoinedError
+            raise NotJoinedError(worker.address)
         place = _workplace(run)
-        worker, topic, backing = get_worker(), topic_of(run), place.backing
-        worker.log_event(topic, {"worker": worker.address, "begun": task})
+        topic, backing = topic_of(run), place.backing
+        worker.log_event(topic, {"worker": worker.address, "task": task})
         read, written = backing.bytes_read, backing.bytes_written
 
         def report(entry: dict[str, Any]) -> None:
-            worker.log_event(topic, {"entry": entry})
+            worker.log_event(topic, {"worker": worker.address, "entry": entry})
 
         unpacked(backing, parcels or ())
         result = carry_out(task, told, place, report)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tnst_mi.cluster.connecting import connected
+from tnst_mi.cluster.connecting import connected, lacking_workers
 from tnst_mi.cluster.crew import Crew
 from tnst_mi.cluster.member import Order
 from tnst_mi.cluster.parcels import Parcel
@@ -55,8 +55,8 @@ class ClusterRun(Run):
             def home(items: DeviceStore) -> Workplace:
                 return Workplace(prepared.work, network, items, folder)
 
-            order, say, grows = self._order(folder), self._bar.say, self._cluster.grows
-            crew = Crew(client, order, plan, say, grows, None if shared else pack)
+            lacking = lacking_workers(self._cluster)
+            crew = Crew(client, self._order(folder), plan, self._bar.say, lacking, None if shared else pack)
             progression = Progression(
                 plan, store, network, crew, interrupt, self._bar.advance, None if shared else home
             )

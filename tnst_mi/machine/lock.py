@@ -18,6 +18,7 @@ import platform
 import stat
 import threading
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -31,6 +32,9 @@ from tnst_mi.machine.terminal import one_line, printable, shortened
 
 #: The lock file of a folder.
 LOCK = ".lock"
+
+#: In it, beside the process that holds it: what no other holding of a lock has.
+_TOKEN = "token"
 
 #: Linux's name for the time since it was started.
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
@@ -263,17 +267,20 @@ def _holder(descriptor: int) -> _Process | None:
     """Who wrote a lock file; None if it is incomplete after a loss of power, or says something else."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
-        holder = _Process(**json.loads(os.read(descriptor, 4096)))
-    except (ValueError, TypeError, RecursionError):
+        values = json.loads(os.read(descriptor, 4096))
+        holder = _Process(**{name: value for name, value in values.items() if name != _TOKEN})
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return None
     kinds = type(holder.host), type(holder.pid), type(holder.boot), type(holder.started)
     return holder if kinds == (str, int, str, float) and 0 < holder.pid <= _LARGEST_PID else None
 
 
 def _write_holder(descriptor: int) -> None:
+    # Who compares its contents tells the runs of one process apart by the token.
+    holder = asdict(_process(os.getpid())) | {_TOKEN: uuid.uuid4().hex}
     os.ftruncate(descriptor, 0)
     os.lseek(descriptor, 0, os.SEEK_SET)
-    os.write(descriptor, json.dumps(asdict(_process(os.getpid()))).encode("utf-8"))
+    os.write(descriptor, json.dumps(holder).encode("utf-8"))
 
 
 def _process(pid: int) -> _Process:
