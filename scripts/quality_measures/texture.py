@@ -18,10 +18,10 @@ from quality_measures.judge import features, shares
 from tnst_mi import GoogLeNet
 
 #: Directions on which features are projected, and quantiles that are compared on each.
-DIRECTIONS, QUANTILES = 256, 512
+DIRECTIONS, QUANTILES = 128, 512
 
 #: Features that are compared of each layer, at most: every n-th, if there are more.
-MOST = 8192
+MOST = 4096
 
 
 def sliced_wasserstein(one: Tensor, other: Tensor, directions: int = DIRECTIONS, seed: int = 0) -> float:

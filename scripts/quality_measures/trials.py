@@ -16,17 +16,15 @@ from quality_measures.compared import Smoke, Trial, Variant
 from quality_measures.judge import judge_of
 from quality_measures.measured import measured
 from quality_measures.seen import Look, held_out_views, size_of_images, style_picture
-from quality_measures.speed import equal_time, seconds_per_iteration
+from quality_measures.speed import ITERATIONS, equal_time, seconds_per_iteration
 from tnst_mi import GoogLeNet, Recipe, stylize
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.weights import find_weights
 
 #: Of what is compared, unless keys say otherwise.
 METHOD: dict[str, Any] = {"octaves": 2, "iterations": 20, "views": 3}
-
-#: Rounds in which variants are timed in turn, and iterations of each octave; the first of these compiles.
-_ROUNDS, _TIMED = 3, 4
 
 
 class Comparison:
@@ -83,23 +81,15 @@ class Comparison:
     # --- time ---
 
     def seconds(self, smoke: Smoke) -> dict[str, float]:
-        """Seconds that an iteration of each variant takes, of all octaves together; timed once, then remembered.
-
-        Variants take turns, and the fastest of several rounds counts: other work on the machine only adds.
-        """
-        path, names = self._folder / f"{smoke.name}.seconds.json", [variant.name for variant in self.variants]
+        """Seconds that an iteration of each variant takes, of all octaves together; timed once, then remembered."""
+        path = self._folder / f"{smoke.name}.seconds.json"
         identity = [self._identity(Trial(smoke, self.styles[0], v, self.iterations)) for v in self.variants]
         if (stored := _read(path)) is not None and stored["of"] == identity:
             return stored["seconds"]
-        found: dict[str, list[float]] = {name: [] for name in names}
-        for _ in range(_ROUNDS):
-            for variant in self.variants:
-                recipe = self.recipe(Trial(smoke, self.styles[0], variant, _TIMED))
-                result = stylize(smoke.frames[0], recipe, progress=False)
-                _require_whole(result.run)
-                found[variant.name].append(seconds_per_iteration(result.history[0]))
-        seconds = {name: min(rounds) for name, rounds in found.items()}
-        _write(path, {"of": identity, "seconds": seconds, "rounds": found})
+        recipes = {v.name: self.recipe(Trial(smoke, self.styles[0], v, ITERATIONS)) for v in self.variants}
+        network = GoogLeNet.from_file(self.driver.path).to(torch_device())
+        seconds = seconds_per_iteration(smoke.frames[0], recipes, network)
+        _write(path, {"of": identity, "seconds": seconds})
         return seconds
 
     def by_budget(self) -> dict[str, list[Trial]]:
