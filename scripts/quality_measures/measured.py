@@ -12,7 +12,7 @@ import numpy as np
 from quality_measures import flicker
 from quality_measures.crops import Picture
 from quality_measures.seen import FRONT, Look
-from quality_measures.spectrum import contrast, energy_shares, mean_frequency, spectral_distance
+from quality_measures.spectrum import contrast, energy_shares, mean_frequency, scrambled, spectral_distance
 from quality_measures.texture import relative_texture, texture_distances
 from tnst_mi import Frame, GoogLeNet
 from tnst_mi.fields.density_unit import scaled
@@ -58,6 +58,11 @@ def of_texture_and_change(
     pictures = {
         "before": [Picture(*pair) for pair in zip(before, inside, strict=True)],
         "after": [Picture(*pair) for pair in zip(after, inside, strict=True)],
+        # What the contrast and the spectrum of the change alone would bring.
+        "scrambled": [
+            Picture(old + scrambled(image - old, shown), shown)
+            for image, old, shown in zip(after, before, inside, strict=True)
+        ],
         # The style seen through the silhouette of the smoke: as near as a stylization that fills it could come.
         "style": [Picture(style.grey, shown & style.inside) for shown in inside],
     }
@@ -71,6 +76,7 @@ def of_texture_and_change(
     _, of_style = energy_shares([style] * len(views))
     return {
         "texture": relative_texture(distances["after"], distances["before"]),
+        "scrambled": relative_texture(distances["scrambled"], distances["before"]),
         "reachable": relative_texture(distances["style"], distances["before"]) if "style" in distances else None,
         "texture_distances": distances,
         "contrast": contrast(change) / contrast([style]),

@@ -46,3 +46,16 @@ def mean_frequency(cycles: np.ndarray, shares: np.ndarray) -> float:
 def spectral_distance(one: np.ndarray, other: np.ndarray) -> float:
     """Share of the energy, 0 to 1, that would have to change its frequency to turn one spectrum into the other."""
     return 0.5 * float(np.abs(one - other).sum())
+
+
+def scrambled(change: np.ndarray, inside: np.ndarray, seed: int = 0) -> np.ndarray:
+    """A change (H, W) with the spectrum of the given one, and random phases: its contrast without its motifs.
+
+    Its mean and standard deviation inside (H, W) are those of the change.
+    """
+    noise = np.fft.rfft2(np.random.default_rng(seed).standard_normal(change.shape))
+    values = np.fft.irfft2(np.abs(np.fft.rfft2(change)) * noise / np.abs(noise), change.shape)
+    found, wanted = values[inside], change[inside].astype(np.float64)
+    if not found.std():
+        return change
+    return ((values - found.mean()) * (wanted.std() / found.std()) + wanted.mean()).astype(np.float32)

@@ -9,6 +9,7 @@ from typing import Any
 #: The measures of a record, with their headings in the tables.
 MEASURES = {
     "texture": "texture",
+    "scrambled": "texture, scrambled",
     "contrast": "contrast",
     "spectral_distance": "spectral distance",
     "frequency": "frequency",

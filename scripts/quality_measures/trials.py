@@ -111,8 +111,11 @@ class Comparison:
 
     def done(self, trial: Trial) -> bool:
         """Whether a trial has been made and measured."""
+        return self._found(trial) is not None
+
+    def _found(self, trial: Trial) -> dict[str, Any] | None:
         stored = _read(self._folder / f"{trial.name}.json")
-        return stored is not None and stored["of"] == self._identity(trial)
+        return stored if stored is not None and stored["of"] == self._identity(trial) else None
 
     def record(self, trial: Trial) -> dict[str, Any]:
         """The measures of a trial; it is made if it is not there.
@@ -120,9 +123,8 @@ class Comparison:
         Raises:
             KeyboardInterrupt: Ctrl-C ended it.
         """
-        path = self._folder / f"{trial.name}.json"
-        if self.done(trial):
-            return _read(path) or {}
+        if (found := self._found(trial)) is not None:
+            return found
         run, densities = self._stylized(trial)
         recipe, (rows, columns) = self.recipe(trial), densities[0].shape[1:]
         size = size_of_images(recipe, densities[0].shape)
@@ -144,7 +146,7 @@ class Comparison:
             **measured(self.judge, style, trial.smoke.frames, densities, looks, views),
             "of": self._identity(trial),
         }
-        _write(path, record)
+        _write(self._folder / f"{trial.name}.json", record)
         return record
 
     def pictures(self, trial: Trial) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from quality_measures.crops import Picture, pieces, places  # noqa: E402
 from quality_measures.judge import judge_of  # noqa: E402
 from quality_measures.measured import measured  # noqa: E402
 from quality_measures.seen import FRONT, Look, held_out_views, style_picture  # noqa: E402
-from quality_measures.spectrum import contrast, energy_shares, mean_frequency, spectral_distance  # noqa: E402
+from quality_measures.spectrum import contrast, energy_shares, mean_frequency, scrambled, spectral_distance  # noqa: E402
 from quality_measures.speed import equal_time, of_one_iteration  # noqa: E402
 from quality_measures.table import report  # noqa: E402
 from quality_measures.texture import relative_texture, sliced_wasserstein, texture_distances  # noqa: E402
@@ -183,6 +183,18 @@ def test_spectral_distance_of_waves() -> None:
     assert spectral_distance(coarse, 0.75 * coarse + 0.25 * fine) == pytest.approx(0.25, abs=0.01)
 
 
+def test_a_scrambled_change_has_contrast_and_spectrum_but_no_motifs(judge: GoogLeNet) -> None:
+    change, other = style("spirals").grey - 0.5, scrambled(style("spirals").grey - 0.5, EVERYWHERE, 5)
+    assert np.array_equal(other, scrambled(change, EVERYWHERE, 5))
+    assert other.std() == pytest.approx(change.std(), rel=1e-4) and other.mean() == pytest.approx(change.mean())
+    amplitudes = [np.abs(np.fft.fft2(values - values.mean())) for values in (change, other)]
+    assert np.allclose(*amplitudes, rtol=0.02, atol=1e-3 * amplitudes[0].max())
+    # Between a smooth ball and its spirals: nearer by its contrast, farther for want of them.
+    before = texture_distances(judge, [Picture(round_smoke(), EVERYWHERE)] * 2, style("spirals"))
+    after = texture_distances(judge, [Picture(0.5 + other, EVERYWHERE)] * 2, style("spirals"))
+    assert 0.2 < relative_texture(after, before) < 0.9
+
+
 def test_a_picture_without_contrast_has_no_energy() -> None:
     _, shares = energy_shares([Picture(np.zeros(SIZE, np.float32), EVERYWHERE)])
     assert not shares.any()
@@ -309,7 +321,7 @@ def test_the_time_of_an_iteration_is_that_between_the_ends_of_two() -> None:
 
 def test_tables_count_where_the_judge_is_of_another_mind() -> None:
     def record(variant: str, texture: float) -> dict:
-        measures = dict.fromkeys(("contrast", "spectral_distance", "frequency", "mass_kept"), 1.0)
+        measures = dict.fromkeys(("scrambled", "contrast", "spectral_distance", "frequency", "mass_kept"), 1.0)
         return (
             measures
             | {"texture": texture, "flicker": None, "perceptual_flicker": None, "reachable": 0.25}
@@ -325,7 +337,7 @@ def test_tables_count_where_the_judge_is_of_another_mind() -> None:
         records["jet", cell, "gram"] = record("gram", 0.8)
         records["jet", cell, "swd"] = record("swd", other)
     page = report({"equal time": records}, ["gram", "swd"], "Such and such.")
-    assert "| swd | 0.810 | 1.000 | 1.000 | 1.000 | 1.000 | – | – | 1 better, 1 worse of 3 |" in page
+    assert "| swd | 0.810 | 1.000 | 1.000 | 1.000 | 1.000 | 1.000 | – | – | 1 better, 1 worse of 3 |" in page
     assert "| jet | b | 0.800 | 0.790 | 0.250 |" in page
 
 
