@@ -19,6 +19,7 @@ from tnst_mi.losses.guided import Guide, Guides, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
 from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.sliced import axes, directions, sliced_distance
+from tnst_mi.losses.sorting import order_of
 from tnst_mi.losses.style import Style
 from tnst_mi.losses.terms import Content, Semantic
 
@@ -195,6 +196,19 @@ def test_it_sees_what_gram_matrices_and_means_do_not() -> None:
     wanted, image = on_a_line([1.0, -1.0] * 4), on_a_line([2.0, -2.0] + [0.0] * 6)
     assert gram_distance(target_of(wanted), 1.0)(image, None).item() == pytest.approx(0, abs=1e-25)
     assert wasserstein(image.ravel().numpy(), wanted.ravel().numpy()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("shape", [(7,), (3, 300), (2, 4, 1), (2, 3, 1000)])
+def test_the_order_is_that_of_a_stable_sort(shape: tuple[int, ...], dtype: torch.dtype) -> None:
+    """Of numbers of either sign and any size, half of which occur several times."""
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=shape) * 10.0 ** rng.integers(-30, 30, shape)
+    numbers = np.where(rng.random(shape) < 0.5, rng.choice([-np.inf, -2.5, 0.0, 1e-45, 1.0, np.inf], shape), numbers)
+    values = torch.from_numpy(numbers).to(dtype)
+    kept = values.clone()
+    assert order_of(values).tolist() == np.argsort(values.numpy(), axis=-1, kind="stable").tolist()
+    assert torch.equal(values, kept)
 
 
 # ---- Nearest neighbours -----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
+from tnst_mi.losses.sorting import order_of
 
 
 def directions(target: LayerTarget, seed: Sequence[int]) -> Tensor:
@@ -73,7 +74,8 @@ class _Quantiles:
     """
 
     def __init__(self, values: Tensor, weights: Tensor | None) -> None:
-        self._sorted, order = values.sort(dim=-1, stable=True)
+        order = order_of(values)
+        self._sorted = values.gather(-1, order)
         self._ends: Tensor | None = None
         if weights is not None:
             ends = weights[order].cumsum(-1)
@@ -108,14 +110,14 @@ def _points(target: LayerTarget) -> tuple[Tensor, Tensor]:
 
 def _transported(shadows: Tensor, quantiles: _Quantiles) -> Tensor:
     """The quantiles (N, K, P) to which numbers (N, K, P) belong."""
-    order = shadows.argsort(dim=-1, stable=True)
+    order = order_of(shadows)
     return torch.empty_like(shadows).scatter_(2, order, quantiles.even(shadows.shape[2]).expand_as(shadows))
 
 
 def _transported_weighted(shadows: Tensor, weights: Tensor, quantiles: _Quantiles) -> Tensor:
     """The same for numbers with weights (N, 1, P)."""
     # Last come those without weight: they then do not even decide how sums are rounded.
-    order = shadows.masked_fill(weights == 0, torch.inf).argsort(dim=-1, stable=True)
+    order = order_of(shadows.masked_fill(weights == 0, torch.inf))
     own = weights.expand_as(shadows).gather(2, order)
     ends = own.cumsum(-1)
     levels = (ends - own / 2) / ends[..., -1:].clamp_min(torch.finfo(ends.dtype).tiny)
