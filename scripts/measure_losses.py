@@ -3,8 +3,9 @@
     python scripts/measure_losses.py [FRAME] [--style IMAGE] [--weights FILE] [--rounds 9]
 
 An iteration at full resolution, nine views: transport, images, network and loss, forward and backward. All kinds take
-turns, after a round that compiles their kernels; times are medians, and their ratios to "gram" are what counts. Without
-a frame, it is the bundled one.
+turns, after a round that compiles their kernels; times are medians, and their ratios to "gram" are what counts. The
+processor's time is that of all threads, which other work on the machine changes less. Without a frame, it is the
+bundled one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import tnst_mi  # first: it lets torch's idle threads sleep
 # isort: split
 import argparse
 import itertools
-import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -77,20 +77,19 @@ def main() -> None:
         keys = {"style": [arguments.style], "style_loss": loss, "style_statistics": statistics_of}
         recipe = Recipe.from_dict(keys)
         calls[loss, statistics_of] = iteration(frame, recipe, network)
-    times: dict[tuple[str, str], list[float]] = {kind: [] for kind in kinds}
+    spent: dict[tuple[str, str], list[tuple[float, float]]] = {kind: [] for kind in kinds}
     for round_number in range(arguments.rounds + 1):
         for kind, call in calls.items():
-            begin = time.perf_counter()
+            begin = time.perf_counter(), time.process_time()
             call()
             if round_number:
-                times[kind].append(time.perf_counter() - begin)
-    medians = {kind: statistics.median(values) for kind, values in times.items()}
+                spent[kind].append((time.perf_counter() - begin[0], time.process_time() - begin[1]))
+    medians = {kind: np.median(times, axis=0) for kind, times in spent.items()}
     print(f"{frame.density.shape} cells, network {network.flavour}, {device(variant)}, {arguments.rounds} rounds")
-    print("| style_loss | image, s | ÷ gram | smoke, s | ÷ gram |\n|---|---|---|---|---|")
-    for loss in STYLE_LOSSES:
-        found = [medians[loss, statistics_of] for statistics_of in STYLE_STATISTICS]
-        columns = (f"{seconds:.3f} | {seconds / medians['gram', 'image']:.2f}" for seconds in found)
-        print(f"| {loss} | {' | '.join(columns)} |")
+    print("| style_loss | style_statistics | s | ÷ gram | processor, s | ÷ gram |\n|---|---|---|---|---|---|")
+    for kind, found in medians.items():
+        columns = zip(found, found / medians["gram", "image"], strict=True)
+        print(f"| {' | '.join(kind)} | {' | '.join(f'{time:.3f} | {ratio:.2f}' for time, ratio in columns)} |")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from tnst_mi.losses.gram import gram_distance, paper_distance
 from tnst_mi.losses.guided import Guide, Guides, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
 from tnst_mi.losses.pictures import GreyImage
-from tnst_mi.losses.sliced import axes, directions, sliced_distance
+from tnst_mi.losses.sliced import directions, sliced_distance
 from tnst_mi.losses.sorting import order_of
 from tnst_mi.losses.style import Style
 from tnst_mi.losses.terms import Content, Semantic
@@ -28,7 +28,7 @@ LOSSES: dict[str, Callable[[LayerTarget], LayerLoss]] = {
     "gram": lambda target: gram_distance(target, 1.0),
     "paper": lambda target: paper_distance(target, 1.0),
     "swd": lambda target: sliced_distance(target, 1.0, directions(target, (3,))),
-    "axes": lambda target: sliced_distance(target, 1.0, axes(target)),
+    "axes": lambda target: sliced_distance(target, 1.0, None),
     "nnfm": lambda target: nearest_distance(target, 1.0),
 }
 

@@ -33,12 +33,7 @@ def directions(target: LayerTarget, seed: Sequence[int]) -> Tensor:
     return torch.as_tensor(drawn / np.linalg.norm(drawn, axis=1, keepdims=True)).to(target.values)
 
 
-def axes(target: LayerTarget) -> Tensor:
-    """The axes of the channels, the rows of (C, C)."""
-    return torch.eye(target.values.shape[1]).to(target.values)
-
-
-def sliced_distance(target: LayerTarget, weight: float, lines: Tensor) -> LayerLoss:
+def sliced_distance(target: LayerTarget, weight: float, lines: Tensor | None) -> LayerLoss:
     """weight · C / mean ‖y‖² · the mean over the lines of W², with the target's features y: 1 for features that are 0.
 
     The derivative is that of (x - T(x))² with the transport T to the target kept as it is, which is that of W² itself.
@@ -46,15 +41,15 @@ def sliced_distance(target: LayerTarget, weight: float, lines: Tensor) -> LayerL
     Args:
         target: features of a layer, of C channels.
         weight: of the layer.
-        lines: unit vectors (K, C).
+        lines: unit vectors (K, C); None for the axes of the channels.
     """
     values, weights = _points(target)
     mean_square = (values.square().sum(0) * weights).sum()
     scale = weight * values.shape[0] / mean_square
-    quantiles = _Quantiles(lines @ values, None if target.guide is None else weights)
+    quantiles = _Quantiles(_shadows(values, lines), None if target.guide is None else weights)
 
     def loss(values: Tensor, guide: Guide | None) -> Tensor:
-        shadows = lines @ values.flatten(2)
+        shadows = _shadows(values.flatten(2), lines)
         if guide is None:
             wanted = _transported(shadows.detach(), quantiles)
             return scale * (shadows - wanted).square().mean((1, 2))
@@ -96,6 +91,11 @@ class _Quantiles:
             flat = levels.transpose(0, 1).reshape(lines, -1).contiguous()
             found = torch.searchsorted(self._ends, flat).view(lines, views, count).transpose(0, 1)
         return self._sorted.expand(views, -1, -1).gather(2, found.clamp_max(last))
+
+
+def _shadows(points: Tensor, lines: Tensor | None) -> Tensor:
+    """Where points (…, C, P) lie along lines (K, C), or along the axes: (…, K, P)."""
+    return points if lines is None else lines @ points
 
 
 def _points(target: LayerTarget) -> tuple[Tensor, Tensor]:

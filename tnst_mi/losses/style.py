@@ -21,7 +21,7 @@ from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
 from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage, resized
-from tnst_mi.losses.sliced import axes, directions, sliced_distance
+from tnst_mi.losses.sliced import directions, sliced_distance
 from tnst_mi.losses.terms import grey_image, picture_features
 from tnst_mi.network.googlenet import GoogLeNet
 
@@ -131,7 +131,7 @@ class Style(Term):
         gram = gram_distance(target, weight)
         if self.distance == "gram":
             return gram
-        histograms = sliced_distance(target, weight, axes(target))
+        histograms = sliced_distance(target, weight, None)
         return lambda values, guide: gram(values, guide) + histograms(values, guide)
 
 
