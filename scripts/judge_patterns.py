@@ -23,7 +23,7 @@ from torch import Tensor
 
 from tnst_mi import Frame, GoogLeNet, Recipe, load_frames, render
 from tnst_mi.losses.evaluation import as_rgb
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 from tnst_mi.optimisation.single_frame import optimise
 
 VIEWS = [(azimuth, 0.0) for azimuth in (-8.0, 0.0, 8.0)]

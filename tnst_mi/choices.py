@@ -17,8 +17,19 @@ is what the paper's supplement compares the product of density and transmittance
 shows its length inside the box where there is no smoke, and less where there is.
 """
 
-STYLE_LOSSES = ("gram", "paper")
-"""Distances between Gram matrices, see `tnst_mi.losses.terms.Style`."""
+STYLE_LOSSES = ("gram", "paper", "swd", "nnfm", "histogram")
+"""What is compared of the features of the smoke and of a style picture.
+
+    gram       Gram matrices, relative to the picture's
+    paper      Gram matrices, by Eq. 7 of the paper
+    swd        sliced Wasserstein distance
+    nnfm       nearest-neighbour feature matching
+    histogram  Gram matrices and the histograms of all channels
+
+docs/losses.md has their formulas."""
+
+STYLE_STATISTICS = ("image", "smoke")
+"""Which positions of an image count in statistics of a style: all alike, or each by the opacity of the smoke there."""
 
 TRACES = ("step", "flow")
 """How transport follows a velocity, see `tnst_mi.fields.advection.advect`."""

@@ -11,7 +11,7 @@ from figures.measures import depth_of_change, visible_share
 from figures.seen import FRONT, JUDGED, images_of, losses_of
 from figures.setting import Setting
 from tnst_mi.choices import LOOKS
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 from tnst_mi.rendering.pictures import PathTracedPainter
 
 _GAMMAS = (0.01, 1.0)

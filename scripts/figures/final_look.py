@@ -11,7 +11,7 @@ from figures.seen import FRONT, losses_of
 from figures.setting import Run, Setting
 from tnst_mi import Frame, Recipe
 from tnst_mi.choices import LOOKS
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import PathTracedPainter
 

@@ -10,7 +10,7 @@ import numpy as np
 from figures.figure import Claim, Figure, Made, Panel, Plot
 from figures.seen import images_of, losses_of, smoke_box
 from figures.setting import Run, Setting
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 
 #: The strip of one stylization, and the views of the comparison, in degrees of azimuth.
 _STRIP, _AROUND = (-30, -15, 0, 15, 30), tuple(range(-90, 91, 15))

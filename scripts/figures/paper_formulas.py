@@ -10,7 +10,8 @@ from figures.figure import Claim, Figure, Made, Panel
 from figures.seen import JUDGED, images_of, losses_of, smoke_box
 from figures.setting import Run, Setting
 from tnst_mi.frame import Frame
-from tnst_mi.losses.terms import Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import Semantic
 from tnst_mi.recipe.paths import STYLES
 from tnst_mi.recipe.recipe import Recipe
 

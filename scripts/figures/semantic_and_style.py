@@ -5,7 +5,8 @@ from __future__ import annotations
 from figures.figure import Claim, Figure, Made, Panel
 from figures.seen import JUDGED, images_of, losses_of, smoke_box
 from figures.setting import Setting
-from tnst_mi.losses.terms import Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import Semantic
 
 _LAYER, _CHANNEL = "inception_4b/pool_proj", 28
 _KEYS = {

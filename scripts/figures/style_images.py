@@ -7,7 +7,7 @@ import numpy as np
 from figures.figure import Claim, Figure, Made, Panel
 from figures.seen import JUDGED, images_of, losses_of, smoke_box
 from figures.setting import Setting
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 
 _KINDS = {
     "fire": "photograph",

@@ -12,7 +12,7 @@ from figures.seen import JUDGED, images_of, losses_of, smoke_box
 from figures.setting import SCENES, Setting
 from tnst_mi.fields.resampling import resample_potential
 from tnst_mi.frame import Frame
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 
 #: Front view of frame 66 of the jet, simulated with 200×300×200 cells, at γ 0.032 (scripts/make_scenes.py).
 PICTURE = SCENES / "paper" / "fine_jet.png"

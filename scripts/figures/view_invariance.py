@@ -9,7 +9,7 @@ from figures.seen import FRONT, JUDGED, images_of, losses_of
 from figures.setting import Run, Setting
 from tnst_mi import render
 from tnst_mi.frame import Frame
-from tnst_mi.losses.terms import Style
+from tnst_mi.losses.style import Style
 
 #: By how many cells the smoke is moved, up and to the right: a whole number of the network's strides.
 _PAN = 8

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from tnst_mi.errors import InputError
 from tnst_mi.losses.objective import Objective
 from tnst_mi.losses.pictures import GreyImage
-from tnst_mi.losses.terms import ClassTag, Content, Match, Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import ClassTag, Content, Match, Semantic
 
 HEIGHT, WIDTH = 12, 10
 CHANNELS = {"shallow": 4, "deep": 6, "logits": 5}
@@ -80,5 +81,9 @@ TERMS: dict[str, Objective] = {
     "tag": ClassTag("volcano"),
     "content": Content(picture(), "alias_of_deep"),
     "style": Style(picture(), {"shallow": 2.0, "deep": 0.5}),
+    "style of the paper": Style(picture(), {"shallow": 2.0, "deep": 0.5}, "paper"),
+    "swd": Style(picture(), {"shallow": 2.0, "deep": 0.5}, "swd"),
+    "nnfm": Style(picture(), {"shallow": 2.0, "deep": 0.5}, "nnfm"),
+    "histogram": Style(picture(), {"shallow": 2.0, "deep": 0.5}, "histogram"),
     "sum": Style(picture(), {"deep": 1.0}) + 0.5 * Semantic("shallow", (2,)) + -ClassTag("cat"),
 }

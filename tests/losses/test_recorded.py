@@ -11,8 +11,10 @@ from networks import random_googlenet
 
 from tnst_mi.losses import evaluation
 from tnst_mi.losses.evaluation import BoundObjective
+from tnst_mi.losses.guided import UNGUIDED
 from tnst_mi.losses.pictures import GreyImage
-from tnst_mi.losses.terms import Content, Match, Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import Content, Match, Semantic
 from tnst_mi.network.googlenet import GoogLeNet
 
 pytestmark = pytest.mark.skipif(
@@ -45,27 +47,27 @@ def images(seed: int, count: int) -> torch.Tensor:
 def test_replaying_gives_the_bits_of_the_evaluation(bound: BoundObjective) -> None:
     for seed, count, weights in ((0, 3, ONCE), (1, 3, OTHERS), (2, 2, ONCE), (3, 3, OTHERS)):
         weighed = bound.weighed(weights).scaled({name: 0.7 for name in bound.names})
-        losses, gradient = weighed._differentiated(images(seed, count), None)
+        losses, gradient = weighed._differentiated(images(seed, count), UNGUIDED)
         factors = [weight / 0.7 for weight in weights]
-        expected, expected_gradient = weighed._evaluated(images(seed, count), factors, None)
+        expected, expected_gradient = weighed._evaluated(images(seed, count), factors, UNGUIDED)
         assert {name: loss.item() for name, loss in losses.items()} == {n: v.item() for n, v in expected.items()}
         assert torch.equal(gradient, expected_gradient) and gradient.any()
     assert len(bound._recorded) == 2
 
 
 def test_results_are_not_overwritten_by_the_next(bound: BoundObjective) -> None:
-    losses, gradient = bound._differentiated(images(0, 3), None)
+    losses, gradient = bound._differentiated(images(0, 3), UNGUIDED)
     kept = [loss.item() for loss in losses.values()], gradient.clone()
-    bound._differentiated(images(1, 3), None)
+    bound._differentiated(images(1, 3), UNGUIDED)
     assert [loss.item() for loss in losses.values()] == kept[0] and torch.equal(gradient, kept[1])
 
 
 def test_the_memory_of_a_recording_is_given_back_with_its_objective(bound: BoundObjective) -> None:
     # The first evaluation makes libraries allocate what they keep.
-    bound._differentiated(images(0, 3), None)
+    bound._differentiated(images(0, 3), UNGUIDED)
     bound._recorded.clear()
     before = torch.cuda.memory_allocated()
-    bound._differentiated(images(0, 3), None)
+    bound._differentiated(images(0, 3), UNGUIDED)
     assert torch.cuda.memory_allocated() > before
     bound._recorded.clear()
     assert torch.cuda.memory_allocated() == before
@@ -74,5 +76,5 @@ def test_the_memory_of_a_recording_is_given_back_with_its_objective(bound: Bound
 def test_large_batches_are_not_recorded(bound: BoundObjective, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation, "LARGEST_RECORDED", 2 * 64 * 48)
     for count in (2, 3):
-        bound._differentiated(images(0, count), None)
+        bound._differentiated(images(0, count), UNGUIDED)
     assert list(bound._recorded) == [(2, 64, 48)]

@@ -13,7 +13,8 @@ from small_network import HEIGHT, WIDTH, SmallNetwork, features, picture, value,
 from tnst_mi.errors import InputError
 from tnst_mi.losses.objective import Objective
 from tnst_mi.losses.pictures import GreyImage, resized
-from tnst_mi.losses.terms import ClassTag, Content, Match, Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import ClassTag, Content, Match, Semantic
 
 
 @pytest.fixture

@@ -20,7 +20,8 @@ import tnst_mi
 from tnst_mi.fields.advection import revert_mask, step
 from tnst_mi.frame import Frame
 from tnst_mi.losses.pictures import read_image
-from tnst_mi.losses.terms import Match, Semantic, Style
+from tnst_mi.losses.style import Style
+from tnst_mi.losses.terms import Match, Semantic
 from tnst_mi.machine.backend import on_gpu, torch_device
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.network.googlenet import GoogLeNet

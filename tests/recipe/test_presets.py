@@ -19,6 +19,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 #: constants, and our defaults for what its examples vary.
 PAPER = {
     "style_loss": "paper",
+    "style_statistics": "image",
     "style_weight": 1.0,
     "semantic_weight": 1.0,
     "damping": 0.0,

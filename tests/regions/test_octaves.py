@@ -16,7 +16,7 @@ from tnst_mi.fields.potentials import velocity
 from tnst_mi.fields.resampling import resample_potential
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.regions.octave_masks import RegionBorder, border_of, distance_within, octave_mask
-from tnst_mi.regions.seen import seen_shares
+from tnst_mi.regions.seen import seen_in_views
 from tnst_mi.regions.shapes import shape_mask
 from tnst_mi.rendering.levels import levels_of
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
@@ -122,7 +122,7 @@ def test_shares_are_those_of_the_light_that_arrives() -> None:
     density = smoke(shape)
     mask = np.random.default_rng(5).random(shape).astype(np.float32)
     renderer = EmissionAbsorptionRenderer(shape, gamma, "exact", 1.0)
-    (found,) = seen_shares(mi.TensorXf(density), [mi.TensorXf(mask)], [(0.0, 0.0)], renderer)
+    (found,) = seen_in_views(mi.TensorXf(density), [mi.TensorXf(mask)], [(0.0, 0.0)], renderer).shares
     d, m = density[::-1, ::-1].astype(np.float64), mask[::-1, ::-1].astype(np.float64)
     passed = np.exp(-gamma * np.cumsum(d, axis=0))
     light = np.concatenate([np.ones((1, *shape[1:])), passed[:-1]]) - passed
@@ -137,7 +137,9 @@ def test_shares_of_complements_are_all_of_the_opacity() -> None:
     mask = blob(shape, (3, 5, 4), 2.0)
     renderer = EmissionAbsorptionRenderer(shape, gamma, "exact", h)
     parts = [mi.TensorXf(m) for m in (mask, 1 - mask)]
-    first, second = (share.numpy() for share in seen_shares(mi.TensorXf(density), parts, views, renderer))
+    seen = seen_in_views(mi.TensorXf(density), parts, views, renderer)
+    first, second = (share.numpy() for share in seen.shares)
     opacity = tnst_mi.render(density, views, gamma, "transmittance", h)
+    np.testing.assert_allclose(seen.opacity.numpy(), opacity, atol=1e-6)
     np.testing.assert_allclose(first + second, opacity / (opacity + 1e-3), atol=1e-4)
     assert first.max() > 0.3 and second.max() > 0.3

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.guided import Guide
+from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
 from tnst_mi.losses.recorded import RecordedEvaluation
 from tnst_mi.network.googlenet import LAST_BLOCK, LOGITS, GoogLeNet
 
@@ -35,11 +35,19 @@ Features = Mapping[str, Tensor]
 
 
 class BoundTerm(NamedTuple):
-    """A term with its targets: the layers it reads, and the loss (N,) of each of N views by their features and, if
-    there is one, their region."""
+    """A term with its targets.
+
+    Attributes:
+        layers: those it reads.
+        loss: that (N,) of each of N views, by their features and, if there is one, the guide of their positions.
+        of_smoke: whether that guide is the smoke, where it is known, rather than the region.
+        drawn: for a term that draws random numbers, the same with those of a seed; None for all others.
+    """
 
     layers: tuple[str, ...]
     loss: Callable[[Features, Guide | None], Tensor]
+    of_smoke: bool = False
+    drawn: Callable[[Sequence[int]], BoundTerm] | None = None
 
 
 class BoundObjective:
@@ -48,7 +56,7 @@ class BoundObjective:
     l_i is the loss of a term in one view. σ_view is 1, or the sum of the view's pixels (paper Eq. 2), which then takes
     part in the derivative.
 
-    Immutable: `scaled` and `weighed` return new objectives, which share the network and the targets.
+    Immutable: `scaled`, `weighed` and `drawn` return new objectives, which share the network and the targets.
 
     Attributes:
         names: One per term, unique.
@@ -87,25 +95,25 @@ class BoundObjective:
         """
         return self.evaluate(images)[0]
 
-    def evaluate(self, images: Tensor, guide: Guide | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+    def evaluate(self, images: Tensor, guides: Guides = UNGUIDED) -> tuple[Tensor, dict[str, Tensor]]:
         """Like a call, but also return the raw values L_i by name, scalar tensors without gradient.
 
-        With a guide, the losses are those of a region; of a view that does not show it, 0.
+        With guides, the losses are those of a region, or of the smoke; of a view that does not show it, 0.
         """
         if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
             raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         if torch.is_grad_enabled() and images.requires_grad:
             terms: dict[str, Tensor] = {}
-            return _ViewByView.apply(images, self, terms, guide), terms
-        return self._forward(images, guide)
+            return _ViewByView.apply(images, self, terms, guides), terms
+        return self._forward(images, guides)
 
     def _forward(
-        self, images: Tensor, guide: Guide | None, gradient: Tensor | None = None
+        self, images: Tensor, guides: Guides, gradient: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted sum and the raw values of the terms; if `gradient` is given, the derivative is written to it."""
         totals: dict[str, Tensor] = {}
         for part in self._parts(images):
-            shown = None if guide is None else guide.of(part)
+            shown = guides.of(part)
             if gradient is None:
                 losses, _ = self._losses(images[part], False, shown)
             else:
@@ -114,15 +122,15 @@ class BoundObjective:
                 totals[name] = totals.get(name, 0) + loss.detach()
         return self._sum(totals), totals
 
-    def _differentiated(self, images: Tensor, guide: Guide | None) -> tuple[dict[str, Tensor], Tensor]:
+    def _differentiated(self, images: Tensor, guides: Guides) -> tuple[dict[str, Tensor], Tensor]:
         """The values of the terms, and the derivative of their weighted sum."""
         factors = [self._weights[name] / self.scales[name] for name in self.names]
-        # A recording has no place for the weights of a region, which differ from call to call.
-        if self._recorded is None or guide is not None or not images.is_cuda or images.numel() > LARGEST_RECORDED:
-            return self._evaluated(images, factors, guide)
+        # A recording has no place for the weights of positions, which differ from call to call.
+        if self._recorded is None or guides != UNGUIDED or not images.is_cuda or images.numel() > LARGEST_RECORDED:
+            return self._evaluated(images, factors, guides)
 
         def evaluate(images: Tensor, factors: Tensor) -> tuple[Tensor, Tensor]:
-            losses, gradient = self._evaluated(images, factors.unbind(), None)
+            losses, gradient = self._evaluated(images, factors.unbind(), UNGUIDED)
             return torch.stack([losses[name].detach() for name in self.names]), gradient
 
         if images.shape not in self._recorded:
@@ -133,9 +141,9 @@ class BoundObjective:
         return dict(zip(self.names, values, strict=True)), gradient
 
     def _evaluated(
-        self, images: Tensor, factors: Sequence[float | Tensor], guide: Guide | None
+        self, images: Tensor, factors: Sequence[float | Tensor], guides: Guides
     ) -> tuple[dict[str, Tensor], Tensor]:
-        losses, views = self._losses(images, True, guide)
+        losses, views = self._losses(images, True, guides)
         with torch.enable_grad():
             weighted = [factor * losses[name] for name, factor in zip(self.names, factors, strict=True)]
             total = torch.stack(weighted).sum()
@@ -187,6 +195,22 @@ class BoundObjective:
         other._weights = dict(zip(self.names, weights, strict=True))
         return other
 
+    def drawn(self, seed: Sequence[int]) -> BoundObjective:
+        """A copy whose random terms are those of a seed, integers ≥ 0; itself if it has none."""
+        drawn = {name: term.drawn(seed) for name, term in self._terms.items() if term.drawn is not None}
+        if not drawn:
+            return self
+        other = copy.copy(self)
+        other._terms = self._terms | drawn
+        # A recording has no place for other numbers either.
+        other._recorded = None
+        return other
+
+    @property
+    def of_smoke(self) -> bool:
+        """Whether a term takes statistics of the smoke, which then has to be among the guides."""
+        return any(term.of_smoke for term in self._terms.values())
+
     def scaled(self, scales: Mapping[str, float]) -> BoundObjective:
         """A copy with scales from a checkpoint or from `rms_scales`; raises `InputError` if their terms differ."""
         if set(scales) != set(self.names):
@@ -195,11 +219,11 @@ class BoundObjective:
         other.scales = {name: float(scales[name]) for name in self.names}
         return other
 
-    def gradient_square_sum(self, images: Tensor, guide: Guide | None = None) -> dict[str, tuple[float, int]]:
+    def gradient_square_sum(self, images: Tensor, guides: Guides = UNGUIDED) -> dict[str, tuple[float, int]]:
         """Return, by name, the sum of (∂L_i/∂pixel)² over all pixels of all views, and the number of pixels."""
         sums = dict.fromkeys(self.names, 0.0)
         for part in self._parts(images):
-            losses, views = self._losses(images[part], True, None if guide is None else guide.of(part))
+            losses, views = self._losses(images[part], True, guides.of(part))
             for name, loss in losses.items():
                 # The last one need not keep what is saved for the others.
                 (gradient,) = torch.autograd.grad(loss, views, retain_graph=name != self.names[-1])
@@ -211,15 +235,17 @@ class BoundObjective:
         return self.scaled(rms_scales([self.gradient_square_sum(images)]))
 
     def _losses(
-        self, images: Tensor, differentiable: bool, guide: Guide | None = None
+        self, images: Tensor, differentiable: bool, guides: Guides = UNGUIDED
     ) -> tuple[dict[str, Tensor], Tensor]:
         """The values of the terms by name, and the leaf tensor of images to differentiate them with respect to."""
         images = images.detach().requires_grad_(differentiable)
         with torch.set_grad_enabled(differentiable):
-            features = self._features(images, guide)
-            by_view = {name: term.loss(features, guide) for name, term in self._terms.items()}
-            if guide is not None:
-                by_view = {name: guide.seen * loss for name, loss in by_view.items()}
+            features = self._features(images, guides.region)
+            by_view: dict[str, Tensor] = {}
+            for name, term in self._terms.items():
+                guide = guides.of_term(term.of_smoke)
+                loss = term.loss(features, guide)
+                by_view[name] = loss if guide is None else guide.seen * loss
             if self._sigma:
                 sigma = images.flatten(1).sum(1)
                 by_view = {name: sigma * loss for name, loss in by_view.items()}
@@ -238,10 +264,10 @@ class _ViewByView(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor], guide: Guide | None
+        ctx: Any, images: Tensor, objective: BoundObjective, terms: dict[str, Tensor], guides: Guides
     ) -> Tensor:
         gradient = torch.empty_like(images)
-        value, found = objective._forward(images, guide, gradient)
+        value, found = objective._forward(images, guides, gradient)
         terms.update(found)
         ctx.save_for_backward(gradient)
         return value

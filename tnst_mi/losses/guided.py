@@ -2,9 +2,15 @@
 
 The weight of a position of a layer is the average share of the region in the pixels that it stands for. All means of
 features are Σ w F / Σ w then, and Gram matrices Σ w F Fᵀ / Σ w.
+
+The smoke is such a region too, for statistics of a style: background pixels of an image of smoke are no texture. Its
+share of a pixel is its opacity there.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -48,6 +54,30 @@ class Guide:
         return (values.flatten(2) * self.weights(*values.shape[2:])[:, None]).sum(2)
 
 
+class Guides(NamedTuple):
+    """Where terms look in a batch of views.
+
+    Attributes:
+        region: where the region of a target is seen; None if it is everywhere.
+        smoke: how opaque its smoke is there, for statistics of the smoke; None if they are those of the region.
+    """
+
+    region: Guide | None = None
+    smoke: Guide | None = None
+
+    def of(self, views: slice) -> Guides:
+        """The same for some of the views."""
+        return Guides(*(None if guide is None else guide.of(views) for guide in self))
+
+    def of_term(self, of_smoke: bool) -> Guide | None:
+        """The one of a term, by whether that takes statistics of the smoke."""
+        return self.region if self.smoke is None or not of_smoke else self.smoke
+
+
+#: All positions of all views count alike.
+UNGUIDED = Guides()
+
+
 def mean_over_view(values: Tensor, guide: Guide | None) -> Tensor:
     """The mean of the features (N, C, H, W) or (N, C) of each view, over its region if there is one: (N,)."""
     if guide is None or values.ndim == 2:
@@ -55,9 +85,17 @@ def mean_over_view(values: Tensor, guide: Guide | None) -> Tensor:
     return guide.mean(values).mean(1)
 
 
-def mean_gram(values: Tensor, guide: Guide | None = None) -> Tensor:
-    """FᵀF / area, (N, C, C), of features (N, C, H, W): the products of channels, averaged over the positions."""
-    flat = values.flatten(2)
-    if guide is None:
-        return flat @ flat.transpose(1, 2) / flat.shape[2]
-    return (flat * guide.weights(*values.shape[2:])[:, None]) @ flat.transpose(1, 2)
+class LayerTarget(NamedTuple):
+    """What the features of a layer are compared with.
+
+    Attributes:
+        values: the features (1, C, H, W) of a picture.
+        guide: the weights of their positions; None if all are equal.
+    """
+
+    values: Tensor
+    guide: Guide | None
+
+
+#: The loss (N,) of each of N views by the features (N, C, H, W) of one layer and, if there is one, their guide.
+LayerLoss = Callable[[Tensor, Guide | None], Tensor]

@@ -1,7 +1,7 @@
 """Weighted sums of loss terms on GoogLeNet features: adding and weighting them, and computing their targets.
 
-The terms themselves are in `tnst_mi.losses.terms`, and how they are evaluated in `tnst_mi.losses.evaluation`. Every
-term is summed over the views of a batch; lower is better.
+The terms themselves are in `tnst_mi.losses.terms` and `tnst_mi.losses.style`, and how they are evaluated in
+`tnst_mi.losses.evaluation`. Every term is summed over the views of a batch; lower is better.
 """
 
 from __future__ import annotations

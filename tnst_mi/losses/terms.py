@@ -1,6 +1,6 @@
-"""Loss terms on the GoogLeNet features of images of the smoke.
+"""Loss terms on the GoogLeNet features of images of the smoke, all but those of style (`losses.style`).
 
-    objective = Style("fire.png", {"conv2/3x3": 1.0}) + 0.5 * Semantic("inception_4b/pool_proj", (16,))
+    objective = Content("face.png", "inception_4d/output") + 0.5 * Semantic("inception_4b/pool_proj", (16,))
     bound = objective.bind(net, height, width)      # once per octave: computes the targets
     bound = bound.calibrated(first_images)          # each term's image gradient gets RMS 1
     loss = bound(images)                            # (N, H, W) → scalar
@@ -10,7 +10,7 @@ A bound term gives the loss of each view, and the objective sums them over a bat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,9 +21,9 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.losses.evaluation import BoundTerm, Features, as_rgb
 from tnst_mi.losses.feature_maps import resampled
-from tnst_mi.losses.guided import Guide, mean_gram, mean_over_view
+from tnst_mi.losses.guided import Guide, mean_over_view
 from tnst_mi.losses.objective import Term
-from tnst_mi.losses.pictures import GreyImage, read_image, resized
+from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.network.googlenet import LOGITS, GoogLeNet
 
 
@@ -52,7 +52,7 @@ class Semantic(Term):
         rest = set(range(net.channels(self.layer))) - set(self.channels)
         # Kept on the device, where lists would be sent anew in every evaluation.
         chosen, others = (
-            torch.tensor(sorted(channels), dtype=torch.long, device=_parameter(net).device)
+            torch.tensor(sorted(channels), dtype=torch.long, device=parameter_of(net).device)
             for channels in (set(self.channels), rest)
         )
 
@@ -101,9 +101,9 @@ class Match(Term):
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Resample the map to the layer; raises `InputError` if its channels are not the layer's."""
         layer = net.resolve(self.layer)
-        blank = torch.zeros(1, height, width).to(_parameter(net))
+        blank = torch.zeros(1, height, width).to(parameter_of(net))
         shape = net(as_rgb(blank), layers=[layer])[layer].shape[1:]
-        target = torch.as_tensor(np.asarray(self.target_map)).to(_parameter(net))
+        target = torch.as_tensor(np.asarray(self.target_map)).to(parameter_of(net))
         return _match(layer, resampled(target, shape, self.name))
 
 
@@ -120,7 +120,7 @@ class Content(Term):
 
     def __post_init__(self) -> None:
         """Read the picture immediately; raises `InputError` if it cannot be used."""
-        object.__setattr__(self, "picture", _grey_image(self.image))
+        object.__setattr__(self, "picture", grey_image(self.image))
 
     @property
     def name(self) -> str:
@@ -130,88 +130,7 @@ class Content(Term):
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Evaluate the network on the picture."""
         layer = net.resolve(self.layer)
-        return _match(layer, _picture_features(net, self.picture.fitted(height, width), [layer])[layer][0])
-
-
-@dataclass(frozen=True, eq=False)
-class Style(Term):
-    """Match the Gram matrices G = FᵀF of a picture (paper Eq. 6 and 7).
-
-    L = Σ_l w_l ‖G_l - G_l(picture)‖² / ‖G_l(picture)‖², the relative squared distance, or, with the `distance` "paper",
-    Eq. 7: L = Σ_l w_l ‖G_l - G_l(picture)‖² / (4 C_l² A_l²) with the channels C and the area A of each layer. There,
-    each layer keeps the magnitude of its own features and, at equal weights, one layer dominates (conv2/3x3 of the BVLC
-    network outweighs inception_3b/output by 38 to 1). With division by the target's norm, layers of equal weight
-    contribute equally.
-
-    The picture, a path or a `GreyImage`, is centre-cropped and resized to the image, so that the areas are equal;
-    its alpha, resized to the feature map, multiplies its features.
-    """
-
-    image: str | Path | GreyImage
-    layers: Mapping[str, float]
-    distance: str = "gram"
-    picture: GreyImage = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Read the picture immediately; raises `InputError` if it cannot be used."""
-        if not self.layers:
-            raise InputError("style layers: there is none; name at least one")
-        object.__setattr__(self, "picture", _grey_image(self.image))
-
-    @property
-    def name(self) -> str:
-        """The picture."""
-        return f"style {self.picture.name}"
-
-    def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Evaluate the network on the picture."""
-        weights: dict[str, float] = {}
-        for layer, weight in self.layers.items():
-            # A layer may occur twice, under its name and under an alias.
-            weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
-        picture = self.picture.fitted(height, width)
-        where = f"where it is used (its centre, with the aspect {width}:{height})"
-        _require_opaque(picture.alpha, picture.name, where)
-        # The picture itself is judged, since in images of a few pixels any is flat.
-        if self.picture.flat(height, width):
-            raise InputError(
-                f"{picture.name}: one grey all over {where}, which is no style; use a picture with structure there"
-            )
-        grams = {}
-        for layer, values in _picture_features(net, picture, list(weights)).items():
-            if values.ndim != 4:
-                raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
-            if picture.alpha is not None:
-                rows, columns = values.shape[2:]
-                alpha = resized(picture.alpha, rows, columns)
-                _require_opaque(alpha, picture.name, where)
-                values = values * torch.as_tensor(alpha).to(values)
-            grams[layer] = mean_gram(values)
-            if not grams[layer].any():
-                raise InputError(
-                    f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
-                    "the network's weights"
-                )
-        # `mean_gram` is G / A already, which leaves 4 C² of Eq. 7's divisor.
-        scales = {
-            layer: weights[layer] / (4 * len(gram[0]) ** 2 if self.distance == "paper" else gram.square().sum())
-            for layer, gram in grams.items()
-        }
-
-        def loss(features: Features, guide: Guide | None) -> Tensor:
-            distances = [
-                scales[layer] * (mean_gram(features[layer], guide) - gram).square().flatten(1).sum(1)
-                for layer, gram in grams.items()
-            ]
-            return torch.stack(distances).sum(0)
-
-        return BoundTerm(tuple(grams), loss)
-
-
-def _require_opaque(alpha: np.ndarray | None, name: str, where: str) -> None:
-    """Raise `InputError` if nothing of a picture is seen."""
-    if alpha is not None and not alpha.any():
-        raise InputError(f"{name}: transparent {where}; use a picture that is opaque there")
+        return _match(layer, picture_features(net, self.picture.fitted(height, width), [layer])[layer][0])
 
 
 def _match(layer: str, target: Tensor) -> BoundTerm:
@@ -221,14 +140,16 @@ def _match(layer: str, target: Tensor) -> BoundTerm:
     return BoundTerm((layer,), loss)
 
 
-def _grey_image(image: str | Path | GreyImage) -> GreyImage:
+def grey_image(image: str | Path | GreyImage) -> GreyImage:
+    """A picture, read if a path is given; raises `InputError` if it cannot be used."""
     return image if isinstance(image, GreyImage) else read_image(image)
 
 
-def _picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str]) -> Features:
-    return net(as_rgb(torch.as_tensor(picture.grey)[None].to(_parameter(net))), layers=layers)
+def picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str]) -> Features:
+    """The features of a picture by layer, (1, C, H, W) or (1, C)."""
+    return net(as_rgb(torch.as_tensor(picture.grey)[None].to(parameter_of(net))), layers=layers)
 
 
-def _parameter(net: GoogLeNet) -> Tensor:
+def parameter_of(net: GoogLeNet) -> Tensor:
     """A tensor with the network's device and precision."""
     return next(net.parameters())

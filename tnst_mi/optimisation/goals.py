@@ -9,6 +9,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.losses import terms as losses
 from tnst_mi.losses.feature_maps import read_map
 from tnst_mi.losses.objective import Objective
+from tnst_mi.losses.style import Style
 from tnst_mi.network.class_names import matching_classes
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.network.readers import read_weights
@@ -25,7 +26,7 @@ def objective_of(recipe: Recipe) -> Objective:
         *(losses.ClassTag(tag) for tag in recipe.tag),
         *(losses.Content(path, layer) for path in recipe.content for layer in recipe.content_layers),
         *(losses.Match(layer, read_map(path)) for layer, path in recipe.maps),
-        *(losses.Style(path, recipe.style_layers, recipe.style_loss) for path in recipe.style),
+        *(Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics) for path in recipe.style),
     ]
     weighted = [weight * term for weight, term in zip(term_weights(recipe), terms, strict=True)]
     return Objective(pair for term in weighted for pair in term.weighted_terms)

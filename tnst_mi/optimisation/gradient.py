@@ -15,11 +15,11 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.resampling import resample_density, resample_mask
 from tnst_mi.losses.evaluation import BoundObjective
-from tnst_mi.losses.guided import Guide
+from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.regions.seen import seen_shares
+from tnst_mi.regions.seen import seen_in_views
 from tnst_mi.rendering.cameras.views import View, sample_views
 from tnst_mi.rendering.driving import driving_renderer
 from tnst_mi.rendering.levels import Level
@@ -108,17 +108,17 @@ class OctaveProblem:
         gradients = []
 
         @dr.wrap(source="drjit", target="torch")
-        def loss_of(batch, target, guide):  # noqa: ANN202
-            value, terms = self._loss_of(frame, target).evaluate(batch, guide)
+        def loss_of(batch, target, guides):  # noqa: ANN202
+            value, terms = self._loss_of(frame, target).drawn(seed).evaluate(batch, guides)
             found.update({self.term_name(target, name): term for name, term in terms.items()})
             values.append(value.detach())
             return value
 
-        guides = self._guides(stylized, regions, views, frame)
-        for target, guide in enumerate(guides):
+        of_targets = self._guides(stylized, regions, views, frame)
+        for target, guides in enumerate(of_targets):
             # The images are those of all targets: their graph is kept until the last one has been differentiated.
-            last = target == len(guides) - 1
-            dr.backward(loss_of(images, target, guide), dr.ADFlag.Default if last else dr.ADFlag.ClearVertices)
+            last = target == len(of_targets) - 1
+            dr.backward(loss_of(images, target, guides), dr.ADFlag.Default if last else dr.ADFlag.ClearVertices)
             gradients.append(pull_back(dr.grad(seen), last))
             dr.clear_grad(seen)
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
@@ -140,11 +140,11 @@ class OctaveProblem:
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             views = self._views(frame, seed)
             images = self._rendered(stylized, views, frame, seed).torch().clone()
-            guides = self._guides(stylized, regions, views, frame)
+            of_targets = self._guides(stylized, regions, views, frame)
         return {
             self.term_name(target, name): found
-            for target, guide in enumerate(guides)
-            for name, found in self.losses[target].gradient_square_sum(images, guide).items()
+            for target, guides in enumerate(of_targets)
+            for name, found in self.losses[target].drawn(seed).gradient_square_sum(images, guides).items()
         }
 
     def judge(
@@ -165,8 +165,8 @@ class OctaveProblem:
             images = self._rendered(smoke, views, frame, (recipe.seed,)).torch()
             masks = [None if mask is None else resample_mask(mi.TensorXf(mask), 1.0, shape, h) for mask in regions]
             found = [
-                self._loss_of(frame, target).evaluate(images, guide)
-                for target, guide in enumerate(self._guides(smoke, masks, views, frame))
+                self._loss_of(frame, target).evaluate(images, guides)
+                for target, guides in enumerate(self._guides(smoke, masks, views, frame))
             ]
         loss = _total([value for value, _ in found], frame.shares)
         terms = {
@@ -185,17 +185,24 @@ class OctaveProblem:
 
     def _guides(
         self, density: mi.TensorXf, regions: Sequence[mi.TensorXf | None], views: Sequence[View], frame: FramePlan
-    ) -> list[Guide | None]:
-        """Where the region of each target is seen in the views of a density; None for one that is everywhere."""
+    ) -> list[Guides]:
+        """For each target, where its region is seen in the views of a density, and where its smoke is, if it asks."""
         masks = [mask for mask in regions if mask is not None]
-        if not masks:
-            return [None] * len(self.losses)
+        if not masks and not any(loss.of_smoke for loss in self.losses):
+            return [UNGUIDED] * len(self.losses)
         octave, gamma = self.octave, frame.recipe.extinction
         renderer = EmissionAbsorptionRenderer(
             octave.shape, gamma, "exact", octave.cell_size, size=octave.size, pixel=octave.pixel
         )
-        shares = iter(seen_shares(density, masks, views, renderer))
-        return [None if mask is None else Guide(next(shares).torch()) for mask in regions]
+        seen = seen_in_views(density, masks, views, renderer)
+        opacity, shares = seen.opacity.torch(), iter(seen.shares)
+        found = []
+        for target, loss in enumerate(self.losses):
+            everywhere = not regions or regions[target] is None
+            share = None if everywhere else next(shares).torch()
+            smoke = opacity if share is None else share * opacity
+            found.append(Guides(None if share is None else Guide(share), Guide(smoke) if loss.of_smoke else None))
+        return found
 
     def _rendered(
         self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]

@@ -12,6 +12,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "paper": {
         # Eq. 1, 2 and 7.
         "style_loss": "paper",
+        "style_statistics": "image",
         "loss_scaling": "none",
         "sigma": "loss",
         "damping": 0.0,

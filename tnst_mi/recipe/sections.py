@@ -9,7 +9,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, Any, get_type_hints
 
-from tnst_mi.choices import LOOKS, QUADRATURES, QUALITIES, STYLE_LOSSES, TRACES, WINDOW_WEIGHTS
+from tnst_mi.choices import LOOKS, QUADRATURES, QUALITIES, STYLE_LOSSES, STYLE_STATISTICS, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
@@ -34,11 +34,16 @@ class Goals:
     style_layers: Annotated[dict[str, float], LayerWeights()] = field(
         default_factory=lambda: {"conv2/3x3": 1.0, "inception_3b/output": 1.0, "inception_4b/output": 1.0}
     )
-    """Layers whose Gram matrices are matched to the style pictures, with weights. Low layers give fine
+    """Layers whose statistics are matched to the style pictures, with weights. Low layers give fine
     strokes, high layers large shapes."""
     style_loss: Annotated[str, Choice(STYLE_LOSSES)] = "gram"
-    """Distance of Gram matrices: gram is relative to the picture's, so that layers of equal weight count equally; paper
-    divides by 4C²A² (Eq. 7; C channels, A positions), so that one layer outweighs the others."""
+    """What is compared with the style pictures (docs/losses.md): gram, the Gram matrices, relative to the picture's, so
+    that layers of equal weight count equally; paper, the same divided by 4C²A² (Eq. 7; C channels, A positions), so
+    that one layer outweighs the others; swd, the whole distribution of features (sliced Wasserstein distance); nnfm,
+    each position with the one of the picture that resembles it most; histogram, gram and the histograms of channels."""
+    style_statistics: Annotated[str, Choice(STYLE_STATISTICS)] = "image"
+    """Which positions of an image count for the style: image, all of them, the empty background too; smoke, each by the
+    opacity of the smoke there."""
     semantic: Annotated[
         tuple[str, ...],
         Texts(

@@ -1,8 +1,9 @@
-"""Regions as they are seen in images: the share of a pixel's light that comes from the smoke of a region."""
+"""Smoke and regions as they are seen in images: how opaque a pixel is, and whose smoke that is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -15,10 +16,22 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 _FAINT = 1e-3
 
 
-def seen_shares(
+class Seen(NamedTuple):
+    """Images (V, rows, columns) of what is seen of smoke, in [0, 1].
+
+    Attributes:
+        opacity: 1 − T, with the transmittance T through all of the smoke.
+        shares: for each mask, the share of a pixel's light that comes from its region.
+    """
+
+    opacity: mi.TensorXf
+    shares: list[mi.TensorXf]
+
+
+def seen_in_views(
     density: mi.TensorXf, masks: Sequence[mi.TensorXf], views: Sequence[View], renderer: EmissionAbsorptionRenderer
-) -> list[mi.TensorXf]:
-    """For each mask m the images (V, rows, columns) of Σ m_k a_k / (Σ a_k + 0.001), a_k = T_k (1 − exp(−γ h d_k)).
+) -> Seen:
+    """The opacity Σ a_k, a_k = T_k (1 − exp(−γ h d_k)), and for each mask m the shares Σ m_k a_k / (Σ a_k + 0.001).
 
     a_k is the light of sample k that reaches the camera, times γ: what the samples of the exact quadrature add up to.
     Nothing is differentiated.
@@ -44,6 +57,7 @@ def seen_shares(
 
         state = (march.zeros() + 1, march.zeros(), *sums)
         _, opacity, *sums = march.visit_smoke(state, visit, "seen")
-        shares = [mi.TensorXf(total / (opacity + opaque(_FAINT)), (len(views), *renderer.size)) for total in sums]
-        dr.eval(shares)
-        return shares
+        size = len(views), *renderer.size
+        shares = [mi.TensorXf(total / (opacity + opaque(_FAINT)), size) for total in sums]
+        dr.eval(opacity, shares)
+        return Seen(mi.TensorXf(opacity, size), shares)

@@ -1,0 +1,124 @@
+"""Sliced Wasserstein distances of features (Heitz et al. 2021): all their moments, by their shadows on lines.
+
+A layer has a point in the space of its C channels for each position. The squared Wasserstein distance W² of two sets of
+points on a line is known in closed form: sorted, the i-th belongs to the i-th, and W² is the mean of their squared
+differences. Random directions show all that tells two sets apart; the axes, where each channel is looked at alone, show
+the histograms of the channels (Risser et al. 2017).
+
+Sets of different sizes, and positions of different weight, are compared by quantiles: a position whose weight lies
+between the shares a and b of all weight belongs to the target's quantile of (a + b) / 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
+from tnst_mi.losses.sorting import order_of
+
+
+def directions(target: LayerTarget, seed: Sequence[int]) -> Tensor:
+    """As many random unit vectors as the target has channels, the rows of (C, C).
+
+    Args:
+        target: features of a layer.
+        seed: integers ≥ 0; equal ones give equal directions, on any machine.
+    """
+    channels = target.values.shape[1]
+    drawn = np.random.default_rng(list(seed)).normal(size=(channels, channels))
+    return torch.as_tensor(drawn / np.linalg.norm(drawn, axis=1, keepdims=True)).to(target.values)
+
+
+def sliced_distance(target: LayerTarget, weight: float, lines: Tensor | None) -> LayerLoss:
+    """weight · C / mean ‖y‖² · the mean over the lines of W², with the target's features y: 1 for features that are 0.
+
+    The derivative is that of (x - T(x))² with the transport T to the target kept as it is, which is that of W² itself.
+
+    Args:
+        target: features of a layer, of C channels.
+        weight: of the layer.
+        lines: unit vectors (K, C); None for the axes of the channels.
+    """
+    values, weights = _points(target)
+    mean_square = (values.square().sum(0) * weights).sum()
+    scale = weight * values.shape[0] / mean_square
+    quantiles = _Quantiles(_shadows(values, lines), None if target.guide is None else weights)
+
+    def loss(values: Tensor, guide: Guide | None) -> Tensor:
+        shadows = _shadows(values.flatten(2), lines)
+        if guide is None:
+            wanted = _transported(shadows.detach(), quantiles)
+            return scale * (shadows - wanted).square().mean((1, 2))
+        weights = guide.weights(*values.shape[2:])[:, None]
+        wanted = _transported_weighted(shadows.detach(), weights, quantiles)
+        return scale * (weights * (shadows - wanted).square()).sum(2).mean(1)
+
+    return loss
+
+
+class _Quantiles:
+    """The quantiles of K sets of Q numbers.
+
+    Args:
+        values: (K, Q).
+        weights: (Q,), above 0, of the numbers; None if all are equal.
+    """
+
+    def __init__(self, values: Tensor, weights: Tensor | None) -> None:
+        order = order_of(values)
+        self._sorted = values.gather(-1, order)
+        self._ends: Tensor | None = None
+        if weights is not None:
+            ends = weights[order].cumsum(-1)
+            self._ends = ends / ends[:, -1:]
+
+    def even(self, count: int) -> Tensor:
+        """(K, count): those of (i + 1/2) / count."""
+        levels = (torch.arange(count).to(self._sorted) + 0.5) / count
+        return self.at(levels.expand(len(self._sorted), -1)[None])[0]
+
+    def at(self, levels: Tensor) -> Tensor:
+        """(N, K, P): those of levels (N, K, P) in [0, 1]."""
+        views, lines, count = levels.shape
+        last = self._sorted.shape[1] - 1
+        if self._ends is None:
+            found = (levels * (last + 1)).long()
+        else:
+            flat = levels.transpose(0, 1).reshape(lines, -1).contiguous()
+            found = torch.searchsorted(self._ends, flat).view(lines, views, count).transpose(0, 1)
+        return self._sorted.expand(views, -1, -1).gather(2, found.clamp_max(last))
+
+
+def _shadows(points: Tensor, lines: Tensor | None) -> Tensor:
+    """Where points (…, C, P) lie along lines (K, C), or along the axes: (…, K, P)."""
+    return points if lines is None else lines @ points
+
+
+def _points(target: LayerTarget) -> tuple[Tensor, Tensor]:
+    """The features (C, Q) of the positions of a target that have a weight, and the weights (Q,), which sum to 1."""
+    values, guide = target
+    flat = values[0].flatten(1)
+    if guide is None:
+        return flat, flat.new_full((flat.shape[1],), 1 / flat.shape[1])
+    weights = guide.weights(*values.shape[2:])[0]
+    return flat[:, weights > 0], weights[weights > 0]
+
+
+def _transported(shadows: Tensor, quantiles: _Quantiles) -> Tensor:
+    """The quantiles (N, K, P) to which numbers (N, K, P) belong."""
+    order = order_of(shadows)
+    return torch.empty_like(shadows).scatter_(2, order, quantiles.even(shadows.shape[2]).expand_as(shadows))
+
+
+def _transported_weighted(shadows: Tensor, weights: Tensor, quantiles: _Quantiles) -> Tensor:
+    """The same for numbers with weights (N, 1, P)."""
+    # Last come those without weight: they then do not even decide how sums are rounded.
+    order = order_of(shadows.masked_fill(weights == 0, torch.inf))
+    own = weights.expand_as(shadows).gather(2, order)
+    ends = own.cumsum(-1)
+    levels = (ends - own / 2) / ends[..., -1:].clamp_min(torch.finfo(ends.dtype).tiny)
+    return torch.empty_like(shadows).scatter_(2, order, quantiles.at(levels))
