@@ -79,17 +79,17 @@ def _before_and_after(result: Result, index: int) -> tuple[np.ndarray, np.ndarra
     shot = result.run.get("shots", {}).get(frame.name)
     recipe = replace(recipe, shots=() if shot is None else (tuple(shot),))
     size = full_level(result.recipe, frame.density.shape).size
-    smoke = (frame.density, frame.grids), (result.densities[index], result.grids[index])
+    densities = frame.density, result.densities[index]
     name = colour_name(result.grids[index]) if recipe.colour == "keep" else None
     with own_variant():
         if name is None:
             first, last = (
                 stills(scaled(density, factor), [recipe.main_view], recipe, size, _GLANCE_SPP)[0]
-                for density, _ in smoke
+                for density in densities
             )
         else:
             first, last = (
                 main_view(scaled(density, factor), recipe, size, colours_of(grids, name, frame.name))
-                for density, grids in smoke
+                for density, grids in zip(densities, (frame.grids, result.grids[index]), strict=True)
             )
     return record["exposure"] * first, record["exposure"] * last
