@@ -86,6 +86,7 @@ CHANGED: dict[str, Any] = {
     "threads": 3,
     "format": "npz",
     "carry": "flame,velocity",
+    "colour": "keep",
     "keep_octaves": True,
     "fps": 12.0,
     "density": "smoke",

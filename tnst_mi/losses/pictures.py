@@ -121,11 +121,13 @@ def centred_box(shape: tuple[int, int], height: int, width: int) -> tuple[float,
 def resized(
     plane: np.ndarray, height: int, width: int, box: tuple[float, float, float, float] | None = None
 ) -> np.ndarray:
-    """Resize one (H, W) plane, or the box (left, top, right, bottom) of it, to (height, width).
+    """Resize one (H, W) plane, or the box (left, top, right, bottom) of it, to (height, width); or several, (H, W, C).
 
     Pillow's BICUBIC in float32: Keys' kernel with a = -1/2, widened when shrinking so that it antialiases.
     Its overshoot is clipped to [0, 1].
     """
+    if plane.ndim == 3:
+        return np.stack([resized(channel, height, width, box) for channel in np.moveaxis(plane, -1, 0)], axis=-1)
     image = Image.fromarray(np.ascontiguousarray(plane, np.float32))
     return np.clip(np.asarray(image.resize((width, height), Image.Resampling.BICUBIC, box)), 0.0, 1.0)
 

@@ -16,6 +16,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view, stills
 from tnst_mi.rendering.exposure import exposure_for
 from tnst_mi.rendering.levels import by_cell, full_level
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of
 from tnst_mi.run.api import Result
 from tnst_mi.run.inputs import reference_density
 from tnst_mi.run.record import mass_change
@@ -30,7 +31,8 @@ class ShownFrame:
 
     Attributes:
         name: of the frame.
-        pictures: the smoke, or the smoke before and after its stylization: each (rows, columns), 1 is white.
+        pictures: the smoke, or the smoke before and after its stylization: each (rows, columns), in colour
+            (rows, columns, 3), 1 is white.
         told: what became of its loss and its mass, in words; empty for a frame that is not stylized.
     """
 
@@ -77,9 +79,17 @@ def _before_and_after(result: Result, index: int) -> tuple[np.ndarray, np.ndarra
     shot = result.run.get("shots", {}).get(frame.name)
     recipe = replace(recipe, shots=() if shot is None else (tuple(shot),))
     size = full_level(result.recipe, frame.density.shape).size
+    densities = frame.density, result.densities[index]
+    name = colour_name(result.grids[index]) if recipe.colour == "keep" else None
     with own_variant():
-        first, last = (
-            stills(scaled(density, factor), [recipe.main_view], recipe, size, _GLANCE_SPP)[0]
-            for density in (frame.density, result.densities[index])
-        )
+        if name is None:
+            first, last = (
+                stills(scaled(density, factor), [recipe.main_view], recipe, size, _GLANCE_SPP)[0]
+                for density in densities
+            )
+        else:
+            first, last = (
+                main_view(scaled(density, factor), recipe, size, colours_of(grids, name, frame.name))
+                for density, grids in zip(densities, (frame.grids, result.grids[index]), strict=True)
+            )
     return record["exposure"] * first, record["exposure"] * last

@@ -35,7 +35,7 @@ def text(value: object, most: int = _LONGEST) -> str:
 
 
 def embedded(image: np.ndarray, largest: int = LARGEST) -> str:
-    """A grey picture (rows, columns), 1 is white, as the address of a PNG in itself; a larger one is reduced."""
+    """A picture (rows, columns[, 3]), 1 is white, as the address of a PNG in itself; a larger one is reduced."""
     if max(image.shape) > largest:
         width, height = shown_size(image.shape, largest)
         image = resized(np.clip(image, 0.0, 1.0), height, width)
@@ -51,13 +51,13 @@ def shown_size(shape: tuple[int, ...], largest: int = LARGEST) -> tuple[int, int
         >>> shown_size((96, 64)), shown_size((800, 200))
         ((256, 384), (100, 400))
     """
-    rows, columns = shape
+    rows, columns = shape[:2]
     scale = max(1, largest // max(rows, columns)) if max(rows, columns) <= largest else largest / max(rows, columns)
     return max(1, round(scale * columns)), max(1, round(scale * rows))
 
 
 def picture(image: np.ndarray, caption: str, largest: int = LARGEST) -> str:
-    """A picture (rows, columns) with a caption below it."""
+    """A picture (rows, columns[, 3]) with a caption below it."""
     width, height = shown_size(image.shape, largest)
     return (
         '<figure style="display:inline-block;margin:0 8px 8px 0;vertical-align:top;white-space:normal">'

@@ -25,6 +25,19 @@ def require_averageable(recipe: Recipe) -> None:
         )
 
 
+def require_colour_driven(recipe: Recipe) -> None:
+    """Check that the renderer of a recipe shows colours, if these are wanted.
+
+    Raises:
+        InputError: it does not.
+    """
+    if recipe.colour == "keep" and recipe.integrator != "emission_absorption":
+        raise InputError(
+            f"colour = 'keep' and integrator = {recipe.integrator!r}, which shows grey smoke; expected integrator = "
+            "'emission_absorption', or colour = 'off'"
+        )
+
+
 def require_unmirrored(flip: str | None) -> None:
     """Check that smoke lies in its scene as its files have it, so that the camera of a shot sees the same.
 

@@ -243,6 +243,9 @@ class Resources:
     carry: Annotated[str, Names()] = "all"
     """Grids of the input that move with the smoke and come back with it: all, such as temperature, flame and velocity;
     those with the given names, separated by commas; or none. Vectors keep their directions, obstacles their places."""
+    colour: Annotated[str, Choice(("off", "keep"))] = "off"
+    """Colour of the smoke: off shows it in grey, as the network sees it always; keep shows it in the colour that moves
+    with it, the grid Cd, color or the like of the input."""
     keep_octaves: Annotated[bool, Switch()] = False
     """Keep the states of all frames at the end of each octave too, from which --from RUN/octaves/1 goes on."""
     fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None

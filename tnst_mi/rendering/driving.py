@@ -13,6 +13,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.recipe.paths import LIGHTS, shipped_lights
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, fitted_size
+from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 
@@ -65,9 +66,18 @@ def driving_renderer(
     return _scattering(mi.variant(), shape, recipe.extinction, h, lighting, size, pixel)
 
 
-def main_view(density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Render a density (D, H, W) from the centre of the camera ranges: (rows, columns), unexposed; see `stills`."""
-    return stills(density, [recipe.main_view], recipe, size)[0]
+def main_view(
+    density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None, colour: np.ndarray | None = None
+) -> np.ndarray:
+    """Render a density (D, H, W) from the centre of the camera ranges, unexposed; see `stills`.
+
+    Returns:
+        (rows, columns), or with a colour (D, H, W, 3), linear RGB, (rows, columns, 3) by emission–absorption.
+    """
+    if colour is None:
+        return stills(density, [recipe.main_view], recipe, size)[0]
+    renderer = ColouredRenderer(density.shape, recipe.extinction, recipe.quadrature, 1.0, size=size)
+    return renderer.render_colour(mi.TensorXf(density), mi.TensorXf(colour), [recipe.main_view]).numpy()[0]
 
 
 def stills(

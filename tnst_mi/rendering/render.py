@@ -15,10 +15,11 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import require_indexable
 from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.views import View, common_size
+from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 
-@any_array_kind("density")
+@any_array_kind("density", "colour")
 def render(
     density: mi.TensorXf,
     view: View | Sequence[View] = (0.0, 0.0),
@@ -28,6 +29,7 @@ def render(
     fit: bool = False,
     camera: Camera | None = None,
     size: tuple[int, int] | None = None,
+    colour: mi.TensorXf | None = None,
 ) -> mi.TensorXf:
     """Render a density as emitting and absorbing smoke (paper Eq. 11).
 
@@ -53,11 +55,15 @@ def render(
         camera: what to render from instead of a view; lengths are in full-resolution cells, and the world's origin is
             the grid's centre.
         size: rows and columns of the image; (H, W) if None, and of a camera H and what its aspect makes of that.
+        colour: (D, H, W, 3) of what the smoke emits, linear RGB, finite and usually in [0, 1] (not checked); the
+            outermost cells repeat outside the grid. Extinction stays the same in all channels. None for a grey image.
 
     Returns:
         Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
         and "paper" are in density × cells, below 1/γ; "transmittance" is in [0, 1); "integrated_transmittance" is in
-        cells, up to the length of the ray inside the box. Differentiable with respect to the density.
+        cells, up to the length of the ray inside the box. With a colour, (H, W, 3) or (V, H, W, 3): each sample's share
+        of the grey image times its colour, so that white gives the grey image in each channel, to the bit.
+        Differentiable with respect to the density and the colour.
 
     Raises:
         InputError: the shape or range of an argument is not as stated, or an array is too large to be indexed.
@@ -78,20 +84,33 @@ def render(
         torch.Size([2, 5])
         >>> tnst_mi.render(density, view=(20, 5, 40)).shape  # in perspective, from 40 cells away
         torch.Size([2, 3])
+        >>> orange = torch.tensor([1.0, 0.5, 0.0]).expand(4, 2, 3, 3)
+        >>> tnst_mi.render(density, quadrature="exact", colour=orange)[0, 0].tolist() == [
+        ...     image[0, 0].item(), image[0, 0].item() / 2, 0.0]
+        True
     """
     viewpoints, several = _viewpoints(view, camera)
     if len(density.shape) != 3 or 0 in density.shape:
         raise InputError(f"render: density of shape {tuple(density.shape)} given, expected (D, H, W), none of them 0")
+    if colour is not None and tuple(colour.shape) != (*density.shape, 3):
+        raise InputError(
+            f"render: colour of shape {tuple(colour.shape)} given, expected {(*density.shape, 3)}: a red, a "
+            "green and a blue part for every cell of the density"
+        )
     if quadrature not in QUADRATURES:
         raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
     if not (0 < gamma < math.inf and 0 < h < math.inf):
         raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
-    require_indexable(math.prod(density.shape), "render: a density")
+    channels = 1 if colour is None else 3
+    require_indexable(channels * math.prod(density.shape), "render: a density or its colour")
     size = _image_size(tuple(density.shape), viewpoints, float(h), fit, size)
-    require_indexable(len(viewpoints) * math.prod(size), "render: images")
-    renderer = EmissionAbsorptionRenderer(tuple(density.shape), float(gamma), quadrature, float(h), size=size)
-    images = renderer.render(density, viewpoints)
-    return images if several else mi.TensorXf(images.array, size)
+    require_indexable(channels * len(viewpoints) * math.prod(size), "render: images")
+    arguments = tuple(density.shape), float(gamma), quadrature, float(h)
+    if colour is None:
+        images = EmissionAbsorptionRenderer(*arguments, size=size).render(density, viewpoints)
+    else:
+        images = ColouredRenderer(*arguments, size=size).render_colour(density, colour, viewpoints)
+    return images if several else mi.TensorXf(images.array, tuple(images.shape)[1:])
 
 
 def _viewpoints(view: View | Sequence[View], camera: Camera | None) -> tuple[list[Viewpoint], bool]:

@@ -110,6 +110,9 @@ class EmissionAbsorptionRenderer(Renderer):
             resample the density instead.
     """
 
+    #: Adjoint samples that are stored for each sample of a ray.
+    samples_per_ray = 1
+
     def __init__(
         self,
         shape: Shape,
@@ -131,7 +134,7 @@ class EmissionAbsorptionRenderer(Renderer):
         self._place(density)
         rays = self._rays(views)
         L = self._sample(dr.ADMode.Primal, rays, 0, len(views))
-        return mi.TensorXf(L, (len(views), *self.size))
+        return mi.TensorXf(L[0], (len(views), *self.size))
 
     def gradient(
         self,
@@ -165,7 +168,7 @@ class EmissionAbsorptionRenderer(Renderer):
             with dr.suspend_grad():
                 # The derivative is with respect to σ_t before the medium's scale, which is the density.
                 L = self._sample(dr.ADMode.Forward, self._rays(views), 0, len(views))
-        return mi.TensorXf(L, (len(views), *self.size))
+        return mi.TensorXf(L[0], (len(views), *self.size))
 
     def march(self, density: mi.TensorXf, views: Sequence[Viewpoint]) -> tuple[GridMarch, mi.Float]:
         """The samples of all rays of the views in a density, without derivatives, and the distance between them."""
@@ -178,7 +181,8 @@ class EmissionAbsorptionRenderer(Renderer):
 
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
-        return max(1, min(count, LARGEST_SAMPLES // view_samples(self.shape, self.size))) if on_gpu() else 1
+        of_view = self.samples_per_ray * view_samples(self.shape, self.size)
+        return max(1, min(count, LARGEST_SAMPLES // of_view)) if on_gpu() else 1
 
     def _rays(self, views: Sequence[Viewpoint]) -> OrthographicRays | ViewpointRays:
         rows, columns = self.size
@@ -195,15 +199,16 @@ class EmissionAbsorptionRenderer(Renderer):
         parameters["sigma_t.data"] = σ_t
         parameters.update()
         self._medium.refresh()
+        self._medium.colour = None
         return self._medium.extinction
 
     def _sample(
         self, mode: dr.ADMode, rays: OrthographicRays | ViewpointRays, first: int, count: int, **adjoint: object
-    ) -> mi.Float:
+    ) -> mi.Spectrum:
         """Call the integrator for the rays of `count` views directly, without a film."""
         arguments = {"state_in": None, "δL": None, "together": rays.together(first, count)} | adjoint
         through = rays.through_pixels(first, count)
-        return self._integrator.sample(mode, self._medium, None, through, active=mi.Bool(True), **arguments)[0][0]
+        return self._integrator.sample(mode, self._medium, None, through, active=mi.Bool(True), **arguments)[0]
 
 
 def view_samples(shape: Shape, size: tuple[int, int]) -> int:

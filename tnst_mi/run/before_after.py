@@ -17,8 +17,8 @@ _MOST_COLUMNS = 8192
 
 
 def side_by_side(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Join two pictures (H, W) with values in [0, 1] by a white gap, enlarged by an integer factor."""
-    rows, columns = before.shape
+    """Join two pictures (H, W) or (H, W, 3) with values in [0, 1] by a white gap, enlarged by an integer factor."""
+    rows, columns = before.shape[:2]
     joined = 2 * columns + _GAP
     scale = max(1, min(-(-_LEAST_HEIGHT // rows), _WIDEST // joined)) if joined <= _MOST_COLUMNS else 1
     height, width = scale * rows, scale * columns
@@ -27,4 +27,5 @@ def side_by_side(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         height = max(1, round(rows * width / columns))
     # Enlarged before they are joined: interpolation would blend the gap into their edges.
     left, right = (resized(image, height, width) for image in (before, after))
-    return np.concatenate([left, np.ones((height, scale * _GAP), left.dtype), right], axis=1)
+    gap = np.ones((height, scale * _GAP, *left.shape[2:]), left.dtype)
+    return np.concatenate([left, gap, right], axis=1)

@@ -162,7 +162,7 @@ class RunFolder:
         write_frame(self.out / "velocity" / file, None, velocity, placement=place)
 
     def write_images(self, name: str, before: np.ndarray, after: np.ndarray, attributes: dict[str, Any]) -> None:
-        """Write the main view before and after, with equal exposure; `attributes` go into the EXR headers."""
+        """Write the main view before and after, (H, W) or (H, W, 3), with equal exposure and EXR `attributes`."""
         self.write_glimpse(name, before, after)
         for suffix, image in (("before", before), ("after", after)):
             write_exr(self.out / "images" / f"{name}_{suffix}.exr", image, attributes)

@@ -33,6 +33,7 @@ from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.cameras.shots import ShotView, shot_views, with_shots
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
+from tnst_mi.rendering.smoke_colour import colours_of, require_colour
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import chosen, require_there
 from tnst_mi.run.going_on import going_on
@@ -191,6 +192,10 @@ def prepare(
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     require_there(recipe.carry, movable)
     sequence = readable.frames()
+    if recipe.colour == "keep":
+        colour = require_colour(chosen(recipe.carry, movable), movable)
+        coloured = next(i for i, measure in enumerate(measures) if colour in measure.movable)
+        colours_of(sequence[coloured].grids, colour, measures[coloured].name)
     if out is not None:
         require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)

@@ -44,7 +44,7 @@ def write_preview(path: Path, pairs: Iterable[tuple[np.ndarray, np.ndarray]], fr
 
     Args:
         path: the file, ending in .mp4.
-        pairs: for each frame the two pictures (H, W) in [0, 1], one frame or more; consumed one by one.
+        pairs: for each frame the two pictures (H, W) or (H, W, 3) in [0, 1], one frame or more; consumed one by one.
         frames_per_second: how fast it plays.
 
     Raises:
@@ -60,16 +60,16 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
 
     Args:
         path: the file, ending in .png.
-        entries: name and the two pictures (H, W) in [0, 1] of every frame; consumed one by one.
+        entries: name and the two pictures of every frame, each (H, W) or (H, W, 3) in [0, 1]; consumed one by one.
         count: number of entries, at least 1.
     """
     chosen = set(on_sheet(count))
     tiles = [(name, _tile(before, after)) for i, (name, before, after) in enumerate(entries) if i in chosen]
-    height, width = tiles[0][1].shape
+    height, width = tiles[0][1].shape[:2]
     row, column = height + _MARGIN + _CAPTION, max(width, _LEAST_COLUMN) + _MARGIN
     in_row = min(_IN_ROW, len(tiles))
-    sheet = np.ones((_MARGIN + row * -(-len(tiles) // in_row), _CAPTION + column * in_row), np.float32)
-    rows, columns = sheet.shape
+    sheet = np.ones((_MARGIN + row * -(-len(tiles) // in_row), _CAPTION + column * in_row, 3), np.float32)
+    rows, columns = sheet.shape[:2]
     figure = Figure(figsize=(columns / _RESOLUTION, rows / _RESOLUTION), dpi=_RESOLUTION)
 
     def write(text: str, x: float, y: float, **style: Any) -> None:
@@ -83,7 +83,7 @@ def write_contact_sheet(path: Path, entries: Iterable[tuple[str, np.ndarray, np.
         if i % in_row == 0:
             write("before", _CAPTION / 2, top + height / 4, va="center", rotation=90)
             write("after", _CAPTION / 2, top + 3 * height / 4, va="center", rotation=90)
-    figure.figimage(np.repeat(eight_bits(sheet)[..., None], 3, axis=2))
+    figure.figimage(eight_bits(sheet))
     with written_whole(path) as temporary:
         FigureCanvasAgg(figure).print_png(str(temporary))
 
@@ -169,11 +169,15 @@ def on_sheet(count: int, most: int = _ON_SHEET) -> list[int]:
 
 
 def _tile(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """The first picture above the second, both resized to fit their place on the contact sheet."""
-    rows, columns = before.shape
+    """The first picture above the second, (H, W, 3), both resized to fit their place on the contact sheet."""
+    rows, columns = before.shape[:2]
     scale = min(_TILE[0] / columns, _TILE[1] / rows)
     size = max(1, round(scale * rows)), max(1, round(scale * columns))
-    return np.concatenate([resized(before, *size), np.ones((2, size[1]), np.float32), resized(after, *size)])
+    first, second = (
+        picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+        for picture in (resized(before, *size), resized(after, *size))
+    )
+    return np.concatenate([first, np.ones((2, size[1], 3), np.float32), second])
 
 
 def _shortened(name: str, letters: int) -> str:

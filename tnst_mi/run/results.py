@@ -10,6 +10,7 @@ from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.rendering.driving import main_view
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of
 from tnst_mi.run.carry import carried
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.record import frame_record
@@ -30,7 +31,7 @@ def write_results(
     The largest arrays of `stylized` go: callers may keep every frame of a run.
 
     Returns:
-        The record of the frame, and its main view before and after, (H, W) in [0, 1].
+        The record of the frame, and its main view before and after, (H, W) in [0, 1], in colour (H, W, 3).
 
     Raises:
         OSError: the folder cannot be written.
@@ -40,9 +41,16 @@ def write_results(
     recipe, exposure, history = plan.recipe, plan.exposure, stylized.history
     carry = carried(source, stylized, work.recipe.carry, work.suffix, work.measures[index].others)
     record = frame_record(source, plan, stylized) | {"carried": list(carry.names)}
+    name = colour_name(carry.names) if recipe.colour == "keep" else None
     before, after = (
-        exposure * main_view(scaled(density, work.plan.density_scale), recipe, work.plan.full.size)
-        for density in (source.density, stylized.density)
+        exposure
+        * main_view(
+            scaled(density, work.plan.density_scale),
+            recipe,
+            work.plan.full.size,
+            None if name is None else colours_of(grids, name, source.name),
+        )
+        for density, grids in ((source.density, source.grids), (stylized.density, carry.grids))
     )
     attributes = {
         "view": recipe.main_view,

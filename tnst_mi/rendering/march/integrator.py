@@ -19,6 +19,7 @@ from tnst_mi.rendering.cameras.perspective import ConvergingRays
 from tnst_mi.rendering.cameras.sensor import CameraViews
 from tnst_mi.rendering.march.back_projection import RaysTogether
 from tnst_mi.rendering.march.behind import NestedIntegrator, emitters_seen
+from tnst_mi.rendering.march.coloured import ColouredSegment, ColourGrid
 from tnst_mi.rendering.march.lattice import Lattice
 from tnst_mi.rendering.march.medium import GridMedium, HomogeneousMedium
 from tnst_mi.rendering.march.quadratures import Quadrature, quadrature
@@ -63,6 +64,12 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
        - |float|
        - Distance h between samples in world units. (Default: the shortest edge of the grid's cells)
 
+     * - colour
+       - |volume|
+       - Colour of what the medium emits: a ``gridvolume`` of three channels on the cells of the scene's only
+         medium, whose extinction has one channel. Each sample's share of the radiance is multiplied by the colour
+         there. (Default: none, white)
+
      * - (nested)
        - |integrator|
        - Renders the surfaces behind and inside the smoke, and the environment: ``volpath``, ``path``, ``direct``,
@@ -83,11 +90,12 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
     ``camera_views`` in planes across the optical axis: see :py:class:`tnst_mi.rendering.march.lattice.Lattice`. A
     ``homogeneous`` one is integrated exactly, the limit of each quadrature for small steps.
 
-    Derivatives are with respect to the ``sigma_t`` of every medium; what lies behind counts as constant. Mitsuba keeps
-    ``scale`` as a plain number, without a derivative: multiply ``sigma_t.data`` by a differentiable number instead. The
-    reverse-mode pass replays the march. For rays of whole viewpoints it stores the adjoint of every sample, and each
-    voxel gathers its own; for others it scatters them and stores nothing per step. The derivatives of grids are
-    bit-identical in every run. With one extinction channel the march is scalar, with three it is done per channel.
+    Derivatives are with respect to the ``sigma_t`` of every medium and to the ``colour``; what lies behind counts as
+    constant. Mitsuba keeps ``scale`` as a plain number, without a derivative: multiply ``sigma_t.data`` by a
+    differentiable number instead. The reverse-mode pass replays the march. For rays of whole viewpoints it stores the
+    adjoint of every sample, and each voxel gathers its own; for others it scatters them and stores nothing per step.
+    The derivatives of grids are bit-identical in every run. With one extinction channel the march is scalar, with three
+    it is done per channel.
 
     Errors, of one line each:
 
@@ -114,11 +122,17 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             )
         if "step" in props and not 0 < self.step < math.inf:
             raise ValueError(f'emission_absorption: "step" is {self.step}, expected a length > 0')
-        nested = [NestedIntegrator(value) for _, value in props.objects()]
+        self._colour = ColourGrid(props["colour"]) if "colour" in props else None
+        nested = [NestedIntegrator(value) for name, value in props.objects() if name != "colour"]
         if len(nested) > 1:
             raise ValueError(f"emission_absorption: {len(nested)} nested integrators, expected one at most")
         self._nested = nested[0] if nested else None
         self._media: SceneMedia | None = None
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        """Show the colour's parameters."""
+        if self._colour is not None:
+            callback.put("colour", self._colour.volume, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str]) -> None:
         """Discard what was resolved from the scene."""
@@ -130,6 +144,8 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
             self._media = SceneMedia(scene, named)
         else:
             self._media.refresh()
+        if self._colour is not None:
+            self._colour.give_to(self._media)
         return self._media
 
     def sample_rays(
@@ -171,7 +187,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         else:
             axis = together.axis if isinstance(together, ConvergingRays) else None
             lattice = Lattice(scene, ray, self._sample_distance(scene), axis=axis)
-            segments, behind, on_surface = [GridSegment(scene, lattice, self._quadrature)], None, False
+            segments, behind, on_surface = [self._grid_segment(scene, lattice)], None, False
         if mode == dr.ADMode.Primal:
             L = self._radiance(segments, behind)
         elif mode == dr.ADMode.Backward:
@@ -203,7 +219,7 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         if box is not None and (media.only_boundaries or self._nested is None):
             end = escaped(ray) if media.only_boundaries else first_surface(scene, ray, active)
             lattice = Lattice(box, ray, self._sample_distance(box), (mi.Float(0), end.distance), axis)
-            return [GridSegment(box, lattice, self._quadrature)], end
+            return [self._grid_segment(box, lattice)], end
         stretches, end = trace(scene, ray, active, named)
         return [
             self._segment(medium, ray, axis, *bounds)
@@ -223,7 +239,10 @@ class EmissionAbsorption(mi.ad.integrators.common.RBIntegrator):
         if isinstance(medium, HomogeneousMedium):
             return HomogeneousSegment(medium, entry, exit, self._quadrature)
         lattice = Lattice(medium, ray, self._sample_distance(medium), (entry, exit), axis)
-        return GridSegment(medium, lattice, self._quadrature)
+        return self._grid_segment(medium, lattice)
+
+    def _grid_segment(self, medium: GridMedium, lattice: Lattice) -> GridSegment:
+        return (GridSegment if medium.colour is None else ColouredSegment)(medium, lattice, self._quadrature)
 
     def _behind(
         self,

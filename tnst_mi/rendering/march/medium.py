@@ -106,6 +106,8 @@ class GridMedium:
         extinction: σ_t tensor (D, H, W, C) per world unit before `scale`, attached to the AD graph if the medium's is.
         scale: the medium's `scale`.
         transform: world space to the grid's unit cube.
+        colour: of what the medium emits, a tensor (D, H, W, 3), possibly attached; None for white. The integrator or
+            the renderer that marches through it sets it.
 
     Raises:
         RuntimeError: the medium is not `heterogeneous`, or its `sigma_t` is not a `gridvolume` that interpolates
@@ -116,6 +118,7 @@ class GridMedium:
         self.medium = medium
         self.parameters = mi.traverse(medium)
         self._occupancy: Occupancy | None = None
+        self.colour: mi.TensorXf | None = None
         volume = _children(medium).get("sigma_t")
         if volume is None or "data" not in mi.traverse(volume):
             raise RuntimeError(

@@ -1,7 +1,8 @@
 """The quadratures of `tnst_mi.choices`: what a march adds up along a ray, and the derivatives of that.
 
 In all of them h is the distance between samples, σ_k = γ d_k the extinction at sample k counted from the camera, τ_k =
-h Σ_{i≤k} σ_i the optical depth up to and including that sample, and T_k = exp(−τ_k).
+h Σ_{i≤k} σ_i the optical depth up to and including that sample, and T_k = exp(−τ_k). W_k is what the samples up to k
+show of white smoke, in units of `Quadrature.unit`; what they show of coloured smoke follows from it (`coloured`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ class Quadrature(ABC):
     Args:
         gamma: ratio γ of extinction to emission.
     """
+
+    #: Whether samples without smoke show something.
+    shows_empty_space = False
 
     def __init__(self, gamma: float) -> None:
         self.inv_gamma = opaque(1 / gamma)
@@ -50,6 +54,22 @@ class Quadrature(ABC):
     @abstractmethod
     def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
         """What extinction σ_t emits per length: in small steps, the radiance is the integral of this times T."""
+
+    @abstractmethod
+    def unit(self, lattice: Lattice) -> Any:
+        """The unit of W, a factor."""
+
+    @abstractmethod
+    def white(self, W: Any, h: Any, σ: Any, τ: Any) -> Any:
+        """W_k from W_{k−1}, by the operations of `radiance`, so that both have the same bits."""
+
+    @abstractmethod
+    def white_tangent(self, W_dot: Any, h: Any, σ: Any, τ: Any, σ_dot: Any, τ_dot: Any) -> Any:
+        """The derivative of W_k from that of W_{k−1}."""
+
+    @abstractmethod
+    def gain(self, T_before: Any, T: Any) -> Any:
+        """The g_k of ∂L/∂σ_k = h (c_k g_k − (L − S_k)), in units of `unit`; S_k is of the samples before k."""
 
 
 class InclusiveSum(Quadrature):
@@ -111,6 +131,22 @@ class InclusiveSum(Quadrature):
         """The density σ_t/γ."""
         return σ_t * self.inv_gamma
 
+    def unit(self, lattice: Lattice) -> mi.Float:
+        """1/γ."""
+        return self.inv_gamma
+
+    def white(self, W: Any, h: Any, σ: Any, τ: Any) -> Any:
+        """Σ h σ_k T_k."""
+        return W + h * σ * dr.exp(-τ)
+
+    def white_tangent(self, W_dot: Any, h: Any, σ: Any, τ: Any, σ_dot: Any, τ_dot: Any) -> Any:
+        """Σ h (σ̇_k − σ_k τ̇_k) T_k."""
+        return W_dot + h * (σ_dot - σ * τ_dot) * dr.exp(-τ)
+
+    def gain(self, T_before: Any, T: Any) -> Any:
+        """T_k."""
+        return T
+
 
 class Exact(Quadrature):
     """exact: L = (1 − T)/γ. The integrals of the segments between samples telescope: only τ is needed.
@@ -159,6 +195,22 @@ class Exact(Quadrature):
         """The density σ_t/γ."""
         return σ_t * self.inv_gamma
 
+    def unit(self, lattice: Lattice) -> mi.Float:
+        """The upper limit of the radiance."""
+        return self.limit(lattice)
+
+    def white(self, W: Any, h: Any, σ: Any, τ: Any) -> Any:
+        """1 − T_k."""
+        return -_expm1(-τ)
+
+    def white_tangent(self, W_dot: Any, h: Any, σ: Any, τ: Any, σ_dot: Any, τ_dot: Any) -> Any:
+        """T_k τ̇_k."""
+        return dr.exp(-τ) * τ_dot
+
+    def gain(self, T_before: Any, T: Any) -> Any:
+        """T_{k−1}: the segment of sample k emits c_k (T_{k−1} − T_k)."""
+        return T_before
+
 
 class Transmittance(Exact):
     """transmittance: L = 1 − T, γ times exact."""
@@ -178,6 +230,8 @@ class IntegratedTransmittance(Quadrature):
     ∂L/∂σ_k = −h Σ_{j≥k} h T_j = −h (L − S_k), where S_k is the part of L from the samples before k. That also holds
     with something behind the smoke, of which L then contains T times the radiance.
     """
+
+    shows_empty_space = True
 
     def radiance(self, march: GridMarch) -> tuple[Any, Any]:
         """Σ h T_k and τ."""
@@ -230,6 +284,22 @@ class IntegratedTransmittance(Quadrature):
     def source(self, σ_t: mi.Spectrum) -> mi.Spectrum:
         """1, with or without smoke."""
         return mi.Spectrum(1)
+
+    def unit(self, lattice: Lattice) -> float:
+        """1."""
+        return 1.0
+
+    def white(self, W: Any, h: Any, σ: Any, τ: Any) -> Any:
+        """Σ h T_k."""
+        return W + h * dr.exp(-τ)
+
+    def white_tangent(self, W_dot: Any, h: Any, σ: Any, τ: Any, σ_dot: Any, τ_dot: Any) -> Any:
+        """−Σ h τ̇_k T_k."""
+        return W_dot - h * τ_dot * dr.exp(-τ)
+
+    def gain(self, T_before: Any, T: Any) -> Any:
+        """0: what is shown does not depend on the density there."""
+        return T * 0
 
 
 def _expm1(x: Any) -> Any:

@@ -1,0 +1,70 @@
+"""The colour of a frame's smoke: which of the grids beside its density that is, and its values as linear RGB."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
+from tnst_mi.machine.terminal import quoted, some_of
+
+#: Names that say enough by themselves, in order of preference: Houdini's, and Blender's.
+_USUAL = ("cd", "color", "colour")
+
+_SHOWN = 6
+
+
+def colour_name(names: Iterable[str]) -> str | None:
+    """The name of the grid of the smoke's colours: Cd, color, or else the first whose name says that it is one.
+
+    Example:
+        >>> from tnst_mi.rendering.smoke_colour import colour_name
+        >>> colour_name(["flame", "smoke_color", "Cd"]), colour_name(["flame", "emission_color"])
+        ('Cd', None)
+    """
+    found = [name for name in names if is_colour(name) and "emission" not in plain_name(name).split()]
+    usual = [name for word in _USUAL for name in found if plain_name(name) == word]
+    return next(iter(usual + found), None)
+
+
+def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.ndarray:
+    """A grid of colours as linear RGB, (D, H, W, 3) float32; unsigned numbers count as parts of their largest.
+
+    Args:
+        grids: of a frame, by name.
+        name: of the grid.
+        frame: name of the frame, for messages.
+
+    Raises:
+        InputError: it is a scalar grid.
+    """
+    values = grids[name]
+    if values.ndim != 4:
+        raise InputError(f"{frame}: grid {quoted(name)} has shape {values.shape}, expected colours, {values.shape} × 3")
+    if values.dtype.kind == "u":
+        return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
+    return values.astype(np.float32)
+
+
+def require_colour(carried: Iterable[str], there: Iterable[str]) -> str:
+    """The name of the grid of colours among those that move with the smoke.
+
+    Args:
+        carried: the names of these.
+        there: the names of all grids that could.
+
+    Raises:
+        InputError: there is none, or it is left behind.
+    """
+    name, known = colour_name(carried), list(there)
+    if name is not None:
+        return name
+    if (left := colour_name(known)) is not None:
+        raise InputError(f"colour = 'keep': the smoke's colour {quoted(left)} is left out by carry; add it there")
+    among = some_of([quoted(one) for one in known], _SHOWN) or "none"
+    raise InputError(
+        f"colour = 'keep': no grid of colours, such as Cd or color, beside the density, those found are: {among}; "
+        "expected colour = 'off'"
+    )
