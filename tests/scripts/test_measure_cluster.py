@@ -69,8 +69,13 @@ def test_what_a_task_takes_beside_its_seconds_and_how_many_iterations_there_are_
 def test_growth_of_memory_is_counted_within_phases() -> None:
     """A worker takes 100 MB more when it begins to iterate, which is no growth, and then 3 MB per 100 frames."""
     seen = seen_of_a_worker(200, 2, seconds=0.05, beside=0.0)
+    for task in seen.tasks[120:200]:
+        task["kind"] = "scales"
     phases = memory._phases(seen)
-    assert phases == {"entering": (0, 200), "iterating": (200, 1000), "finishing": (1000, 1200)}
+    assert list(phases.items()) == [
+        *(("entering", (0, 120)), ("measuring", (120, 200))),
+        *(("iterating", (200, 1000)), ("finishing", (1000, 1200))),
+    ]
     when = np.linspace(0, 60, 1201)
     used = np.where(when < 10, 300.0, 400 + 6 * (when - 10) / 40)
     use = Use(when, {"worker 1": used}, {"worker 1": when / 2})
