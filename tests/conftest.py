@@ -25,6 +25,7 @@ hypothesis.settings.load_profile("repeatable")
 #: minutes they are a third. `pytest --slow` runs them as well.
 SLOW = (
     "cluster/test_batch_systems.py",
+    "cluster/test_cluster.py::test_after_one_was_refused_tasks_of_one_that_has_left_go_to_others",
     "cluster/test_cluster.py::test_a_frame_that_kills_its_workers_is_named",
     "cluster/test_cluster.py::test_the_bits_are_those_of_one_process[gradients]",
     "cluster/test_cluster.py::test_without_a_shared_folder_items_travel[keys2]",
@@ -65,6 +66,8 @@ SLOW = (
     "scripts/test_quality.py::test_of_several_styles_the_judge_finds_the_one_that_smoke_shows[flames]",
     "scripts/test_quality.py::test_of_several_styles_the_judge_finds_the_one_that_smoke_shows[net]",
     "scripts/test_train_patterns.py::test_an_interrupted_training_ends_as_an_uninterrupted_one",
+    "studio/test_browser.py::test_motifs_are_found_by_a_picture_and_shown",
+    "studio/test_browser.py::test_tries_are_gone_on_from_and_deleted",
     "studio/test_browser.py::test_a_render_outlives_the_page_and_the_studio",
     "studio/test_tries.py::test_a_render_on_a_cluster_outlives_the_studio_and_is_resumed",
     "studio/test_tries.py::test_a_try_that_runs_and_one_that_was_killed_are_gone_on_from",
