@@ -17,6 +17,7 @@ from quality_measures.judge import judge_of
 from quality_measures.measured import measured
 from quality_measures.seen import Look, held_out_views, size_of_images, style_picture
 from quality_measures.speed import ITERATIONS, equal_time, seconds_per_iteration
+from quality_measures.table import MEASURES
 from tnst_mi import GoogLeNet, Recipe, stylize
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
@@ -114,8 +115,10 @@ class Comparison:
         return self._found(trial) is not None
 
     def _found(self, trial: Trial) -> dict[str, Any] | None:
-        stored = _read(self._folder / f"{trial.name}.json")
-        return stored if stored is not None and stored["of"] == self._identity(trial) else None
+        stored = _read(self._folder / f"{trial.name}.json") or {"of": None}
+        # One that lacks a measure is of an earlier version of this script.
+        whole = stored["of"] == self._identity(trial) and stored.keys() >= MEASURES.keys()
+        return stored if whole else None
 
     def record(self, trial: Trial) -> dict[str, Any]:
         """The measures of a trial; it is made if it is not there.

@@ -309,7 +309,7 @@ def test_held_out_views_are_outside_of_the_ranges() -> None:
 
 
 def test_equal_time() -> None:
-    seconds = {"first": 0.2, "slow": 0.5, "as fast": 0.204, "fast": 0.1, "very slow": 100.0}
+    seconds = {"first": 0.2, "slow": 0.5, "as fast": 0.216, "fast": 0.1, "very slow": 100.0}
     assert equal_time(seconds, "first", 20) == {"first": 20, "slow": 8, "as fast": 20, "fast": 40, "very slow": 1}
 
 
