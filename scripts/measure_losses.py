@@ -62,7 +62,7 @@ def iteration(frame: Frame, recipe: Recipe, network: GoogLeNet) -> Callable[[], 
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("frame", nargs="?", type=Path, default=BUNDLED)
     parser.add_argument("--style", default="spirals")
     parser.add_argument("--weights", help="as of tnst-mi stylize")
