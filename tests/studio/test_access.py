@@ -223,8 +223,11 @@ def test_malformed_values_are_refused(studio: Studio, body: bytes) -> None:
 
 
 def test_other_methods_are_none(studio: Studio) -> None:
-    for method in ("PUT", "DELETE", "OPTIONS", "PATCH"):
-        assert studio.request(method, "/").status == 501
+    for method in ("PUT", "DELETE", "OPTIONS", "PATCH", "HEAD"):
+        refused = studio.request(method, "/")
+        assert refused.status == 405 and refused.headers["Allow"] == "GET, POST"
+        assert refused.headers["X-Frame-Options"] == "DENY" and b"<" not in refused.body
+        assert (refused.body == b"") == (method == "HEAD")
 
 
 def test_where_it_cannot_listen_is_said(studio: Studio) -> None:

@@ -91,10 +91,11 @@ class WorkRecord:
         texts = isinstance(record.source, str) and all(
             isinstance(text, str | None) for text in (record.start_from, record.frames, record.cluster)
         )
-        counts = (record.pid, record.log_begin, 0 if record.code is None else abs(record.code), *record.shape)
+        counts = (record.pid, record.log_begin, *record.shape)
+        code = record.code is None or (isinstance(record.code, int) and abs(record.code) <= _LARGEST)
         numbers = isinstance(record.began, int | float) and math.isfinite(record.began)
         bounded = all(isinstance(count, int) and 0 <= count <= _LARGEST for count in counts)
-        sound = texts and numbers and bounded and len(record.shape) == 3 and min(record.shape) > 0
+        sound = texts and numbers and code and bounded and len(record.shape) == 3 and min(record.shape) > 0
         return record if sound and record.pid <= _LARGEST_PID else None
 
     def write(self, path: Path) -> None:

@@ -32,7 +32,7 @@ class Connections:
                 return
             oldest = next(iter(self._strangers))
             del self._strangers[oldest]
-            # Its thread reads the end of it, and closes it. It is not closed yet, since what is closed is not in here.
+            # Its thread reads the end of it, and closes it, unless it has done so by now.
             with suppress(OSError):
                 oldest.shutdown(socket.SHUT_RDWR)
 
@@ -61,7 +61,7 @@ class Connections:
             return True
 
     def end(self, connection: socket.socket) -> None:
-        """Forget one, before it is closed."""
+        """Forget one that has ended."""
         with self._lock:
             self._strangers.pop(connection, None)
             self._admitted.discard(connection)

@@ -70,6 +70,8 @@ class StudioServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    # Connections that wait to be taken: of the system's few, those of strangers would be all.
+    request_queue_size = 128
 
     def __init__(self, host: str, port: int, routes: Routes) -> None:
         self.connections = Connections()
@@ -118,7 +120,11 @@ class StudioServer(ThreadingHTTPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Give a connection a thread; it counts as one that has not been let in."""
         self.connections.begin(request)
-        super().process_request(request, client_address)
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError:  # the system gives no more threads
+            self.connections.end(request)
+            self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection until it ends."""
@@ -160,7 +166,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def handle_one_request(self) -> None:
         """Wait for a request, for as long as whoever sends it may, and answer it."""
-        self._reader.limit(_IDLE if self.server.connections.let_in(self.connection) else _HEAD)
+        known = self.server.connections.let_in(self.connection)
+        self._reader.limit(_IDLE if known else _HEAD)
         try:
             begun = self.rfile.peek(1)  # pyright: ignore[reportAttributeAccessIssue]
         except TimeoutError:
@@ -168,7 +175,8 @@ class _Handler(BaseHTTPRequestHandler):
         if not begun:
             self.close_connection = True
             return
-        self._reader.limit(_HEAD)
+        if known:
+            self._reader.limit(_HEAD)
         super().handle_one_request()
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
@@ -176,7 +184,7 @@ class _Handler(BaseHTTPRequestHandler):
         if code == 501:
             self._refuse(405, f"405: expected one of {_METHODS}\n", {"Allow": _METHODS})
         else:
-            self._refuse(code, f"{code}: {message or self.responses[HTTPStatus(code)][0]}\n")
+            self._refuse(code, f"{code}: {one_line(message or HTTPStatus(code).phrase)}\n")
 
     def do_GET(self) -> None:
         """Answer what asks for something."""
