@@ -55,6 +55,9 @@ READ_EVERY, PAUSE, UPLOAD_EVERY, TRY_EVERY = 10.0, 0.5, 20.0, 60.0
 #: Seconds for a run to end, or to get as far as is waited for.
 PATIENCE = 300
 
+#: Seconds for the studio to end, in which it pauses its tries.
+ENDING = 60
+
 
 class Client:
     """The studio as a browser sees it, on one connection.
@@ -115,23 +118,18 @@ class Client:
             if time.monotonic() > end or work["status"] == "failed":
                 raise SystemExit(f"the try is {work['status']}: {work['error']}")
             time.sleep(0.2)
+        # The studio closes connections that nobody has used for a minute, as the one of the pictures may have been.
+        self._connection.close()
 
     def _answer(self, method: str, path: str, body: str | bytes | None) -> bytes:
         begun = time.monotonic()
-        try:
-            status, read = self._exchange(method, path, body)
-        except ConnectionError:  # the studio closes connections that are idle for a minute; browsers open another
-            self._connection.close()
-            status, read = self._exchange(method, path, body)
+        self._connection.request(method, path, body, {"Cookie": self._cookie})
+        response = self._connection.getresponse()
+        status, read = response.status, response.read()
         self.longest = max(self.longest, time.monotonic() - begun)
         if status != 200:
             raise SystemExit(f"{path}: {status} {read.decode('utf-8', 'replace')}")
         return read
-
-    def _exchange(self, method: str, path: str, body: str | bytes | None) -> tuple[int, bytes]:
-        self._connection.request(method, path, body, {"Cookie": self._cookie})
-        response = self._connection.getresponse()
-        return response.status, response.read()
 
 
 @contextmanager
@@ -143,7 +141,13 @@ def studio(frames: Path, out: Path) -> Iterator[Client]:
         try:
             yield Client(process, process.stdout.readline().split()[-1])
         finally:
-            process.send_signal(signal.SIGINT)
+            # Shells let what they run in the background ignore SIGINT, and what it begins likewise.
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(ENDING)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise SystemExit(f"the studio has not ended within {ENDING} seconds") from None
 
 
 def measured(frame: Path, minutes: float) -> dict[str, Any]:

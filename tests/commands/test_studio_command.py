@@ -15,9 +15,12 @@ from command_line import Run, refused, run, smoke
 from jobs import FakeOptimiser, optimiser
 
 import tnst_mi.run.job
-from tnst_mi.commands.studio import first_and_root
+from tnst_mi.commands.studio import _open, alone_in, first_and_root
+from tnst_mi.errors import InputError
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.prepare import prepare
+from tnst_mi.studio.places import Places
+from tnst_mi.studio.session import Session
 
 __all__ = ["optimiser", "run", "smoke"]
 
@@ -72,3 +75,30 @@ def test_the_url_is_printed_exposure_is_said_and_ctrl_c_ends_it(smoke: Path, tmp
     (note,) = errors.splitlines()
     assert note.startswith("note: --host 127.0.0.2: whoever reaches") and str(smoke) in note
     assert os.listdir(tmp_path) == ["smoke"]  # a studio in which nothing is done writes nothing
+
+
+def test_one_studio_at_a_time_has_a_folder(run: Run, smoke: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with alone_in(out):
+        message = f"another studio is writing there .process {os.getpid()} on "
+        refused(run, smoke.parent, ["studio", smoke, "--out", out], message)
+        (out / "tries").mkdir()
+    assert os.listdir(out) == ["tries"]
+    with alone_in(out):
+        pass
+    assert os.listdir(out) == ["tries"]
+
+
+def test_a_folder_with_a_damaged_frame_is_opened_with_the_error(smoke: Path, tmp_path: Path) -> None:
+    """A file that is named has to be sound."""
+    (smoke / "f_08.npz").write_bytes(b"")
+    session = Session(Places(smoke), tmp_path / "out")
+    with pytest.raises(InputError, match=r"f_08\.npz"):
+        _open(session, smoke / "f_08.npz")
+    _open(session, smoke)
+    told = session.state()
+    assert told["opened"] is None and "0 bytes" in told["notice"] and "\n" not in told["notice"]
+    # It goes as soon as something else is opened.
+    session.open(smoke / "f_07.npz")
+    assert session.state()["notice"] is None
+    session.end()

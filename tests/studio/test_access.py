@@ -18,6 +18,7 @@ from studios import Studio, running
 
 from tnst_mi.errors import InputError
 from tnst_mi.io import save_frames
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.studio.page.messages import PageAnswer, PageRequest
 from tnst_mi.studio.page.server import LARGEST_BODY, LARGEST_UPLOAD, StudioServer
 from tnst_mi.studio.places import Places
@@ -140,6 +141,42 @@ def test_runs_and_links_in_circles_are_told_apart(tmp_path: Path) -> None:
         places.within("circle/x")
 
 
+def test_goals_are_those_that_the_page_offers(studio: Studio) -> None:
+    secret = studio.session.places.root.parent / "secret.png"
+    secret.write_bytes(png(8, 8))
+    for key, goal in (
+        ("style", str(secret)),
+        ("style", "/none.png"),
+        ("style", "../secret.png"),
+        ("tag", "no such thing"),
+        ("semantic", "nonsense:1"),
+        ("semantic", "inception_4b/pool_proj"),
+        ("semantic", "inception_4b/pool_proj:-1"),
+        ("content", str(secret)),
+        ("style", "\0"),
+    ):
+        refused = studio.post("/goal", key=key, goal=goal)
+        assert refused.status == 400 and "\n" not in refused.error
+    # What is there and what is not are refused alike.
+    there, nowhere = (studio.post("/goal", key="style", goal=str(path)).error for path in (secret, "/none.png"))
+    assert there == nowhere
+    # What a recipe came with can be removed, but not be chosen again.
+    studio.session.settings.base = Recipe(style=(str(secret),), tag=("no such thing",))
+    for key, goal in (("style", str(secret)), ("tag", "no such thing")):
+        assert [studio.post("/goal", key=key, goal=goal).status for _ in range(2)] == [200, 400]
+    studio.session.settings.base = Recipe()
+
+
+def test_a_long_list_is_sorted_before_it_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tnst_mi.studio.places._MOST", 3)
+    for name in ("e.npz", "b.npz", "d.npz", "c.npz"):
+        (tmp_path / name).touch()
+    (tmp_path / "a").mkdir()
+    listed = [(entry["name"], entry["kind"]) for entry in Places(tmp_path).entries("")]
+    assert listed[:3] == [("a", "folder"), ("b.npz", "frames"), ("c.npz", "frames")]
+    assert listed[3:] == [("and 2 more, by their path: tnst-mi studio PATH", "more")]
+
+
 # ---------------------------------------------------------------- what is sent
 
 
@@ -223,8 +260,11 @@ def test_malformed_values_are_refused(studio: Studio, body: bytes) -> None:
 
 
 def test_other_methods_are_none(studio: Studio) -> None:
-    for method in ("PUT", "DELETE", "OPTIONS", "PATCH"):
-        assert studio.request(method, "/").status == 501
+    for method in ("PUT", "DELETE", "OPTIONS", "PATCH", "HEAD"):
+        refused = studio.request(method, "/")
+        assert refused.status == 405 and refused.headers["Allow"] == "GET, POST"
+        assert refused.headers["X-Frame-Options"] == "DENY" and b"<" not in refused.body
+        assert (refused.body == b"") == (method == "HEAD")
 
 
 def test_where_it_cannot_listen_is_said(studio: Studio) -> None:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import platform
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tnst_mi.commands.arguments import StudioArguments
 from tnst_mi.commands.base import checked, given, say
 from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.backend import activate
+from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.lock import locked
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
@@ -32,10 +38,35 @@ def run(arguments: StudioArguments) -> int:
     first, root = first_and_root(arguments.input)
     activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
     out = expanded(arguments.out)
+    require_writable(out, remedy=None)
+    with alone_in(out):
+        return _serve(arguments, port, first, root, out)
+
+
+@contextmanager
+def alone_in(out: Path) -> Iterator[None]:
+    """Within the block, no other studio has this folder, which is made; if nothing is in it at the end, it is removed.
+
+    Raises:
+        InputError: another one has it.
+        OSError: it cannot be written to.
+    """
+    new = not out.exists()
+    make_folder(out)
+    try:
+        with locked(out, by="studio"):
+            yield
+    finally:
+        if new:
+            with suppress(OSError):  # something is in it
+                out.rmdir()
+
+
+def _serve(arguments: StudioArguments, port: int, first: Path | None, root: Path, out: Path) -> int:
     cluster = None if arguments.cluster is None else checked_address(arguments.cluster, None)
     session = Session(Places(root), out, cluster)
     if first is not None:
-        session.open(first)
+        _open(session, first)
     motifs, examples = MotifBrowser(session.places, out), ExampleMaker(out)
     server = StudioServer(arguments.host, port, StudioRoutes(session, motifs, examples))
     if arguments.host not in LOOPBACK:
@@ -63,6 +94,20 @@ def run(arguments: StudioArguments) -> int:
     return 0
 
 
+def _open(session: Session, first: Path) -> None:
+    """Show what was named; of a folder in which something cannot be shown, the page says so and offers the rest.
+
+    Raises:
+        InputError: it is a file or a run, and cannot be shown.
+    """
+    try:
+        session.open(first)
+    except InputError as error:
+        if not first.is_dir() or holds_run(first):
+            raise
+        session.notice = one_line(str(error))
+
+
 def first_and_root(given: Path | None) -> tuple[Path | None, Path]:
     """What is opened first, if anything, and the folder below which all that can be opened lies.
 
@@ -85,8 +130,7 @@ def first_and_root(given: Path | None) -> tuple[Path | None, Path]:
 
 def _has_frames(folder: Path) -> bool:
     """Whether a folder holds frames rather than folders of them and runs."""
-    entries = Places(folder).entries("")
-    return any(entry["kind"] == "frames" for entry in entries)
+    return any(entry.kind == "frames" for entry in Places(folder).found(""))
 
 
 def _url(host: str, server: StudioServer) -> str:

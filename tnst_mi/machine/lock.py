@@ -132,14 +132,18 @@ class FolderLock:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[FolderLock]:
+def locked(folder: Path, by: str = "run") -> Iterator[FolderLock]:
     """Hold the lock of an existing folder; the lock file is removed in the end.
+
+    Args:
+        folder: the folder.
+        by: what holds it, in messages, such as "studio".
 
     Raises:
         InputError: another process holds it, or what has the name of the lock file is none.
         OSError: the lock file cannot be written.
     """
-    lock = FolderLock(folder, _taken(folder))
+    lock = FolderLock(folder, _taken(folder, by))
     try:
         _write_holder(lock.descriptor)
         yield lock
@@ -163,13 +167,13 @@ def require_unlocked(folder: Path) -> None:
         _close(descriptor)
 
 
-def _taken(folder: Path) -> int:
+def _taken(folder: Path, by: str) -> int:
     """The descriptor of the folder's lock file, locked."""
     path = folder / LOCK
     while True:
         descriptor = _open(path, os.O_RDWR | os.O_CREAT)
         try:
-            _require_unheld(folder, descriptor, exclusive=True)
+            _require_unheld(folder, descriptor, exclusive=True, by=by)
         except BaseException:
             _close(descriptor)
             raise
@@ -221,19 +225,19 @@ def _no_lock(path: Path) -> InputError:
     )
 
 
-def _require_unheld(folder: Path, descriptor: int, exclusive: bool) -> None:
+def _require_unheld(folder: Path, descriptor: int, exclusive: bool, by: str = "run") -> None:
     """Lock an open lock file, so that others still may do the same unless it is exclusive, or refuse."""
     known = _system_lock(descriptor, exclusive)
     holder = _holder(descriptor)
     if known is False or (known is None and holder and holder.host == platform.node() and holder.lives()):
         where = holder or "unknown process"
         raise InputError(
-            one_line(f"{folder}: another run is writing there ({where}); wait for its end, or give another folder")
+            one_line(f"{folder}: another {by} is writing there ({where}); wait for its end, or give another folder")
         )
     if holder and holder.host != platform.node():
         raise InputError(
             one_line(
-                f"{folder}: another run was writing there ({holder}), which cannot be asked from here; if it has "
+                f"{folder}: another {by} was writing there ({holder}), which cannot be asked from here; if it has "
                 f"ended, remove {folder / LOCK}"
             )
         )

@@ -68,7 +68,7 @@ _FOLDERS = ("density", "velocity", "images", "state")
 WORK, OCTAVES = ".work", "octaves"
 
 #: What a damaged run.json makes those raise who read it.
-DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError)
 ELSEWHERE = "give another folder"
 
 

@@ -24,7 +24,7 @@ class PlaceEntry:
     Attributes:
         name: as it is shown.
         path: from the started folder, with / between folders.
-        kind: "run", "folder" or "frames" (a file that may hold a frame).
+        kind: "run", "folder" or "frames" (a file that may hold a frame); "more" counts those that are not listed.
     """
 
     name: str
@@ -58,10 +58,18 @@ class Places:
     def relative(self, path: Path) -> str | None:
         """The path from the started folder; None if it is not below it."""
         inside = self._inside(path)
-        return None if inside is None else inside.relative_to(self.root).as_posix()
+        return None if inside is None else self._name_of(inside)
 
     def entries(self, relative: str) -> list[dict[str, Any]]:
-        """What is in a folder, runs first, then folders, then files that may hold frames.
+        """The first of `found`, as values for JSON, and how many more there are."""
+        found = self.found(relative)
+        shown, more = found[:_MOST], len(found) - _MOST
+        if more > 0:
+            shown.append(PlaceEntry(f"and {more} more, by their path: tnst-mi studio PATH", "", "more"))
+        return [asdict(entry) for entry in shown]
+
+    def found(self, relative: str) -> list[PlaceEntry]:
+        """What is in a folder, runs first, then folders, then files that may hold frames, each by their names.
 
         Raises:
             InputError: it is no folder below the started one, or cannot be read.
@@ -72,15 +80,17 @@ class Places:
         found: list[PlaceEntry] = []
         with gate(folder, "a folder"), os.scandir(folder) as scanned:
             for entry in scanned:
-                path = self.relative(Path(entry.path))
-                if path is None or entry.name.startswith("."):
+                if entry.name.startswith("."):
                     continue
-                if kind := _kind(entry):
+                # The folder has been resolved: only a link can lead out of it.
+                path = self.relative(Path(entry.path)) if entry.is_symlink() else self._name_of(folder / entry.name)
+                if path is not None and (kind := _kind(entry)):
                     found.append(PlaceEntry(displayable(entry.name), path, kind))
-                if len(found) == _MOST:
-                    break
         ranks = ("run", "folder", "frames")
-        return [asdict(entry) for entry in sorted(found, key=lambda entry: (ranks.index(entry.kind), entry.name))]
+        return sorted(found, key=lambda entry: (ranks.index(entry.kind), entry.name))
+
+    def _name_of(self, path: Path) -> str:
+        return path.relative_to(self.root).as_posix()
 
     def _inside(self, path: Path) -> Path | None:
         """A path without links; None if it leads out of the folder, or nowhere."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import threading
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +21,8 @@ from tnst_mi.studio.jobs.processes import DONE
 from tnst_mi.studio.jobs.work import RENDERS
 from tnst_mi.studio.jobs.workshop import Workshop
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.plain import plain_recipe
+from tnst_mi.studio.telling import json_text
 from tnst_mi.studio.told import opened_told, physics_told
 from tnst_mi.studio.view.lit import LitPainter
 from tnst_mi.studio.view.opened import opened
@@ -48,6 +49,7 @@ class Session:
         start: the name of the try or render, and the octave of its state, from which the next one goes on; None to
             begin anew.
         settings: what is set.
+        notice: why what the studio was started with cannot be shown; None if it is, or something else has been opened.
         painter, lit: paint what is opened; None as long as nothing is.
     """
 
@@ -57,6 +59,7 @@ class Session:
         self.painter: SightPainter | None = None
         self.lit: LitPainter | None = None
         self._source: Path | None = None
+        self.notice: str | None = None
         self._news, self._version, self._ended = threading.Condition(), 0, False
         self.workshop = Workshop(out, self._changed)
         self.paintings = Paintings(out / "masks")
@@ -74,7 +77,7 @@ class Session:
                 self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
             record = found.results.record
             self._source = path if record is None else _input_of(record)
-            self.start = None
+            self.start = self.notice = None
             self._changed()
 
     @property
@@ -173,9 +176,7 @@ class Session:
             InputError: nothing is opened, or it has no v*.
         """
         with self._news:
-            painter = self.painter
-        if painter is None:
-            raise InputError(_NOTHING)
+            painter = self._opened()
         return painter.arrows(Sight.of_query(query, len(painter.opened.results.frames))).described()
 
     def recipe(self) -> Recipe:
@@ -237,7 +238,7 @@ class Session:
         if work.status == DONE:
             self.open_work(name)
         else:
-            recipe = Recipe.from_toml(work.process.recipe_file)
+            recipe = plain_recipe(work.process.recipe_file)
             self.open(Path(work.process.record.source))
             with self._news:
                 self.settings = StudioSettings(dataclasses.replace(recipe, quality=FINAL))
@@ -283,6 +284,7 @@ class Session:
                 "cluster": self.cluster or "",
                 "opened": None if painter is None else opened_told(painter, self.places, recipe),
                 "physics": physics_told(recipe),
+                "notice": self.notice,
                 **self.settings.described(),
             }
 
@@ -293,7 +295,7 @@ class Session:
             with self._news:
                 self._news.wait_for(lambda known=known: self._version != known or self._ended, _STILL_HERE)
                 changed, known = self._version != known, self._version
-            yield json.dumps(self.state()) if changed else ""
+            yield json_text(self.state()) if changed else ""
 
     def end(self) -> list[str]:
         """End all `news`, and pause the tries; returns the names of those that ran."""

@@ -13,6 +13,7 @@ async function list(at) {
     rows.push(up);
   }
   for (const entry of entries) {
+    if (entry.kind === "more") { rows.push(element("p", entry.name)); continue; }
     const mark = { run: "● ", folder: "▸ ", frames: "" }[entry.kind];
     const row = element("button", mark + entry.name, { className: entry.kind, title: entry.path });
     row.dataset.path = entry.path;

@@ -2,7 +2,7 @@
 
 // What all tabs share, as the server tells it, shown by the other scripts.
 
-let shownKey = null, shownShape = null;
+let shownKey = null, shownShape = null, shownNotice = null;
 
 function told(next) {
   const shownParts = () => JSON.stringify([state.knobs, state.opened, state.masks]);
@@ -31,6 +31,10 @@ function told(next) {
     if (state.opened.notes.length) complain(state.opened.notes.join(" "));
   } else if (before !== shownParts()) {
     look();
+  }
+  if (state.notice !== shownNotice) {
+    shownNotice = state.notice;
+    if (shownNotice) complain(shownNotice);
   }
   document.dispatchEvent(new Event("told"));
 }

@@ -19,7 +19,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.download import file_hash
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.weights import find_weights
-from tnst_mi.studio.jobs.processes import excerpt
+from tnst_mi.studio.plain import excerpt, opened_plain
 
 #: The folder of these atlases below that of the studio, and what the processes that make them say.
 ATLASES, _LOG = "atlases", "atlases.log"
@@ -62,7 +62,7 @@ class ExampleMaker:
         """
         by_layer: dict[str, list[int]] = defaultdict(list)
         for goal in goals:
-            layer, channel = _channel(goal, tags)
+            layer, channel = channel_of(goal, tags)
             by_layer[layer].append(channel)
         path = find_weights(weights).path
         with self._lock:
@@ -117,7 +117,7 @@ class ExampleMaker:
             with self._lock:
                 if self._ended:
                     return None
-                with log.open("wb") as opened:
+                with opened_plain(log, "wb") as opened:
                     self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=opened, stderr=opened)
                 with suppress(psutil.Error):
                     psutil.Process(self._process.pid).nice(_NICENESS if psutil.POSIX else None)
@@ -132,8 +132,16 @@ class ExampleMaker:
         return one_line(said[-1] if said else f"the process that makes pictures has ended with code {code}")
 
 
-def _channel(goal: object, tags: Sequence[str]) -> tuple[str, int]:
-    """The layer and the number of what a tag or a channel is called."""
+def channel_of(goal: object, tags: Sequence[str]) -> tuple[str, int]:
+    """The layer and the number of what a tag or a channel is called.
+
+    Args:
+        goal: a pair of a key, "tag" or "semantic", and a value of it.
+        tags: all tags of the network, in the order of its classes.
+
+    Raises:
+        InputError: it is neither.
+    """
     match goal:
         case ["tag", str(tag)] if tag in tags:
             return LOGITS, tags.index(tag)

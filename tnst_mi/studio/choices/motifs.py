@@ -25,10 +25,11 @@ from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
-from tnst_mi.studio.choices.examples import ATLASES
+from tnst_mi.studio.choices.examples import ATLASES, channel_of
 from tnst_mi.studio.choices.similarity import COMPARED, PictureAnswer
 from tnst_mi.studio.choices.uploads import as_png, read_upload
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.plain import is_plain
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
 _TAGS, _CHANNELS = 48, 64
@@ -215,13 +216,30 @@ class MotifBrowser:
         with written_whole(file) as temporary:
             temporary.write_bytes(as_png(image.grey, image.alpha))
 
+    def require_offered(self, key: str, goal: str, weights: str | None) -> None:
+        """Check that a goal is one of those that can be chosen: a style that is listed, a tag, or a channel.
+
+        Args:
+            key: of the recipe.
+            goal: the value.
+            weights: the recipe's key, which decides what tags there are.
+
+        Raises:
+            InputError: it is none, or the weights cannot be used.
+        """
+        if key != "style":
+            channel_of([key, goal], self.tags(weights))
+        elif all(goal != motif.goal for motif in self._styles()):
+            raise InputError("studio: no such style; choose one of those on the left, or drop its picture there")
+
     def _styles(self) -> Iterator[Motif]:
         return (motif for motif, _ in self._style_files())
 
     def _style_files(self) -> Iterator[tuple[Motif, Path]]:
         """Uploaded pictures, the latest first, and those that ship with the package."""
         with decoding(self._pictures, "the folder of pictures"):
-            uploaded = sorted(self._pictures.glob("*.png"), key=lambda file: -file.stat().st_mtime)
+            uploaded = [file for file in self._pictures.glob("*.png") if is_plain(file)]
+            uploaded.sort(key=lambda file: -file.stat().st_mtime)
         files = [(str(file.resolve()), file) for file in uploaded]
         files += [(name, STYLES / f"{name}.png") for name in shipped_styles()]
         for goal, file in files:

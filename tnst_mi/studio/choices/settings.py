@@ -94,15 +94,23 @@ class StudioSettings:
         self._with(values)
         self.values = values
 
+    def goals(self, key: str) -> list[str]:
+        """The goals of a key, as the page knows them.
+
+        Raises:
+            InputError: the key names no goals.
+        """
+        if key not in GOAL_KEYS:
+            raise InputError(one_line(f"studio: no goals {key!r}, expected one of {', '.join(GOAL_KEYS)}"))
+        return [shipped_name(name) for name in getattr(self.recipe, key)]
+
     def toggle(self, key: str, goal: str) -> None:
         """Add a goal, or remove it if it is there.
 
         Raises:
             InputError: the key names no goals, or does not allow it.
         """
-        if key not in GOAL_KEYS:
-            raise InputError(one_line(f"studio: no goals {key!r}, expected one of {', '.join(GOAL_KEYS)}"))
-        before = [shipped_name(name) for name in getattr(self.recipe, key)]
+        before = self.goals(key)
         after = [name for name in before if name != goal] if goal in before else [*before, goal]
         values = self.values | {key: after}
         self._with(values)

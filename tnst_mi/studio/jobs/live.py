@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
-from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE, WORK
 from tnst_mi.run.time_left import TimeLeft, octave_sizes
+from tnst_mi.studio.plain import opened_plain, plain_json, plain_recipe
 
 #: Bytes that are read of a log at a time, at most.
 _CHUNK = 1 << 20
+
+#: What no octave, no iteration and no loss reaches: means of larger ones would not be finite, and curves show nothing.
+_OCTAVES, _ITERATIONS, _LOSSES = 100, 10**9, 1e100
 
 
 class LiveRun:
@@ -88,12 +93,12 @@ class LiveRun:
     def _read_on(self, log: Path) -> None:
         """Read the lines that have been added to a log since it was read last."""
         try:
-            size, begin = log.stat().st_size, self._read.get(log, 0)
-            if size < begin:  # it was written anew
-                begin = 0
-            if size == begin:
-                return
-            with log.open("rb") as opened:
+            with opened_plain(log) as opened:
+                size, begin = os.fstat(opened.fileno()).st_size, self._read.get(log, 0)
+                if size < begin:  # it was written anew
+                    begin = 0
+                if size == begin:
+                    return
                 opened.seek(begin)
                 added = opened.read(_CHUNK)
         except OSError:
@@ -106,16 +111,19 @@ class LiveRun:
     def _take(self, line: bytes) -> None:
         try:
             entry: Any = json.loads(line)
-            place = int(entry["octave"]), int(entry["iteration"])
-            self._losses[place][str(entry["frame"])] = float(entry["loss"])
-        except (ValueError, KeyError, TypeError, RecursionError):
-            pass
+            octave, iteration, loss = int(entry["octave"]), int(entry["iteration"]), float(entry["loss"])
+            frame = str(entry["frame"])
+        except (ValueError, LookupError, TypeError, RecursionError, OverflowError):
+            return
+        sound = math.isfinite(loss) and abs(loss) < _LOSSES
+        if sound and 0 <= octave < _OCTAVES and 0 <= iteration < _ITERATIONS:
+            self._losses[octave, iteration][frame] = loss
 
     def _plan(self) -> None:
         """What there is to do, from the recipe and run.json."""
         try:
-            sizes = octave_sizes(Recipe.from_toml(self._recipe_file), self._shape)
-            run = json.loads((self._folder / "run.json").read_text("utf-8"))
+            sizes = octave_sizes(plain_recipe(self._recipe_file), self._shape)
+            run = plain_json(self._folder / "run.json")
             frames, earlier = len(run["inputs"]), run.get("from")
             if earlier is not None:
                 done = [size.iterations for size in sizes[: int(earlier["octave"])]]

@@ -8,6 +8,7 @@ under way; to resume is `--resume`, to the same bits.
 from __future__ import annotations
 
 import json
+import math
 import re
 import signal
 import subprocess
@@ -21,8 +22,11 @@ from typing import Any, Self
 
 import psutil
 
+from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.machine.terminal import one_line
 from tnst_mi.run.folder import DAMAGE, holds_run
+from tnst_mi.studio.plain import excerpt, opened_plain, plain_json
 
 #: What can be said of a run: its process is there; it has ended; the studio has paused it; it was ended by something
 #: else, such as a restart of the machine or a full disk, and can be resumed; it cannot be done as it is.
@@ -39,6 +43,9 @@ _RECORD, _FIRST_WORDS, _LAST_WORDS = 1 << 16, 1 << 16, 1 << 12
 
 #: How a run on a cluster says where Dask shows what it does.
 _DASHBOARD = re.compile(r"\bdashboard (https?://[\w.:\[\]-]+/[\w/.-]*)")
+
+#: The largest number of a process, and the largest other number in a record.
+_LARGEST_PID, _LARGEST = 2**31 - 1, 2**53
 
 #: Two readings of the time when a process began differ by less, in seconds.
 _SAME_START = 1.0
@@ -84,10 +91,12 @@ class WorkRecord:
         texts = isinstance(record.source, str) and all(
             isinstance(text, str | None) for text in (record.start_from, record.frames, record.cluster)
         )
-        numbers = isinstance(record.began, int | float) and isinstance(record.code, int | None)
-        counts = all(isinstance(count, int) and count >= 0 for count in (record.pid, record.log_begin))
-        sound = texts and numbers and counts and len(record.shape) == 3
-        return record if sound else None
+        counts = (record.pid, record.log_begin, *record.shape)
+        code = record.code is None or (isinstance(record.code, int) and abs(record.code) <= _LARGEST)
+        numbers = isinstance(record.began, int | float) and math.isfinite(record.began)
+        bounded = all(isinstance(count, int) and 0 <= count <= _LARGEST for count in counts)
+        sound = texts and numbers and code and bounded and len(record.shape) == 3 and min(record.shape) > 0
+        return record if sound and record.pid <= _LARGEST_PID else None
 
     def write(self, path: Path) -> None:
         """Write it."""
@@ -103,10 +112,15 @@ class RunProcess:
     Args:
         folder: of the run.
         record: what is known of it.
+
+    Attributes:
+        folder, record: likewise.
+        trouble: why the record could not be written the last time; None if it was.
     """
 
     def __init__(self, folder: Path, record: WorkRecord) -> None:
         self.folder, self.record = folder, record
+        self.trouble: str | None = None
         self._child: subprocess.Popen[bytes] | None = None
         #: One thread may begin a run while another looks at it.
         self._beginning = threading.Lock()
@@ -136,9 +150,11 @@ class RunProcess:
             self._begin(command)
 
     def _begin(self, command: list[str]) -> None:
-        with self.log_file.open("ab") as log:
+        with opened_plain(self.log_file, "ab") as log:
             # Before it begins: were this process to end here, the run could be resumed.
             self._note(pid=0, began=0.0, code=None, paused=False, log_begin=log.tell())
+            if self.trouble is not None:
+                raise InputError(f"studio: {self.trouble}; mend that")
             self._child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
@@ -176,6 +192,8 @@ class RunProcess:
     def status(self) -> str:
         """What can be said of the run now."""
         with self._beginning:
+            if self.trouble is not None:
+                self._note()  # what could not be written may be possible by now
             if self._runs():
                 return RUNNING
         if self._recorded_status() == DONE:
@@ -226,13 +244,18 @@ class RunProcess:
 
     def _recorded_status(self) -> str | None:
         try:
-            return str(json.loads((self.folder / "run.json").read_text("utf-8"))["status"])
+            return str(plain_json(self.folder / "run.json")["status"])
         except DAMAGE:
             return None
 
     def _note(self, **changes: Any) -> None:
+        """Change the record, and write it; what keeps it from being written is `trouble`, and does not end the run."""
         self.record = replace(self.record, **changes)
-        self.record.write(self.folder.with_suffix(".json"))
+        try:
+            self.record.write(self.folder.with_suffix(".json"))
+            self.trouble = None
+        except OSError as error:
+            self.trouble = one_line(f"{self.folder.with_suffix('.json')} cannot be written ({error.strerror or error})")
 
 
 def _signal_name(number: int) -> str:
@@ -240,22 +263,3 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
-
-
-def excerpt(file: Path, most: int, begin: int = 0, last: bool = False) -> str:
-    """Some bytes of a text file; nothing if there is none.
-
-    Args:
-        file: the file; what is no plain one, such as a pipe, for which one would wait, counts as none.
-        most: how many bytes, at most.
-        begin: those before are left out.
-        last: whether to take the last ones rather than the first.
-    """
-    try:
-        if not file.is_file():
-            return ""
-        with file.open("rb") as opened:
-            opened.seek(max(begin, file.stat().st_size - most) if last else begin)
-            return opened.read(most).decode("utf-8", "replace")
-    except OSError:
-        return ""

@@ -5,6 +5,7 @@ Numbers are not given again: what has begun from one that is gone must not go on
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from contextlib import suppress
@@ -12,7 +13,10 @@ from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import UNFINISHED, sync, written_whole
+from tnst_mi.machine.lock import LOCK
 from tnst_mi.machine.terminal import one_line
+from tnst_mi.run.folder import WORK
+from tnst_mi.studio.plain import excerpt
 
 #: How folders of what is being removed are called; what follows is the number.
 _REMOVED = f"{UNFINISHED}removed-"
@@ -25,9 +29,17 @@ _SUFFIXES = (".json", "", ".log", ".toml")
 #: File with the highest number that has been given in a folder.
 _HIGHEST = "highest_number"
 
+#: The last number that can be given.
+_LAST = 999_999
+
+#: What tells the folder of a run, begun or finished, from others.
+_OF_RUNS = ("run.json", "metrics.jsonl", LOCK, WORK)
+
 
 def remove(folder: Path) -> None:
     """Remove a try or a render with its recipe, its log and its record; what links lead to stays.
+
+    A folder of its name that is not that of a run was made by others, and stays too.
 
     Args:
         folder: such as OUT/tries/0003, whose run has ended.
@@ -66,14 +78,42 @@ def finish_removals(above: Path) -> None:
 def highest_number(above: Path) -> int:
     """The highest number that has been given to tries, or to renders, in a folder; 0 if there were none."""
     names = [path.stem for path in above.glob("*.toml")]
-    with suppress(OSError, UnicodeError):
-        names.append((above / _HIGHEST).read_text("ascii").strip())
+    names.append(excerpt(above / _HIGHEST, 64).strip())
     return max((int(name) for name in names if re.fullmatch(r"\d{1,6}", name)), default=0)
+
+
+def claimed_number(above: Path) -> int:
+    """Take the next number in a folder, whose recipe file is made at once, so that nobody else gets it.
+
+    Numbers of which something is there already, whoever has made it, are passed over.
+
+    Raises:
+        InputError: there is none left.
+        OSError: the file cannot be made.
+    """
+    for number in range(highest_number(above) + 1, _LAST + 1):
+        folder = above / f"{number:04d}"
+        if any(os.path.lexists(folder.with_name(f"{folder.name}{suffix}")) for suffix in _SUFFIXES):
+            continue
+        with suppress(FileExistsError):
+            folder.with_suffix(".toml").open("x").close()
+            return number
+    raise InputError(one_line(f"studio: {above}: {_LAST} was the last number; give another --out"))
 
 
 def _hide(folder: Path, hidden: Path) -> None:
     """Move all that is left of one into a folder."""
     for suffix in _SUFFIXES:
+        if suffix == "" and not _is_of_run(folder):
+            continue
         with suppress(FileNotFoundError):
             folder.with_name(f"{folder.name}{suffix}").replace(hidden / f"{folder.name}{suffix}")
     sync(folder.parent)
+
+
+def _is_of_run(folder: Path) -> bool:
+    """Whether a folder is that of a run, which may have been stopped before it has written anything, or a link."""
+    if folder.is_symlink():
+        return True
+    names = os.listdir(folder) if folder.is_dir() else ["a file"]
+    return not names or any(name in _OF_RUNS for name in names)

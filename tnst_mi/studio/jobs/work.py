@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,11 @@ from typing import Any
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import duration, one_line
 from tnst_mi.recipe.paths import shipped_name
-from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE
 from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
 from tnst_mi.studio.jobs.live import LiveRun
 from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProcess
+from tnst_mi.studio.plain import is_plain, plain_json, plain_recipe
 
 #: Folders of both kinds of work below that of the studio, and what one of them is called.
 TRIES, RENDERS = "tries", "renders"
@@ -50,16 +49,19 @@ class StudioWork:
         self.name, self.process = name, process
         self.live = LiveRun(process.folder, process.recipe_file, process.record.shape)
         self.goals, self.asked_at = _goals(process.recipe_file), _written_at(process.recipe_file)
-        self.status = process.status()
+        self.status = INTERRUPTED
         self._described: dict[str, Any] = {}
         self.update()
 
     def update(self) -> bool:
-        """Look again; whether something has changed."""
+        """Look again; whether something has changed. Whatever is wrong with its files is said where it is shown."""
         before = self._described
-        self.status = self.process.status()
-        self.live.update()
-        self._described = self._now()
+        try:
+            self.status = self.process.status()
+            self.live.update()
+            self._described = self._now()
+        except Exception as error:  # others must not suffer from what is wrong with this one, which may be anything
+            self._described = self._damaged(error)
         return self._described != before
 
     @property
@@ -105,7 +107,7 @@ class StudioWork:
             "status": self.status,
             "goals": self.goals,
             "line": self._line(),
-            "error": one_line(self.process.ending()) if ended_early else None,
+            "error": one_line(self.process.ending()) if ended_early else self.process.trouble,
             "losses": [float(f"{loss:.{_DIGITS}g}") for loss in losses[::every]],
             "octaves": octaves[::every],
             "done": self.live.done,
@@ -117,6 +119,15 @@ class StudioWork:
             "dashboard": self.process.dashboard() if self.status == RUNNING else None,
             "actions": self._actions(kind),
         }
+
+    def _damaged(self, error: Exception) -> dict[str, Any]:
+        """What the page shows where the files of a run cannot be understood."""
+        shown = {"id": self.name, "title": title_of(self.name), "status": self.status, "goals": self.goals}
+        said = {"line": self.goals, "error": one_line(f"its files are damaged ({type(error).__name__}: {error})")}
+        unknown = dict.fromkeys(("total", "left", "picture", "cluster", "dashboard"))
+        empty: dict[str, Any] = {"losses": [], "octaves": [], "done": 0, "states": []}
+        actions = ["pause", "delete"] if self.status == RUNNING else ["delete"]
+        return shown | said | unknown | empty | {"actions": actions}
 
     def _states(self) -> list[dict[str, Any]]:
         """The states from which another run can go on, by their octaves; that of None is where the run has ended."""
@@ -181,7 +192,7 @@ def _comparison(folder: Path) -> Path | None:
     """The picture of the middle frame of a run, before and after; links are not followed."""
     pictures = sorted((folder / "images").glob("*_comparison.png"))
     middle = pictures[len(pictures) // 2] if pictures else None
-    return None if middle is None or middle.is_symlink() else middle
+    return None if middle is None or not is_plain(middle, folder) else middle
 
 
 def _version(file: Path) -> str | None:
@@ -195,7 +206,7 @@ def _version(file: Path) -> str | None:
 def _recorded_state(folder: Path) -> tuple[int, int] | None:
     """The octave and the iterations of the state that a run has written of all its frames; None if there is none."""
     try:
-        states = [frame["state"] for frame in json.loads((folder / "run.json").read_text("utf-8"))["frames"]]
+        states = [frame["state"] for frame in plain_json(folder / "run.json")["frames"]]
         octaves, iterations = ([int(state[key]) for state in states] for key in ("octave", "iterations"))
         return max(octaves), min(iterations)
     except DAMAGE:
@@ -205,7 +216,7 @@ def _recorded_state(folder: Path) -> tuple[int, int] | None:
 def _goals(recipe_file: Path) -> str:
     """The goals of a recipe in a few words."""
     try:
-        recipe = Recipe.from_toml(recipe_file)
+        recipe = plain_recipe(recipe_file)
     except InputError:
         return "a damaged recipe"
     names = [Path(shipped_name(name)).stem for name in recipe.style]
@@ -223,7 +234,7 @@ def _written_at(file: Path) -> float:
 def _outcome(folder: Path) -> list[str]:
     """The loss and the mass before and after, and the time that it took."""
     try:
-        run = json.loads((folder / "run.json").read_text("utf-8"))
+        run = plain_json(folder / "run.json")
         frames = run["frames"]
         before, after = (sum(float(frame[f"mass_{when}"]) for frame in frames) for when in ("before", "after"))
         parts = [f"mass {after / before - 1:+.1%}"] if before > 0 else []

@@ -17,8 +17,9 @@ from tnst_mi.recipe.quality import DRAFT, FINAL, quality_beyond
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.studio.choices.settings import GOAL_KEYS, OTHER_GOALS
 from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
-from tnst_mi.studio.jobs.removal import finish_removals, highest_number, remove
+from tnst_mi.studio.jobs.removal import claimed_number, finish_removals, remove
 from tnst_mi.studio.jobs.work import ID, RENDERS, TRIES, StudioWork
+from tnst_mi.studio.plain import is_plain, plain_recipe
 
 #: Seconds between two looks at what runs, and how long a run may take to end by itself when it is asked to.
 _INTERVAL, _PATIENCE = 0.4, 15.0
@@ -95,7 +96,7 @@ class Workshop:
         """
         work = self.work(name)
         folder, reached = work.kept(octave)
-        earlier = Recipe.from_toml(work.process.recipe_file)
+        earlier = plain_recipe(work.process.recipe_file)
         recipe = earlier if recipe is None else replace(recipe, frames=earlier.frames)
         recipe = replace(recipe, quality=quality_beyond(recipe, *reached) if kind == TRIES else FINAL)
         of_earlier = work.process.record
@@ -195,7 +196,7 @@ class Workshop:
             raise InputError("studio: nothing to stylize towards; choose a motif on the left")
         with self._lock:
             make_folder(self._out / kind)
-            name = f"{kind}/{highest_number(self._out / kind) + 1:04d}"
+            name = f"{kind}/{claimed_number(self._out / kind):04d}"
             process = RunProcess(self._out / name, record)
             with written_whole(process.recipe_file) as temporary:
                 temporary.write_text(replace(recipe, keep_octaves=True).to_toml(), "utf-8")
@@ -233,7 +234,7 @@ class Workshop:
         found = []
         for file in sorted(file for kind in (TRIES, RENDERS) for file in (self._out / kind).glob("*.toml")):
             name = file.relative_to(self._out).with_suffix("").as_posix()
-            sound = ID.fullmatch(name) and file.is_file()
+            sound = ID.fullmatch(name) and file.is_file() and is_plain(file)
             record = WorkRecord.read(file.with_suffix(".json")) if sound else None
             if record is not None:
                 found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))

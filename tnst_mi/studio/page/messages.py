@@ -10,6 +10,7 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line
+from tnst_mi.studio.telling import json_text
 
 
 @dataclass(frozen=True)
@@ -87,4 +88,4 @@ class PageAnswer:
     @classmethod
     def of_json(cls, values: Any, status: int = 200) -> PageAnswer:
         """Values as JSON."""
-        return cls(json.dumps(values).encode("utf-8"), status=status)
+        return cls(json_text(values).encode("utf-8"), status=status)

@@ -132,7 +132,11 @@ class StudioRoutes:
 
     def _goal(self, request: PageRequest) -> PageAnswer:
         values = request.json()
-        self.session.toggle(_text(values, "key"), _text(values, "goal"))
+        key, goal = _text(values, "key"), _text(values, "goal")
+        # What a recipe came with can be removed, whether or not it could be chosen here.
+        if goal not in self.session.settings.goals(key):
+            self.motifs.require_offered(key, goal, self.session.recipe().weights)
+        self.session.toggle(key, goal)
         return PageAnswer.of_json({})
 
     def _place(self, request: PageRequest) -> PageAnswer:

@@ -8,9 +8,9 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import printable
-from tnst_mi.studio.jobs.processes import excerpt
 from tnst_mi.studio.jobs.work import RENDERS, TRIES
 from tnst_mi.studio.page.messages import PageAnswer, PageRequest
+from tnst_mi.studio.plain import excerpt, plain_bytes
 from tnst_mi.studio.session import Session
 
 #: Bytes of a log that are shown, at most; octaves that a recipe may have; and names that are deleted at once.
@@ -72,7 +72,7 @@ class WorkRoutes:
         work = self._session.workshop.work(request.query.get("id", ""))
         octave = request.query.get("octave")
         picture = work.picture if octave is None else work.picture_of(_octave(octave))
-        return PageAnswer(_content(picture), "image/png")
+        return PageAnswer(_content(picture, work.process.folder), "image/png")
 
     def _text(self, request: PageRequest, suffix: str) -> PageAnswer:
         process = self._session.workshop.work(request.query.get("id", "")).process
@@ -85,11 +85,11 @@ def printable_lines(text: str) -> str:
     return "\n".join(printable(line) for line in text.splitlines())
 
 
-def _content(picture: Path | None) -> bytes:
-    """What a picture holds, which may be removed, or written anew, at any time."""
+def _content(picture: Path | None, folder: Path) -> bytes:
+    """What a picture in the folder of a run holds, which may be removed, or written anew, at any time."""
     try:
         if picture is not None:
-            return picture.read_bytes()
+            return plain_bytes(picture, folder)
     except OSError:
         pass
     raise InputError("studio: there is no picture, or none any more")
