@@ -122,6 +122,8 @@ def test_a_sequence_plays_once_during_the_turn() -> None:
         ("--resolution 4x18", "--resolution 4x18: expected at least 5x6, one pixel for each cell"),
         ("--fire none", "--fire: is of the path tracers.* add --look"),
         ("--look thin --fire smoke", "--fire smoke: no frame has such a grid; there is none beside the density"),
+        ("--colour none", "--colour: is of the path tracers.* add --look"),
+        ("--look thin --colour Cd", "--colour Cd: no frame has such a grid; expected the name of a grid of colours"),
         ("--denoise", "--denoise: is of the path tracers"),
         ("--integrator emission_absorption --look thin --gamma 1", "--look thin and --gamma 1: both say how dense"),
         ("--look thin --spp 0", "--spp 0: expected an integer from 1 to 1000000"),
@@ -186,6 +188,23 @@ def test_the_unit_of_density_can_be_chosen(run: Run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(*units)
     ran = run("render", tmp_path / "thin.npz", "--density-scale", "0", "--out", tmp_path / "other")
     assert (ran.code, ran.errors) == (2, ["tnst-mi: --density-scale 0: expected a number above 0 or auto"])
+
+
+def test_smoke_is_lit_in_its_colour_unless_that_is_put_off(run: Run, tmp_path: Path) -> None:
+    density = np.full((5, 6, 7), 0.5, np.float32)
+    colour = np.broadcast_to(np.float32([1, 0.2, 0]), (*density.shape, 3))
+    save_frames(tmp_path / "f.npz", Frame(density, name="f", grids={"Cd": colour}))
+    images = {}
+    for choice in ((), ("--colour", "none")):
+        out = tmp_path / f"out{len(choice)}"
+        ran = run("render", tmp_path / "f.npz", "--out", out, "--look", "thick", *STUDIO, *choice)
+        assert ran.code == 0, ran.errors
+        channels, header = exr(out / "f_view_0_0.exr")
+        images[header["colour"]] = channels["RGB"]
+        said = [line for line in ran.errors if line.startswith("colour:")]
+        assert said == ([] if choice else ["colour: grid Cd times the albedo of the smoke (--colour GRID|none)"])
+    lost = images["none"] - images["Cd"]
+    assert lost[..., 2].sum() > 2 * abs(lost[..., 0].sum()) and lost[..., 2].max() > 0.1
 
 
 def test_fire_is_taken_from_the_grids_unless_it_is_put_out(run: Run, tmp_path: Path) -> None:

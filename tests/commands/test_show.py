@@ -162,6 +162,19 @@ def test_fire_is_shown_unless_it_is_put_out(run: RunCommand, tmp_path: Path) -> 
     assert (shown[0] - shown[1])[..., 0].max() > 0.1
 
 
+def test_smoke_is_shown_in_its_colour(run: RunCommand, tmp_path: Path) -> None:
+    smoke = np.full((5, 6, 5), 0.5, np.float32)
+    colour = np.broadcast_to(np.float32([1, 0, 0]), (*smoke.shape, 3))
+    save_frames(tmp_path / "f.npz", Frame(smoke, grids={"Cd": colour}))
+    shown = []
+    for choice in ((), ("--colour", "none")):
+        ran = run("show", tmp_path / "f.npz", "--out", tmp_path / f"{len(choice)}.png", *QUICK, *choice)
+        assert ran.code == 0, ran.errors
+        assert any(line.startswith("colour: grid Cd times") for line in ran.errors) == (not choice)
+        shown += panels(tmp_path / f"{len(choice)}.png", 1)
+    assert (shown[1] - shown[0])[..., 2].max() > 0.3
+
+
 def test_what_cannot_be_shown(run: RunCommand, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     save_frames(tmp_path / "flat.npz", Frame(np.ones((1, 6, 5)), name="f_09"))
@@ -172,6 +185,7 @@ def test_what_cannot_be_shown(run: RunCommand, smoke: Path, tmp_path: Path, monk
         ([smoke, "--look", "sooty"], "--look sooty: expected"),
         ([smoke, "--resolution", "9"], "--resolution 9: expected WIDTHxHEIGHT"),
         ([smoke, "--fire", "flame"], "--fire flame: no frame has such a grid"),
+        ([smoke, "--colour", "Cd"], "--colour Cd: no frame has such a grid"),
     ):
         refused(run, tmp_path, ["show", *arguments], message)
     monkeypatch.setattr(blender.shutil, "which", lambda program: None)

@@ -33,6 +33,7 @@ from tnst_mi.rendering.fire import find_fire
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Attributes, Painter, PathTracedPainter, Shot
 from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
+from tnst_mi.rendering.smoke_colour import find_colour
 from tnst_mi.run.inputs import ScaledFrames, conventions_of
 from tnst_mi.run.readable import Readable
 
@@ -84,9 +85,9 @@ def run(arguments: RenderArguments) -> int:
     else:
         of_views = pictures.shots_of_turn(len(frames), views[0], turntable)
     shots = pictures.shots_of_cameras(in_cells) or of_views
-    fire = None
+    fire = colour = None
     if path_traced:
-        fire = find_fire(frames, studio.fire)
+        fire, colour = find_fire(frames, studio.fire), find_colour(frames, studio.colour)
         painter = pictures.PathTracedPainter(
             frames,
             [shot.viewpoint for shot in shots],
@@ -97,6 +98,7 @@ def run(arguments: RenderArguments) -> int:
             seed=seed,
             denoise=studio.denoise,
             fire=fire,
+            colour=colour,
         )
         _require_places(arguments, frames, in_cells, painter)
         if studio.denoise and not painter.denoised:
@@ -117,6 +119,7 @@ def run(arguments: RenderArguments) -> int:
         say(readable.lines())
         unit.note()
         say([] if fire is None else [fire.in_words])
+        say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
         seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].viewpoint)
         what = "1 picture" if len(shots) == 1 else f"{len(shots)} pictures"
         say([f"{what} in about {duration(seconds)}, written to {arguments.out}"])
@@ -203,6 +206,8 @@ def _check_flags(arguments: RenderArguments, path_traced: bool) -> None:
             raise InputError(f"--camera and --{beside[0]}: a shot has its own framing; give one of them")
     if studio.fire is not None and not path_traced:
         raise InputError("--fire: is of the path tracers, where fire lights the smoke; add --look")
+    if studio.colour is not None and not path_traced:
+        raise InputError("--colour: is of the path tracers, where smoke is lit; add --look")
     if path_traced and arguments.fit:
         raise InputError("--fit: is of emission_absorption; a path tracer's camera always shows all of the grid")
     if path_traced:

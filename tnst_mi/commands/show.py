@@ -29,6 +29,7 @@ from tnst_mi.rendering.blender import BlenderPainter
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.fire import Fire, find_fire
 from tnst_mi.rendering.pictures import PathTracedPainter, Shot, shots_of_turn
+from tnst_mi.rendering.smoke_colour import find_colour
 from tnst_mi.rendering.studio_camera import shows_all
 from tnst_mi.run.panels import row
 from tnst_mi.run.reopened import Reopened, reopened, shared_frames
@@ -92,6 +93,8 @@ def run(arguments: ShowArguments) -> int:
         require_blender()
         if studio.denoise:
             raise InputError("--denoise: is of OptiX, which denoises pictures of Mitsuba; leave it out with --blender")
+        if studio.colour is not None:
+            raise InputError("--colour: is of pictures of Mitsuba, smoke is white in Blender; leave it out there")
     parts = [reopened(path) for path in arguments.files]
     chosen = _chosen(parts, selection.frame_range)
     count = len(chosen)
@@ -107,9 +110,11 @@ def run(arguments: ShowArguments) -> int:
         shots = shots_of_turn(count, views[0], turntable)
     exhibits = replace(exhibits, factor=unit.factor)
     fire = find_fire(exhibits, studio.fire)
+    colour = None if arguments.blender else find_colour(exhibits, studio.colour)
     unit.note()
     say([] if fire is None else [fire.in_words])
-    painter = _painter(arguments, exhibits, [shot.viewpoint for shot in shots], look, size, samples, seed, fire)
+    say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
+    painter = _painter(arguments, exhibits, [shot.viewpoint for shot in shots], look, size, samples, seed, fire, colour)
     width, height = size
     panels = len(exhibits.columns) * len(shots)
     seconds = panels * painter.seconds(exhibits.frame(0, shots[0].frame), shots[0].viewpoint)
@@ -228,12 +233,14 @@ def _painter(
     samples: int,
     seed: int,
     fire: Fire | None,
+    colour: str | None,
 ) -> PathTracedPainter | BlenderPainter:
     """What renders the panels."""
     if arguments.blender:
         shape = exhibits.frame(0, 0).density.shape
         return BlenderPainter(shape, views, look, size, samples, seed, fire)
-    painter = PathTracedPainter(exhibits, views, look, "volpath", size, samples, seed, arguments.studio.denoise, fire)
+    denoise = arguments.studio.denoise
+    painter = PathTracedPainter(exhibits, views, look, "volpath", size, samples, seed, denoise, fire, colour)
     if arguments.studio.denoise and not painter.denoised:
         say(["warning: --denoise: OptiX is not at hand, the pictures keep their noise"])
     return painter

@@ -29,5 +29,9 @@ class StudioFlags:
     ] = None
     """Grid that shines as fire, and lights smoke and ground: a flame, or a temperature as a black body; see
     docs/looks.md."""
+    colour: Annotated[
+        str | None, tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: Cd, color or the like)")
+    ] = None
+    """Grid of the smoke's colours, which multiply its albedo; see docs/colour.md."""
     denoise: bool = False
     """Remove the noise with OptiX, on an NVIDIA GPU that has it; elsewhere pictures keep their noise."""

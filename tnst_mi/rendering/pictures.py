@@ -18,6 +18,7 @@ from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.views import View, common_size, text_of
 from tnst_mi.rendering.fire import Fire
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+from tnst_mi.rendering.smoke_colour import colours_of
 from tnst_mi.rendering.studio import Smoke, Studio, find_denoiser
 
 #: Rows of a video of a small grid, at least.
@@ -160,6 +161,7 @@ class PathTracedPainter:
         seed: not negative.
         denoise: denoise with OptiX where available; `denoised` records whether it is.
         fire: what burns in the frames, if anything.
+        colour: the name of the grid that colours them, if any.
 
     Raises:
         InputError: frames differ in shape, or a view is from below the ground or from too near.
@@ -176,30 +178,35 @@ class PathTracedPainter:
         seed: int,
         denoise: bool,
         fire: Fire | None = None,
+        colour: str | None = None,
     ) -> None:
         self.look, self.integrator, self.samples, self.seed, self.fire = look, integrator, samples, seed, fire
+        self.colour = colour
         smoke = Smoke.of(frame.density for frame in frames)
         if fire is not None:
             smoke = replace(smoke, occupied=hull([smoke.occupied, fire.occupied]))
-        self.studio = Studio(look, integrator, smoke, viewpoints, size, burns=fire is not None)
+        self.studio = Studio(look, integrator, smoke, viewpoints, size, fire is not None, colour is not None)
         self.denoiser = find_denoiser(size) if denoise else None
         self.denoised = self.denoiser is not None
 
     def paint(self, frame: Frame, viewpoint: Viewpoint, number: int) -> np.ndarray:
         """Radiance; 1 is white."""
-        image = self.studio.render(frame.density, viewpoint, self.samples, (self.seed, number), self._emission(frame))
+        image = self._rendered(frame, viewpoint, self.samples, (self.seed, number))
         return image if self.denoiser is None else self.denoiser(image)
 
     def seconds(self, frame: Frame, viewpoint: Viewpoint) -> float:
         """Measured with one path per pixel."""
-        emission = self._emission(frame)
-        self.studio.render(frame.density, viewpoint, 1, 0, emission)
+        self._rendered(frame, viewpoint, 1, 0)
         start = time.perf_counter()
-        self.studio.render(frame.density, viewpoint, 1, 0, emission)
+        self._rendered(frame, viewpoint, 1, 0)
         return self.samples * (time.perf_counter() - start)
 
-    def _emission(self, frame: Frame) -> np.ndarray | None:
-        return None if self.fire is None else self.fire.emission(frame)
+    def _rendered(self, frame: Frame, viewpoint: Viewpoint, samples: int, seed: int | tuple[int, int]) -> np.ndarray:
+        emission = None if self.fire is None else self.fire.emission(frame)
+        colour = None
+        if self.colour is not None and self.colour in frame.grids:
+            colour = colours_of(frame.grids, self.colour, frame.name)
+        return self.studio.render(frame.density, viewpoint, samples, seed, emission, colour)
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image after the sRGB curve."""
@@ -214,4 +221,5 @@ class PathTracedPainter:
             "seed": str(self.seed),
             "denoised": "yes" if self.denoised else "no",
             "fire": "none" if self.fire is None else self.fire.grid,
+            "colour": self.colour or "none",
         }

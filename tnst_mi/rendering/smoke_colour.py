@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
 from tnst_mi.machine.terminal import quoted, some_of
 
@@ -46,6 +47,32 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
     if values.dtype.kind == "u":
         return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
     return values.astype(np.float32)
+
+
+def find_colour(frames: Iterable[Frame], choice: str | None) -> str | None:
+    """The name of the grid that colours the smoke of frames, if any.
+
+    Args:
+        frames: read one after the other, up to the first that has such a grid.
+        choice: its name, or "none"; None for the one whose name says that it is one.
+
+    Raises:
+        InputError: no frame has the chosen one, or it is a scalar grid.
+    """
+    if choice == "none":
+        return None
+    for frame in frames:
+        name = colour_name(frame.grids) if choice is None else choice
+        if name is not None and name in frame.grids:
+            if frame.grids[name].ndim == 3 and choice is None:
+                return None
+            colours_of(frame.grids, name, frame.name)
+            return name
+    if choice is not None:
+        raise InputError(
+            f"--colour {choice}: no frame has such a grid; expected the name of a grid of colours, or none"
+        )
+    return None
 
 
 def require_colour(carried: Iterable[str], there: Iterable[str]) -> str:

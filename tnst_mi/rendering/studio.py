@@ -26,6 +26,7 @@ from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.machine.backend import on_gpu
 from tnst_mi.machine.optix import require_optix
+from tnst_mi.rendering.albedo import ALBEDO, albedo_of, load_coloured
 from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
 from tnst_mi.rendering.cameras.shot_sensors import ShotSensors
 from tnst_mi.rendering.fire_light import FireLight
@@ -90,6 +91,7 @@ class Studio:
             and cameras of shots. One zoom shows the whole grid in each view; cameras of shots have their own framing.
         size: (width, height) of the pictures in pixels.
         burns: whether frames have an emission, see `tnst_mi.rendering.fire`; then `smoke.occupied` contains it.
+        coloured: whether frames have a colour, by which the albedo of the look is multiplied.
 
     Attributes:
         sensor: the one with which the viewpoint is rendered that was shown last.
@@ -106,12 +108,15 @@ class Studio:
         viewpoints: Sequence[Viewpoint],
         size: tuple[int, int],
         burns: bool = False,
+        coloured: bool = False,
     ) -> None:
         require_optix("render --look")
         self.smoke, self.size = smoke, size
         self._low, self._high = self._box()
         self._fire = FireLight(self._low.tolist(), self._high.tolist()) if burns else None
-        self._load(look, integrator)
+        #: Albedo of white smoke, where smoke has a colour.
+        self._white: float | None = None
+        self._load(look, integrator, coloured)
         self.parameters = mi.traverse(self.scene)
         #: Transforms of the camera, and of all that turns with it, for the view (0, 0).
         self._front = {
@@ -133,22 +138,25 @@ class Studio:
         )
         return low, high
 
-    def _load(self, look: str, integrator: str) -> None:
+    def _load(self, look: str, integrator: str, coloured: bool) -> None:
         """Load the look's scene around the box of the smoke."""
         with tempfile.TemporaryDirectory(prefix="tnst_mi-") as folder:
             volume = Path(folder) / "empty.vol"
             mi.VolumeGrid(np.zeros((2, 2, 2, 1), np.float32)).write(str(volume))
-            self.scene = mi.load_file(
-                str(look_file(look)),
-                integrator=integrator,
-                columns=self.size[0],
-                rows=self.size[1],
-                floor=ground_height(self.smoke.shape),
-                volume=str(volume),
-                largest=_SLACK * self.smoke.largest or 1.0,
+            parameters = {
+                "integrator": integrator,
+                "columns": self.size[0],
+                "rows": self.size[1],
+                "floor": ground_height(self.smoke.shape),
+                "volume": str(volume),
+                "largest": _SLACK * self.smoke.largest or 1.0,
                 **dict(zip(("width", "height", "depth"), (self._high - self._low).tolist(), strict=True)),
                 **dict(zip("xyz", ((self._low + self._high) / 2).tolist(), strict=True)),
-            )
+            }
+            if coloured:
+                self.scene, self._white = load_coloured(look_file(look), **parameters)
+            else:
+                self.scene = mi.load_file(str(look_file(look)), **parameters)
 
     def require_place(self, camera: Camera) -> None:
         """Check that a shot's camera, in cells about the centre of the grid, can stand in the studio.
@@ -162,8 +170,14 @@ class Studio:
         cell = 1 / max(self.smoke.shape)
         return camera.moved(np.diag([cell, cell, cell, 1.0]))
 
-    def show(self, density: np.ndarray, viewpoint: Viewpoint, emission: np.ndarray | None = None) -> None:
-        """Set the density (D, H, W) and the emission (D, H, W, 3) of a frame, and move the camera to a viewpoint.
+    def show(
+        self,
+        density: np.ndarray,
+        viewpoint: Viewpoint,
+        emission: np.ndarray | None = None,
+        colour: np.ndarray | None = None,
+    ) -> None:
+        """Set the density, emission and colour of a frame, see `render`, and move the camera to a viewpoint.
 
         Raises:
             InputError: it is a shot's camera that cannot stand in the studio.
@@ -185,6 +199,9 @@ class Studio:
         self.parameters.update()
         part = np.ascontiguousarray(density[self.smoke.occupied], np.float32)
         self.parameters[_DENSITY] = mi.TensorXf(part[..., None])
+        if self._white is not None:
+            tint = np.ones((1, 1, 1, 3), np.float32) if colour is None else colour[self.smoke.occupied]
+            self.parameters[ALBEDO] = mi.TensorXf(albedo_of(tint, self._white))
         self.parameters.update()
 
     def _turn(self, azimuth: float) -> mi.ScalarTransform4f:
@@ -208,6 +225,7 @@ class Studio:
         samples: int = 64,
         seed: int | Sequence[int] = 0,
         emission: np.ndarray | None = None,
+        colour: np.ndarray | None = None,
     ) -> np.ndarray:
         """Render a density from a viewpoint.
 
@@ -217,11 +235,12 @@ class Studio:
             samples: paths per pixel; the noise falls with their square root.
             seed: the same seed gives the same bits on the same machine and variant.
             emission: of the frame (D, H, W, 3), linear RGB radiance per longest edge of the grid, if any frame burns.
+            colour: of the frame (D, H, W, 3), linear RGB, if the studio is one of coloured smoke; white if None.
 
         Returns:
             Linear radiance (height, width, 3), row 0 at the top; the lights are set so that 1 is white.
         """
-        self.show(density, viewpoint, emission)
+        self.show(density, viewpoint, emission, colour)
         total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
         # One path per pixel and launch: more would be summed in the order in which threads arrive.
         for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
