@@ -144,7 +144,7 @@ class MotifBrowser:
                     continue
                 seen.add(goal)
                 share = (float(of_layer[found.channel]) - before) / (after - before)
-                title = f"{goal.removeprefix('inception_')} {share:.0%}"
+                title = _channel_title(found.layer, found.channel, f" {share:.0%}")
                 yield share, Motif("channels of atlases, by share", "semantic", goal, title, self._picture_url(picture))
 
     def tags(self, weights: str | None) -> list[str]:
@@ -238,13 +238,13 @@ class MotifBrowser:
                     continue
                 if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
                     seen.add(goal)
-                    title = goal.removeprefix("inception_")
+                    title = _channel_title(found.layer, found.channel)
                     yield Motif("channels", "semantic", goal, title, self._picture_url(picture))
         if wanted and number is not None:
             for name in LAYERS:
                 goal = f"{name}:{number}"
                 if layer in name.lower() and goal not in seen:
-                    yield Motif("channels", "semantic", goal, goal)
+                    yield Motif("channels", "semantic", goal, _channel_title(name, number))
 
     def _atlases(self) -> Iterator[Path]:
         for depth in range(1, _DEPTH + 1):
@@ -253,6 +253,11 @@ class MotifBrowser:
                 if inside and self._made.relative(file) is None:
                     yield file.parent
         yield from (file.parent for file in sorted(self._made.root.glob(f"*/{_ATLAS}")))
+
+
+def _channel_title(layer: str, channel: int, measure: str = "") -> str:
+    """What the page calls a channel: what tells it from others of its layer comes first, where narrow tiles show it."""
+    return f"{channel}{measure} · {layer.removeprefix('inception_')}"
 
 
 def _layer_and_number(wanted: str) -> tuple[str, int | None]:
@@ -273,7 +278,7 @@ def _by_deviation(wanted: str, answer: PictureAnswer) -> Iterator[Motif]:
     ]
     for deviation, name, channel in sorted(found, key=lambda one: -one[0])[:_CHANNELS]:
         goal = f"{name}:{channel}"
-        title = f"{goal.removeprefix('inception_')} {deviation:+.1f}σ"
+        title = _channel_title(name, channel, f" {deviation:+.1f}σ")
         yield Motif("channels, by deviation", "semantic", goal, title)
 
 
