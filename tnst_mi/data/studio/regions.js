@@ -132,7 +132,7 @@ async function showShare() {
   try {
     ({ share } = await got(`share?${new URLSearchParams({ target: targetIndex(), frame: frameIndex() })}`));
     const percent = share > 0 && share < 0.01 ? "less than 1%" : `${Math.round(100 * share)}%`;
-    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these: only where they overlap it changes" : "is in it and changes"}.`;
+    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these: only where they overlap it changes" : "is in it and changes; beside another region, only where both overlap"}.`;
   } catch (error) {
     text = error.message;
   }
