@@ -60,8 +60,12 @@ class Page:
     def __post_init__(self) -> None:
         self.page.set_default_timeout(PATIENCE)
         self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
-        self.page.on("console", lambda message: message.type == "error" and self.troubles.append(message.text))
+        self.page.on("console", self._heard)
         self.page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+
+    def _heard(self, message: Any) -> None:
+        if message.type == "error":
+            self.troubles.append(f"{message.text} {message.location['url']}")
 
     def view(self) -> np.ndarray:
         """The picture of the smoke, in [0, 1], without its edges, where there is text."""
@@ -527,6 +531,7 @@ def test_a_frame_is_tried_again_and_again(
         recipe = Recipe.from_toml(tmp_path / "out" / "tries" / "0002.toml")
         assert (recipe.frames, recipe.strength, recipe.views) == ("8", 0.5, 2)
         assert len(studio.session.state()["work"]) == 2
+        shown.settled()
         # Without its input, what has come out is not called what was there before.
         (tmp_path / "root" / "smoke").rename(tmp_path / "root" / "moved")
         job.locator("[data-action=open]").click()
