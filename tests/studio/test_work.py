@@ -99,6 +99,7 @@ def test_a_run_is_paused_after_an_iteration_and_resumed(studio: Studio, weights:
     waited_for(lambda: told(studio)["status"] == "paused")
     paused = told(studio)["done"]
     assert 1 < paused < 500 and told(studio)["actions"] == ["resume", "delete"]
+    assert "loss in this octave" in told(studio)["line"] and told(studio)["of"] == "smoke"
     # Tabs hear of nothing while nothing happens.
     version = studio.session.state()["version"]
     time.sleep(1.0)
