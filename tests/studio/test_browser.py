@@ -21,12 +21,14 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from studios import Studio, running
 
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.network.shipped import shipped_weights
 from tnst_mi.recipe.paths import STYLES
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.choices.masks import mask_tables
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = playwright.expect
@@ -58,8 +60,12 @@ class Page:
     def __post_init__(self) -> None:
         self.page.set_default_timeout(PATIENCE)
         self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
-        self.page.on("console", lambda message: message.type == "error" and self.troubles.append(message.text))
+        self.page.on("console", self._heard)
         self.page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+
+    def _heard(self, message: Any) -> None:
+        if message.type == "error":
+            self.troubles.append(f"{message.text} {message.location['url']}")
 
     def view(self) -> np.ndarray:
         """The picture of the smoke, in [0, 1], without its edges, where there is text."""
@@ -471,3 +477,111 @@ def test_tries_are_gone_on_from_and_deleted(
         shown.photographed("8_deleted")
         for tab in (shown, other):
             tab.page.context.close()
+
+
+def address(studio: Studio) -> str:
+    return f"http://127.0.0.1:{studio.server.server_port}/?token={studio.server.access.token}"
+
+
+def sequence(folder: Path) -> None:
+    values = np.random.default_rng(0).random((10, 16, 12), np.float32)
+    save_frames(folder, [Frame(values * scale, name=f"f_{n}", number=n) for n, scale in ((7, 1.0), (8, 0.8), (9, 0.6))])
+
+
+def test_a_frame_is_tried_again_and_again(
+    tmp_path: Path, weights: Path, opened: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence(tmp_path / "root" / "smoke")
+    with running(tmp_path / "root", tmp_path / "out") as studio:
+        studio.post("/open", path="smoke")
+        studio.session.settings.base = Recipe(weights=str(weights), octaves=1, iterations=2, views=1, gamma=0.2)
+        studio.post("/goal", key="style", goal="net")
+        shown = opened(address(studio))
+        page = shown.page
+        page.locator("#frame").fill("1")
+        page.locator("#try").dblclick()
+        job = page.locator(".job.done")
+        job.wait_for()
+        assert job.locator("b").inner_text() == "try 1: smoke, frame 8"
+        assert job.locator("[data-action=finish]").inner_text() == "render this frame"
+        assert "loss in the fixed views" in job.locator("p").first.inner_text()
+        # It is opened among the frames of its input, and nothing plays on.
+        page.locator("#play").click()
+        job.locator("[data-action=open]").click()
+        page.locator("#mode-wipe.on").wait_for()
+        assert page.locator("#play").inner_text() == "▶"
+        assert [page.locator("#frame").get_attribute("max"), page.locator("#frame").input_value()] == ["2", "1"]
+        page.locator("#frame").fill("0")
+        page.locator("#status", has_text="was not in the try").wait_for()
+        page.locator("#frame").fill("1")
+        page.locator("#status", has_text="was not in the try").wait_for(state="hidden")
+        # Two sliders, moved at once, are both in what is tried at once, which is that frame again.
+        monkeypatch.setattr(sys, "executable", "/bin/false")
+        assert page.locator("#only").is_visible()
+        page.evaluate(
+            """() => {
+                for (const [key, value] of [["strength", 0.5], ["views", 2]]) {
+                    $(`knob-${key}`).value = value;
+                    $(`knob-${key}`).dispatchEvent(new Event("input"));
+                }
+                $("try").click();
+            }"""
+        )
+        page.locator(".job.failed").wait_for()
+        recipe = Recipe.from_toml(tmp_path / "out" / "tries" / "0002.toml")
+        assert (recipe.frames, recipe.strength, recipe.views) == ("8", 0.5, 2)
+        assert len(studio.session.state()["work"]) == 2
+        shown.settled()
+        # Without its input, what has come out is not called what was there before.
+        (tmp_path / "root" / "smoke").rename(tmp_path / "root" / "moved")
+        job.locator("[data-action=open]").click()
+        page.locator("#mode-after.on").wait_for()
+        assert "cannot be read again" in page.locator("#mode-before[disabled]").get_attribute("title")
+        page.locator("#view").hover()
+        page.mouse.wheel(0, -100)
+        shown.settled()
+        shown.photographed("10_without_input")
+        page.locator("#notes", has_text="cannot be read again").locator("button").click()
+        assert page.locator("#notes").is_hidden()
+        page.context.close()
+
+
+def test_what_is_typed_painted_and_said_outlasts_other_tabs(tmp_path: Path, opened: Callable[[str], Page]) -> None:
+    sequence(tmp_path / "root" / "smoke")
+    sequence(tmp_path / "root" / "other")
+    with running(tmp_path / "root", tmp_path / "out") as studio:
+        studio.post("/open", path="smoke")
+        studio.post("/mask", action="add", values={"shape": "sphere", "centre": [5, 7, 4], "radius": 3})
+        studio.post("/mask", action="add", values={"shape": "box", "low": [1, 1, 1], "high": [9, 9, 9]})
+        shown = opened(address(studio))
+        page = shown.page
+        edge = page.get_by_label("edge", exact=True)
+        edge.fill("0.2")
+        # Another tab removes the part before it.
+        studio.post("/mask", action="remove", part=0)
+        page.locator(".part[data-form=sphere]").wait_for(state="detached")
+        assert edge.input_value() == "0.2"
+        page.keyboard.press("Enter")
+        shown.settled()
+        (part,) = mask_tables(studio.session.recipe())[0]
+        assert (part["shape"], part["edge"]) == ("box", 0.2)
+        # A refusal stays until it is closed, or something else is asked for.
+        edge.fill("-5")
+        page.keyboard.press("Enter")
+        page.locator("#error", has_text="edge").wait_for()
+        page.locator("#view").hover()
+        page.mouse.wheel(0, -100)
+        shown.settled()
+        page.locator("#error button").click()
+        assert page.locator("#error").is_hidden()
+        shown.troubles.clear()  # the browser's own word on the refusal
+        # Strokes wait for their smoke.
+        page.locator("#add-painting").click()
+        page.locator("#view").click(position={"x": 300, "y": 300})
+        studio.post("/open", path="other")
+        page.locator("#kept", has_text="painted over smoke is kept").wait_for()
+        studio.post("/open", path="smoke")
+        page.locator("#kept", has_text="paint goes on with it").wait_for()
+        page.locator("#add-painting").click()
+        assert page.evaluate("painting.strokes.length") == 1
+        page.context.close()

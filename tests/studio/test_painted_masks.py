@@ -160,11 +160,36 @@ def test_following_begins_in_the_shown_frame(studio: Studio) -> None:
     assert mask_tables(studio.session.recipe())[0][0]["follow"] == 8
     # A frame alone does not know how smoke has moved to it.
     studio.post("/goal", key="style", goal="net")
-    refused = studio.post("/work", action="try", alone=2)
+    refused = studio.post("/work", action="try", alone=9)
     assert refused.status == 400 and "from frame 8, which a try of frame 9 alone does not have" in refused.error
     # In the wind of one cell per frame the box has moved by one cell.
     masks = [studio.session.painter.masks.mask(studio.session.recipe(), 0, index) for index in (1, 2)]
     np.testing.assert_allclose(masks[1][:, :, 1:], masks[0][:, :, :-1], atol=1e-5)
+
+
+def test_ids_stay_with_their_parts(studio: Studio) -> None:
+    sphere = {"shape": "sphere", "centre": [3, 5, 4], "radius": 3}
+    for values in (sphere, BOX, sphere):
+        studio.post("/mask", action="add", values=values)
+
+    def ids() -> list[int]:
+        return [part["id"] for part in studio.session.state()["masks"][0]["parts"]]
+
+    first, box, last = ids()
+    # One tab removes what another one does not know to be gone.
+    assert studio.post("/mask", action="remove", id=first).status == 200
+    assert studio.post("/mask", action="change", id=box, values={"edge": 0.2}).status == 200
+    assert ids() == [box, last] and mask_tables(studio.session.recipe())[0][0]["edge"] == 0.2
+    before = studio.session.recipe()
+    for action in ("change", "remove"):
+        refused = studio.post("/mask", action=action, id=first, values={"edge": 0.5})
+        assert refused.status == 400 and "this region is gone" in refused.error
+    for identity in ("x", 1.5, True):
+        assert studio.post("/mask", action="remove", id=identity).status == 400
+    assert studio.session.recipe() == before
+    # Parts of another recipe have other ids, though there are as many.
+    studio.session.settings = StudioSettings(before)
+    assert not {first, box, last} & set(ids())
 
 
 # ---------------------------------------------------------------- where it is

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from studios import running
 
 from tnst_mi.errors import InputError
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.studio.choices.motifs import MotifBrowser
 from tnst_mi.studio.choices.settings import KNOBS, StudioSettings
+from tnst_mi.studio.latest import LatestRecipe
 from tnst_mi.studio.places import Places
 
 
@@ -151,3 +153,30 @@ def test_tags_that_share_a_name_are_whole() -> None:
     browser = MotifBrowser(Places(Path()), Path("none"))
     tags = browser.tags(PATTERNS)
     assert len(tags) == len(set(tags)) == 64
+
+
+def test_the_latest_recipe_outlives_the_studio(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    latest = LatestRecipe(tmp_path / "out")
+    latest.keep(Recipe(frames="7:9"))
+    assert not (tmp_path / "out").exists()  # nothing has been set
+    latest.keep(Recipe(style=("net",), gamma=0.3, frames="7:9"))
+    kept = LatestRecipe(tmp_path / "out").recipe
+    assert kept.to_toml() == latest.recipe.to_toml() == Recipe(style=("net",), gamma=0.3).to_toml()
+    (tmp_path / "out" / "latest.toml").write_text("gamma = 'x'")
+    assert LatestRecipe(tmp_path / "out").recipe == Recipe()
+    assert "begins with the defaults, since" in capsys.readouterr().err
+    # A folder that cannot be written is told once.
+    (tmp_path / "file").write_text("")
+    latest = LatestRecipe(tmp_path / "file")
+    for gamma in (0.4, 0.5):
+        latest.keep(Recipe(gamma=gamma))
+    assert capsys.readouterr().err.count("is not kept") == 1
+
+
+def test_a_studio_begins_with_what_was_set_last(tmp_path: Path) -> None:
+    (tmp_path / "root").mkdir()
+    for expected in ([], ["net"]):
+        with running(tmp_path / "root", tmp_path / "out") as studio:
+            assert [goal["goal"] for goal in studio.session.state()["goals"]] == expected
+            if not expected:
+                studio.post("/goal", key="style", goal="net")

@@ -115,7 +115,7 @@ def test_channels_of_an_atlas_have_its_scale(tmp_path: Path, browser: MotifBrows
         Image.new("L", (8, 8), 128).save(file, pnginfo=text)
     motifs = browser.alike("", PATTERNS, answers.answer("net.png", body, PATTERNS))
     titles = [motif["title"] for motif in motifs if motif["kind"].startswith("channels of atlases")]
-    assert titles == ["4b/pool_proj:7 50%", "4b/pool_proj:5 20%", "4b/pool_proj:6 0%"]
+    assert titles == ["7 50% · 4b/pool_proj", "5 20% · 4b/pool_proj", "6 0% · 4b/pool_proj"]
     goals = [(motif["key"], motif["goal"]) for motif in motifs]
     assert len(goals) == len(set(goals))
 

@@ -269,7 +269,7 @@ def test_a_picture_comes_as_it_was_asked_for(studio: Studio, source: Path) -> No
 def test_a_run_brings_its_recipe_and_its_input(studio: Studio, run_folder: Path, source: Path) -> None:
     studio.post("/open", path="run")
     assert studio.session.recipe().gamma == 0.3
-    assert studio.session.source == source
+    assert studio.session.source.path == source
     state = studio.session.state()
     assert state["opened"]["after"] and state["opened"]["main_view"] == [20, 5]
     assert state["goals"] == [{"key": "style", "goal": "spirals"}]

@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.studio.choices.masks import MaskEdit, starts_of_following
+from tnst_mi.studio.choices.masks import MaskEdit
 from tnst_mi.studio.choices.paintings import Paintings
 from tnst_mi.studio.choices.settings import StudioSettings
 from tnst_mi.studio.jobs.clusters import checked_address
 from tnst_mi.studio.jobs.processes import DONE
 from tnst_mi.studio.jobs.work import RENDERS
 from tnst_mi.studio.jobs.workshop import Workshop
+from tnst_mi.studio.latest import LatestRecipe
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.plain import plain_recipe
+from tnst_mi.studio.source import Source
 from tnst_mi.studio.telling import json_text
 from tnst_mi.studio.told import opened_told, physics_told
 from tnst_mi.studio.view.lit import LitPainter
@@ -54,34 +57,39 @@ class Session:
     """
 
     def __init__(self, places: Places, out: Path, cluster: str | None = None) -> None:
-        self.places, self.settings, self.cluster = places, StudioSettings(), cluster
+        self.places, self._latest, self.cluster = places, LatestRecipe(out), cluster
+        self.settings = StudioSettings(self._latest.recipe)
         self.start: tuple[str, int | None] | None = None
         self.painter: SightPainter | None = None
         self.lit: LitPainter | None = None
-        self._source: Path | None = None
+        self._source: Source | None = None
         self.notice: str | None = None
         self._news, self._version, self._ended = threading.Condition(), 0, False
         self.workshop = Workshop(out, self._changed)
         self.paintings = Paintings(out / "masks")
 
-    def open(self, path: Path) -> None:
+    def open(self, path: Path, all_frames: bool = False) -> None:
         """Show densities or a run, whose recipe is taken over with its goals.
+
+        Args:
+            path: where they are.
+            all_frames: whether to show a run among all frames of its input.
 
         Raises:
             InputError: nothing is there that can be shown.
         """
-        found = opened(path)
+        found = opened(path, all_frames)
+        source = Source.of(found.results)
         with self._news:
             self.painter, self.lit = SightPainter(found), LitPainter(found)
             if found.recipe is not None:
                 self.settings = StudioSettings(dataclasses.replace(found.recipe, quality=FINAL))
-            record = found.results.record
-            self._source = path if record is None else _input_of(record)
+            self._source = source
             self.start = self.notice = None
             self._changed()
 
     @property
-    def source(self) -> Path:
+    def source(self) -> Source:
         """The input that is stylized: what is opened, or what the opened run has stylized.
 
         Raises:
@@ -191,17 +199,18 @@ class Session:
             InputError: there is no such work, or it has not finished a frame.
         """
         process = self.workshop.work(name).process
-        self.open(process.folder)
+        self.open(process.folder, process.record.alone)
         if process.record.alone:
             with self._news:
                 self.settings.base = dataclasses.replace(self.settings.base, frames=process.record.frames)
+                self._changed()
 
-    def begin(self, kind: str, alone: int | None) -> None:
+    def begin(self, kind: str, alone: Number | None) -> None:
         """Begin a try or a render of what is opened, with the recipe as it is set; see `Workshop.begin`.
 
         Args:
             kind: which of them.
-            alone: index of the only frame that is to be stylized; None for all.
+            alone: number of the only frame that is to be stylized; None for all.
 
         Raises:
             InputError: there is nothing to stylize, or nothing to stylize towards, or no such frame.
@@ -213,15 +222,8 @@ class Session:
             self.workshop.go_on(kind, *start, recipe, cluster)
             return
         assert painter is not None  # there is a source
-        numbers, number = painter.opened.results.numbers, None
-        if alone is not None and len(numbers) > 1:
-            number = numbers[painter.index(alone)]
-            if away := starts_of_following(recipe, numbers[0]) - {number}:
-                raise InputError(
-                    f"studio: a mask follows the smoke from frame {away.pop()}, which a try of frame {number} alone "
-                    "does not have; show that frame, or try all frames"
-                )
-        self.workshop.begin(kind, source, recipe, painter.opened.shape, number, cluster)
+        number = source.only(alone, recipe)
+        self.workshop.begin(kind, source.path, recipe, painter.opened.shape, number, cluster)
 
     def go_on_from(self, name: str, octave: int | None) -> None:
         """Take over the recipe of a try or a render, and let the next one go on from a state that it has kept.
@@ -263,7 +265,7 @@ class Session:
                 shown = None if self.painter is None else self.painter.opened.results.path
                 gone, source = shown is not None and not shown.exists(), self._source
             if gone and source is not None:
-                self.open(source)
+                self.open(source.path)
 
     def set_cluster(self, text: str) -> None:
         """Render on a cluster from now on, or on this machine if the address is empty; see `checked_address`."""
@@ -282,7 +284,7 @@ class Session:
                 "version": self._version,
                 "start": None if self.start is None else {"id": self.start[0], "octave": self.start[1]},
                 "cluster": self.cluster or "",
-                "opened": None if painter is None else opened_told(painter, self.places, recipe),
+                "opened": None if painter is None else opened_told(painter, self.places, recipe, self._source),
                 "physics": physics_told(recipe),
                 "notice": self.notice,
                 **self.settings.described(),
@@ -311,10 +313,6 @@ class Session:
 
     def _changed(self) -> None:
         with self._news:
+            self._latest.keep(self.settings.recipe)
             self._version += 1
             self._news.notify_all()
-
-
-def _input_of(record: Any) -> Path | None:
-    source = record.get("input")
-    return Path(source) if isinstance(source, str) else None

@@ -7,6 +7,7 @@ from typing import Any
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.studio.places import Places
+from tnst_mi.studio.source import Source, stylized_frames
 from tnst_mi.studio.view.painting import SightPainter
 
 #: Of recipes whose images are not those of the view.
@@ -16,13 +17,14 @@ _PATH_TRACED = (
 )
 
 
-def opened_told(painter: SightPainter, places: Places, recipe: Recipe) -> dict[str, Any]:
+def opened_told(painter: SightPainter, places: Places, recipe: Recipe, source: Source | None) -> dict[str, Any]:
     """What is opened, and how large pictures are that are painted over it.
 
     Args:
         painter: of what is opened.
         places: by which its path is told.
         recipe: as it is set.
+        source: the input that is stylized.
     """
     results = painter.opened.results
     d, h, w = painter.opened.shape
@@ -34,6 +36,8 @@ def opened_told(painter: SightPainter, places: Places, recipe: Recipe) -> dict[s
         "after": painter.opened.has_after,
         "names": list(results.names),
         "numbers": list(results.numbers),
+        "stylized": stylized_frames(results),
+        "of_several": source is not None and len(source.numbers) > 1,
         "painted_size": list(image_size(recipe, painter.opened.shape)),
         "shape": [d, h, w],
         "main_view": list(own.main_view[:2]),

@@ -4,6 +4,8 @@
 const PAINTED_ROWS = 1024; // edge of a painting in pixels
 
 let painting = null, stroke = null, hover = null;
+const keptPaintings = new Map(); // that were not used when something else was opened, by what they are of
+let saidOf = null; // what was opened when it was said of them last
 
 // Where in the painting, in parts of the height of its frame from the upper left, something on the page is.
 function pictured(event) {
@@ -15,14 +17,22 @@ function pictured(event) {
 
 const blocked = ["perspective", "cut", "home"]; // what would take the camera from where the painting is seen
 
-async function beginPainting() {
+function beginPainting() {
   if (!state || !state.opened || painting) return;
   $("perspective").checked = false;
   $("cut").value = "none";
   shownMode();
   const size = state.opened.painted_size, [rows, columns] = size, scale = PAINTED_ROWS / Math.max(rows, columns);
   const sheet = element("canvas", undefined, { width: Math.round(columns * scale), height: Math.round(rows * scale) });
-  painting = { size, sheet, strokes: [], view: [view.azimuth, view.elevation], opened: shownKey };
+  const kept = keptPaintings.get(shownKey);
+  painting = { size, sheet, strokes: [], view: [view.azimuth, view.elevation], title: state.opened.title, opened: shownKey };
+  if (kept && `${kept.size}` === `${size}`) {
+    painting.strokes = kept.strokes;
+    [view.azimuth, view.elevation] = painting.view = kept.view;
+    repaint();
+  }
+  keptPaintings.delete(shownKey);
+  complain("", "kept");
   for (const id of blocked) $(id).disabled = true;
   $("brush").hidden = false;
   stage.classList.add("painting");
@@ -38,6 +48,19 @@ function endPainting() {
   stage.classList.remove("painting");
   showParts();
   look();
+}
+
+// Another tab may open something while one paints here: the strokes stay for when their smoke is seen again.
+function keepPainting() {
+  if (painting && painting.opened !== shownKey) {
+    if (painting.strokes.length) keptPaintings.set(painting.opened, painting);
+    endPainting();
+  }
+  if (saidOf === shownKey) return; // closed, perhaps
+  saidOf = shownKey;
+  const [latest] = [...keptPaintings.values()].slice(-1);
+  if (keptPaintings.has(shownKey)) complain("What you have painted here is kept: paint goes on with it.", "kept");
+  else if (latest) complain(`Something else has been opened. What you have painted over ${latest.title} is kept: open that, and paint goes on with it.`, "kept");
 }
 
 function beginStroke(event) {
@@ -90,13 +113,14 @@ function drawPainting(pen) {
 async function usePainting() {
   const { sheet, view: [azimuth, elevation] } = painting, target = targetIndex();
   const file = await new Promise((done) => sheet.toBlob(done, "image/png"));
+  selectNext();
   try {
     const where = new URLSearchParams({ target, azimuth, elevation, frame: frameIndex() });
     await answered(await fetch(`painting?${where}`, { method: "POST", body: file }));
     complain("");
-    asked = parts().length;
     endPainting();
   } catch (error) {
+    awaiting = null;
     complain(error.message);
   }
 }

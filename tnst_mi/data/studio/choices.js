@@ -21,7 +21,7 @@ async function list(at) {
     row.addEventListener("click", () => entry.kind === "folder" ? list(entry.path) : post("open", { path: entry.path }));
     rows.push(row);
   }
-  if (entries.some((entry) => entry.kind === "frames") && entries.length > 1) {
+  if (entries.filter((entry) => entry.kind === "frames").length > 1) {
     const all = element("button", "all frames of this folder", { id: "all" });
     all.addEventListener("click", () => post("open", { path: at || "." }));
     rows.unshift(all);

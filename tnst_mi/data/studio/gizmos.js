@@ -142,7 +142,7 @@ const stage = $("stage");
 stage.addEventListener("pointerdown", (event) => {
   if (event.target !== canvas) return;
   if (painting && event.button === 0 && !event.shiftKey) beginStroke(event);
-  else if (!painting && event.button === 0 && (grasped = handleAt(event))) Object.assign(grasped, { x: event.clientX, y: event.clientY });
+  else if (!painting && event.button === 0 && (grasped = handleAt(event))) Object.assign(grasped, { part: parts()[selected()].id, x: event.clientX, y: event.clientY });
   else return;
   event.stopPropagation();
   canvas.setPointerCapture(event.pointerId);
@@ -150,7 +150,7 @@ stage.addEventListener("pointerdown", (event) => {
 stage.addEventListener("pointermove", (event) => {
   if (stroke) { continueStroke(event); event.stopPropagation(); return; }
   if (grasped) {
-    editSoon(selected(), grasped.drag(event.clientX - grasped.x, event.clientY - grasped.y));
+    editSoon(grasped.part, grasped.drag(event.clientX - grasped.x, event.clientY - grasped.y));
     event.stopPropagation();
     return;
   }

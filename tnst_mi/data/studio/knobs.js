@@ -3,7 +3,25 @@
 // The recipe: goals, and sliders for its keys.
 
 const rows = {};
-let sending = 0;
+const waitingKnobs = new Map(); // values that are not yet sent, with the timers that send them, by their keys
+
+function sendSoon(key, value) {
+  if (waitingKnobs.has(key)) clearTimeout(waitingKnobs.get(key).timer);
+  waitingKnobs.set(key, { value, timer: setTimeout(() => sendKnob(key), 60) });
+}
+
+function sendKnob(key) {
+  const { value, timer } = waitingKnobs.get(key);
+  clearTimeout(timer);
+  waitingKnobs.delete(key);
+  post("set", { key, value });
+}
+
+// Sends what has been set, and waits until all that has been changed is known to the studio.
+async function allIsSet() {
+  for (const key of [...waitingKnobs.keys()]) sendKnob(key);
+  await Promise.all([...underway]);
+}
 
 function knobRow(knob) {
   const row = element("div", undefined, { className: "knob" });
@@ -18,8 +36,7 @@ function knobRow(knob) {
   const asked = () => Number((knob.logarithmic ? 10 ** slider.value : Number(slider.value)).toPrecision(3));
   slider.addEventListener("input", () => {
     value.textContent = asked();
-    clearTimeout(sending);
-    sending = setTimeout(() => post("set", { key: knob.key, value: asked() }), 60);
+    sendSoon(knob.key, asked());
   });
   row.append(name, slider, value);
   if (knob.word) {
@@ -49,11 +66,11 @@ function showRecipe() {
     const chip = element("span", undefined, { className: "goal" });
     const remove = element("button", "×", { title: "remove" });
     remove.addEventListener("click", () => post("goal", goal));
-    const name = goal.key === "style" ? goal.goal.split("/").pop() : goal.goal;
+    const name = goal.key === "style" ? goal.goal.split("/").pop() : goal.goal.replace(/^inception_/, "");
     chip.append(element("span", `${goal.key} ${name}`, { title: goal.goal }), remove);
     return chip;
   });
   for (const key of state.other_goals) goals.push(element("span", `${key} of the recipe`, { className: "goal" }));
   $("goals").replaceChildren(...(goals.length ? goals : [element("small", "choose motifs on the left")]));
-  $("try").disabled = $("render").disabled = !goals.length || !state.opened;
+  for (const id of ["try", "render"]) $(id).disabled = !goals.length || !state.opened || $(id).dataset.busy === "yes";
 }

@@ -24,7 +24,7 @@ async function askMovement(of) {
 }
 
 function shownMovement() {
-  const moves = mode === "movement";
+  const moves = mode === "movement" && isStylized();
   $("moved-as").hidden = !moves;
   $("wheel").hidden = !moves || movedAs() !== "movement";
   $("scale").hidden = !moves || movedAs() === "movement";

@@ -58,10 +58,11 @@ async function askPlace() {
     const answer = await got(`place?${new URLSearchParams({ frame: $("frame").value })}`);
     if (key !== placeOf) return; // another frame is shown by now
     place = answer;
+    complain("", "place-error");
     drawGizmos();
   } catch (error) {
     placeOf = "";
-    complain(error.message);
+    complain(error.message, "place-error");
   }
 }
 

@@ -1,27 +1,40 @@
 "use strict";
 // Regions: the masks of the recipe as a list.
 
-let asked = 0; // index of the part that is to have handles: a new one is not there yet
+let asked = null; // id of the part that is to have handles
+let awaiting = null; // ids of those that were there when one was added, which is not there yet
 const targetIndex = () => Number($("masked").value) || 0;
-const selected = () => Math.max(0, Math.min(asked, parts().length - 1));
+const selected = () => Math.max(0, parts().findIndex((part) => part.id === asked));
 const parts = () => (state && state.masks[targetIndex()] ? state.masks[targetIndex()].parts : []);
 const keyed = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
 const frameIndex = () => Number($("frame").value);
 
-function edit(action, part, values = {}) {
-  return post("mask", { action, target: targetIndex(), part, values, frame: frameIndex() });
+// By the part's id: another tab may have changed the list.
+function edit(action, id, values = {}) {
+  return post("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
+}
+
+function selectNext() {
+  awaiting = new Set(parts().map((part) => part.id));
+}
+
+// Selects a part that has been added, and instead of one that is gone the last one.
+function followSelection() {
+  const added = awaiting && parts().findLast((part) => !awaiting.has(part.id));
+  if (added) { asked = added.id; awaiting = null; }
+  if (parts().length && !parts().some((part) => part.id === asked)) asked = parts().at(-1).id;
 }
 
 // Edits while something is dragged: one at a time, the latest next.
 let editing = false, nextEdit = null;
-async function editSoon(part, values) {
-  nextEdit = [part, values];
+async function editSoon(id, values) {
+  nextEdit = [id, values];
   if (editing) return;
   editing = true;
   while (nextEdit) {
-    const [index, latest] = nextEdit;
+    const [part, latest] = nextEdit;
     nextEdit = null;
-    await edit("change", index, latest);
+    await edit("change", part, latest);
   }
   editing = false;
 }
@@ -29,7 +42,7 @@ async function editSoon(part, values) {
 const tidy = (value) => Number(value.toPrecision(5));
 const inScene = (point) => point.map((value) => tidy(value));
 
-function numbersRow(index, part, key) {
+function numbersRow(part, key) {
   const row = element("div", undefined, { className: "row" }), value = part.table[key] ?? (key === "strength" ? 1 : 0);
   row.append(element("span", key));
   if (keyed(value)) {
@@ -38,10 +51,11 @@ function numbersRow(index, part, key) {
   }
   const inputs = (Array.isArray(value) ? value : [value]).map((number, axis, all) => {
     const input = element("input", undefined, { type: "number", step: "any", value: tidy(number) });
+    input.dataset.field = `${part.id} ${key} ${axis}`;
     input.setAttribute("aria-label", all.length > 1 ? `${key} ${"xyz"[axis]}` : key);
     input.addEventListener("change", async () => {
       const numbers = inputs.map((other) => (other.value === "" ? null : Number(other.value)));
-      const done = await edit("change", index, { [key]: all.length > 1 ? numbers : numbers[0] });
+      const done = await edit("change", part.id, { [key]: all.length > 1 ? numbers : numbers[0] });
       if (!done) inputs.forEach((other, of) => { other.value = tidy(all[of]); });
     });
     return input;
@@ -51,10 +65,10 @@ function numbersRow(index, part, key) {
   return row;
 }
 
-function switchFor(index, key, text, on, title) {
+function switchFor(id, key, text, on, title) {
   const label = element("label", undefined, { title }), box = element("input", undefined, { type: "checkbox", checked: on });
   box.dataset.key = key;
-  box.addEventListener("change", () => edit("change", index, { [key]: box.checked || null }));
+  box.addEventListener("change", () => edit("change", id, { [key]: box.checked || null }));
   label.append(box, text);
   return label;
 }
@@ -64,18 +78,18 @@ function partRow(part, index) {
   row.dataset.form = part.form;
   const head = element("div", undefined, { className: "head" }), name = element("button", part.title);
   const remove = element("button", "×", { title: "remove" });
-  name.addEventListener("click", () => { asked = index; showParts(); drawGizmos(); });
-  remove.addEventListener("click", () => edit("remove", index));
+  name.addEventListener("click", () => { asked = part.id; showParts(); drawGizmos(); });
+  remove.addEventListener("click", () => edit("remove", part.id));
   head.append(name, remove);
   row.append(head);
   if (index !== selected()) return row;
   const keys = { sphere: ["centre", "radius", "edge"], box: ["low", "high", "edge"] }[part.form] || [];
-  row.append(...[...keys, "strength"].map((key) => numbersRow(index, part, key)));
+  row.append(...[...keys, "strength"].map((key) => numbersRow(part, key)));
   const follow = part.table.follow ?? false, switches = element("div", undefined, { className: "switches" });
   const follows = `follow${typeof follow === "number" ? ` from frame ${follow}` : ""}`;
-  switches.append(switchFor(index, "invert", "invert", Boolean(part.table.invert), "Everywhere but there"));
+  switches.append(switchFor(part.id, "invert", "invert", Boolean(part.table.invert), "Everywhere but there"));
   if (state.opened && state.opened.names.length > 1) {
-    switches.append(switchFor(index, "follow", follows, follow !== false, "Moves with the smoke from the shown frame on, by its velocities"));
+    switches.append(switchFor(part.id, "follow", follows, follow !== false, "Moves with the smoke from the shown frame on, by its velocities"));
   }
   row.append(switches);
   return row;
@@ -85,18 +99,25 @@ let shownList = "";
 
 function showParts() {
   if (!state) return;
+  followSelection();
   const chosen = Math.min(targetIndex(), state.masks.length - 1);
   alsoAsked.mask = $("masks-shown").checked && state.masks[chosen].parts.length ? chosen : "none";
   for (const id of ["add-sphere", "add-box", "add-painting"]) $(id).disabled = !state.opened || Boolean(painting);
   // The state comes often while something runs: what is being clicked or typed stays as long as it is true.
   const key = JSON.stringify([state.masks, chosen, selected(), state.opened && state.opened.names.length]);
-  const typed = document.activeElement;
-  if (key === shownList || ($("parts").contains(typed) && typed.type === "number")) return;
+  if (key === shownList) return;
   shownList = key;
+  const typed = $("parts").contains(document.activeElement) ? document.activeElement : null;
+  const field = typed && typed.dataset.field, text = field && typed.value !== typed.defaultValue ? typed.value : null;
   $("masked").replaceChildren(...state.masks.map((target, index) => element("option", target.title, { value: index })));
   $("masked").value = chosen;
   $("masked").hidden = state.masks.length < 2;
   $("parts").replaceChildren(...parts().map(partRow));
+  // What is being typed goes on, if its part is still there.
+  const again = field && $("parts").querySelector(`[data-field="${field}"]`);
+  if (!again) return;
+  if (text !== null) again.value = text;
+  again.focus();
 }
 
 let shareOf = "";
@@ -111,7 +132,7 @@ async function showShare() {
   try {
     ({ share } = await got(`share?${new URLSearchParams({ target: targetIndex(), frame: frameIndex() })}`));
     const percent = share > 0 && share < 0.01 ? "less than 1%" : `${Math.round(100 * share)}%`;
-    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these, where it changes" : "is in it and changes"}.`;
+    text = `${percent} of this frame's smoke ${parts().length > 1 ? "is in all of these: only where they overlap it changes" : "is in it and changes; beside another region, only where both overlap"}.`;
   } catch (error) {
     text = error.message;
   }
@@ -120,7 +141,7 @@ async function showShare() {
   $("share").classList.toggle("none", !share);
 }
 
-$("masked").addEventListener("change", () => { asked = 0; showParts(); look(); });
+$("masked").addEventListener("change", () => { asked = null; showParts(); look(); });
 $("masks-shown").addEventListener("change", () => { showParts(); look(); });
 
 // In the middle of what is seen, as deep as the middle of the smoke, and about half as large.
@@ -142,8 +163,8 @@ async function addShape(shape) {
   const values = shape === "sphere"
     ? { shape, centre: inScene(at), radius: tidy(radius * cellEdge()), edge }
     : { shape, low: inScene(plus(at, halfInScene, -1)), high: inScene(plus(at, halfInScene)), edge };
-  asked = parts().length;
-  await edit("add", 0, values);
+  selectNext();
+  if (!(await edit("add", null, values))) awaiting = null;
 }
 $("add-sphere").addEventListener("click", () => addShape("sphere"));
 $("add-box").addEventListener("click", () => addShape("box"));
@@ -152,7 +173,7 @@ $("add-box").addEventListener("click", () => addShape("box"));
 
 document.addEventListener("drawn", () => { askPlace(); showShare(); drawGizmos(); });
 document.addEventListener("told", () => {
-  if (painting && painting.opened !== shownKey) { complain("Something else has been opened; what was painted is gone."); endPainting(); }
+  keepPainting();
   const before = alsoAsked.mask;
   showParts();
   if (alsoAsked.mask !== before) look();

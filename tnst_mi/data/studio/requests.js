@@ -5,9 +5,18 @@
 let state = null; // what all tabs share, as the server tells it
 const $ = (id) => document.getElementById(id);
 
-function complain(text) {
-  $("error").textContent = text || "";
-  $("error").hidden = !text;
+// Says something in the place of its source, where it stays until that has something else to say, or it is closed:
+// "error" of what is asked for, "view-error" of pictures, "place-error" of where frames lie, "notes" of what is opened,
+// "kept" of paintings.
+function complain(text, source = "error") {
+  const shown = $(source);
+  if (!shown.firstChild) {
+    const close = element("button", "×", { title: "close" });
+    close.addEventListener("click", () => { shown.hidden = true; });
+    shown.append(element("span"), close);
+  }
+  shown.firstChild.textContent = text || "";
+  shown.hidden = !text;
 }
 
 async function answered(response) {
@@ -17,7 +26,16 @@ async function answered(response) {
   throw new Error(text);
 }
 
-async function post(path, values) {
+const underway = new Set(); // changes that have not been answered yet
+
+function post(path, values) {
+  const asked = posted(path, values);
+  underway.add(asked);
+  asked.finally(() => underway.delete(asked));
+  return asked;
+}
+
+async function posted(path, values) {
   try {
     const headers = { "Content-Type": "application/json" };
     await answered(await fetch(path, { method: "POST", headers, body: JSON.stringify(values) }));

@@ -4,9 +4,18 @@
 
 let shownKey = null, shownShape = null, shownNotice = null;
 
+// The frame with the number of the one that was shown; where there is none, of a try the first that it has stylized.
+function showSameFrame(before) {
+  const { names, numbers, stylized } = state.opened, slider = $("frame"), was = Number(slider.value);
+  const same = before && before.numbers[was] !== null ? numbers.indexOf(before.numbers[was]) : -1;
+  const there = same >= 0 ? same : Math.min(was, names.length - 1);
+  slider.max = names.length - 1;
+  slider.value = stylized.includes(there) ? there : stylized[0];
+}
+
 function told(next) {
-  const shownParts = () => JSON.stringify([state.knobs, state.opened, state.masks]);
-  const before = state && shownParts();
+  const shownParts = (of) => JSON.stringify([of.knobs, of.opened, of.masks]);
+  const before = state;
   state = next;
   const key = state.opened && JSON.stringify([state.opened.title, state.opened.path, state.opened.names]);
   shownMode();
@@ -16,8 +25,8 @@ function told(next) {
   if (key && key !== shownKey) {
     shownKey = key;
     $("hint").hidden = true;
-    $("frame").max = state.opened.names.length - 1;
-    $("frame").value = Math.min(Number($("frame").value), state.opened.names.length - 1);
+    stopPlaying();
+    showSameFrame(before && before.opened);
     $("time").hidden = state.opened.names.length < 2;
     $("name").textContent = state.opened.names[Number($("frame").value)];
     document.title = `${state.opened.title} – tnst-mi studio`;
@@ -28,8 +37,8 @@ function told(next) {
     if (shape === shownShape) look(); else home();
     shownShape = shape;
     for (const row of $("files").children) row.classList.toggle("on", row.dataset.path === state.opened.path);
-    if (state.opened.notes.length) complain(state.opened.notes.join(" "));
-  } else if (before !== shownParts()) {
+    complain(state.opened.notes.join(" "), "notes");
+  } else if (!before || shownParts(before) !== shownParts(state)) {
     look();
   }
   if (state.notice !== shownNotice) {

@@ -16,9 +16,19 @@ const alsoAsked = {}; // what other scripts of the page want of its pictures
 const canvas = $("view"), pictures = {};
 let waiting = false, wanted = false, movedAt = 0, stillTimer = 0, pass = 0, fineness = LIT_ROWS.length - 1;
 
+// What of the shown frame is seen: of those that a try has not stylized there is nothing but what was before.
+function shownAs() {
+  return isStylized() ? mode : "before";
+}
+
+function isStylized() {
+  return state.opened.stylized.includes(Number($("frame").value));
+}
+
 function sides() {
-  if (mode === "movement") return [movementSide()];
-  return mode === "wipe" ? ["before", "after"] : [mode];
+  const shown = shownAs();
+  if (shown === "movement") return [movementSide()];
+  return shown === "wipe" ? ["before", "after"] : [shown];
 }
 
 function query(side, coarse, lit) {
@@ -52,7 +62,7 @@ async function update() {
   while (wanted) {
     wanted = false;
     const moving = performance.now() - movedAt < STILL_AFTER;
-    const canBeLit = $("lit").checked && $("cut").value === "none" && ["before", "after", "wipe"].includes(mode);
+    const canBeLit = $("lit").checked && $("cut").value === "none" && ["before", "after", "wipe"].includes(shownAs());
     const lit = canBeLit && !moving;
     if (lit) pass += 1;
     const begun = performance.now();
@@ -64,15 +74,16 @@ async function update() {
         // The first pass may have had to be compiled.
         if (lit && pass === 2) adapt(performance.now() - asked);
       }
-      if (mode === "movement") await askMovement(query("after", moving, false));
-      complain("");
+      if (shownAs() === "movement") await askMovement(query("after", moving, false));
+      complain("", "view-error");
       if (lit && pass < LIT_PASSES) wanted = true;
       const [d, h, w] = state.opened.shape;
       const total = Math.round(performance.now() - begun);
-      $("status").textContent = `${w}×${h}×${d} cells · ${total} ms` + (lit ? ` · pass ${pass} of ${LIT_PASSES}` : "");
+      $("status").textContent = `${w}×${h}×${d} cells · ${total} ms` + (lit ? ` · pass ${pass} of ${LIT_PASSES}` : "")
+        + (isStylized() ? "" : " · this frame as it is: it was not in the try");
       draw();
     } catch (error) {
-      complain(error.message);
+      complain(error.message, "view-error");
     }
     if (moving && !wanted) {
       clearTimeout(stillTimer);
@@ -101,7 +112,7 @@ function draw() {
   for (const side of sides()) {
     if (!pictures[side]) continue;
     pen.save();
-    if (mode === "wipe" && side === "after") {
+    if (shownAs() === "wipe" && side === "after") {
       pen.beginPath();
       pen.rect(wipe * width, 0, width, height);
       pen.clip();
@@ -109,8 +120,8 @@ function draw() {
     pen.drawImage(pictures[side], 0, 0, width, height);
     pen.restore();
   }
-  if (mode === "movement") drawMovement(pen, width, height);
-  if (mode === "wipe") {
+  if (shownAs() === "movement") drawMovement(pen, width, height);
+  if (shownAs() === "wipe") {
     pen.fillStyle = "#fff";
     pen.fillRect(wipe * width - 1, 0, 2, height);
     pen.beginPath();
@@ -139,7 +150,7 @@ function home() {
 let dragged = null;
 canvas.addEventListener("pointerdown", (event) => {
   canvas.setPointerCapture(event.pointerId);
-  const atWipe = mode === "wipe" && Math.abs(event.offsetX - wipe * canvas.clientWidth) < 12;
+  const atWipe = state && state.opened && shownAs() === "wipe" && Math.abs(event.offsetX - wipe * canvas.clientWidth) < 12;
   dragged = { x: event.clientX, y: event.clientY, what: atWipe ? "wipe" : event.button === 0 && !event.shiftKey ? "orbit" : "pan" };
 });
 canvas.addEventListener("pointermove", (event) => {
@@ -179,11 +190,14 @@ for (const name of MODES) {
 }
 
 function shownMode() {
-  const after = Boolean(state && state.opened && state.opened.after);
-  if (!after) mode = "before";
+  const shown = state && state.opened, after = Boolean(shown && shown.after);
+  const gone = Boolean(shown && shown.run && !after); // its input: what there is has been stylized
+  if (!after) mode = gone ? "after" : "before";
   for (const name of MODES) {
-    $(`mode-${name}`).classList.toggle("on", name === mode);
-    $(`mode-${name}`).disabled = !after && name !== "before";
+    const button = $(`mode-${name}`);
+    button.classList.toggle("on", name === mode);
+    button.disabled = !after && name !== mode;
+    button.title = !button.disabled ? "" : gone ? shown.notes.join(" ") : "of a run, which has something before and after";
   }
   shownMovement();
   $("physics").textContent = (state && state.physics) || "";
@@ -200,18 +214,24 @@ $("at").addEventListener("input", () => look());
 $("home").addEventListener("click", home);
 
 let playing = 0;
+function stopPlaying() {
+  clearInterval(playing);
+  playing = 0;
+  $("play").textContent = "▶";
+}
+
 function showFrame() {
   $("name").textContent = state.opened.names[Number($("frame").value)];
   look();
 }
 $("frame").addEventListener("input", showFrame);
 $("play").addEventListener("click", () => {
-  if (playing) { clearInterval(playing); playing = 0; } else {
+  if (playing) { stopPlaying(); } else {
     playing = setInterval(() => {
       if (waiting) return; // as fast as pictures come
       $("frame").value = (Number($("frame").value) + 1) % state.opened.names.length;
       showFrame();
     }, 1000 / 12);
+    $("play").textContent = "❚❚";
   }
-  $("play").textContent = playing ? "❚❚" : "▶";
 });

@@ -7,8 +7,19 @@ const chosenJobs = new Set(); // of this tab, kept when the other tries are dele
 
 const JOB_ACTIONS = { pause: "pause", resume: "resume", open: "open", finish: "render this", delete: "delete" };
 
-function act(action, id) {
-  return post("work", { action, id });
+// Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again.
+async function once(button, event, action) {
+  if (event.detail > 1 || button.dataset.busy === "yes") return;
+  button.dataset.busy = "yes";
+  button.disabled = true;
+  try {
+    await allIsSet();
+    await post("work", action);
+  } finally {
+    delete button.dataset.busy;
+    button.disabled = false;
+    showRecipe();
+  }
 }
 
 // Delete tries or renders, after a question; running ones are stopped first.
@@ -31,18 +42,20 @@ function jobCard(job) {
   choose.setAttribute("aria-label", `choose ${job.title}`);
   choose.addEventListener("change", () => { chosenJobs[choose.checked ? "add" : "delete"](job.id); showChosen(); });
   choose.hidden = !job.id.startsWith("tries/");
-  head.append(choose, element("b", job.title), status);
+  head.append(choose, element("b", `${job.title}: ${job.of}`, { title: job.of }), status);
   const bar = element("progress", undefined, { max: 1, hidden: true });
   bar.setAttribute("aria-label", "progress");
   const image = element("img", undefined, { alt: "before and after", hidden: true, title: "open" });
-  image.addEventListener("click", () => act("open", job.id));
+  image.addEventListener("click", (event) => once(image, event, { action: "open", id: job.id }));
   image.addEventListener("error", () => { image.hidden = true; });
   const graph = element("canvas", undefined, { hidden: true }), line = element("p"), told = element("p", "", { className: "told" });
   const buttons = element("div", undefined, { className: "buttons" }), actions = {};
   for (const [action, label] of Object.entries(JOB_ACTIONS)) {
     const button = actions[action] = element("button", label);
     button.dataset.action = action;
-    button.addEventListener("click", () => action === "delete" ? deleteJobs([job.id], `Delete ${job.title}?`) : act(action, job.id));
+    button.addEventListener("click", (event) => {
+      if (action === "delete") deleteJobs([job.id], `Delete ${job.title}?`); else once(button, event, { action, id: job.id });
+    });
     buttons.append(button);
   }
   const branch = element("button", "go on from…", { title: "Choose a state that was kept, and go on from there with other settings" });
@@ -52,7 +65,8 @@ function jobCard(job) {
     states.hidden = !states.hidden;
     states.scrollIntoView({ block: "nearest" });
   });
-  actions.finish.title = "The whole recipe, from here to the end; nothing is computed twice";
+  if (job.alone) actions.finish.textContent = "render this frame";
+  actions.finish.title = `The whole recipe${job.alone ? ", of this frame" : ""}, from here to the end; nothing is computed twice`;
   buttons.insertBefore(branch, actions.delete);
   const of = new URLSearchParams({ id: job.id });
   for (const [name, path] of [["recipe.toml", "work/recipe"], ["log", "work/log"]]) {
@@ -166,16 +180,16 @@ function showStart() {
   const kept = job && job.states.find((one) => one.octave === start.octave);
   $("start").hidden = !job;
   $("start-text").textContent = job ? `goes on from ${job.title}, ${kept ? kept.title : "a state that is gone"}` : "";
-  $("alone").hidden = Boolean(job) || !state.opened || state.opened.names.length < 2;
+  $("alone").hidden = Boolean(job) || !state.opened || !state.opened.of_several;
   if (document.activeElement !== $("cluster")) $("cluster").value = state.cluster;
 }
 
 document.addEventListener("DOMContentLoaded", () => {
-  $("try").addEventListener("click", () => {
+  $("try").addEventListener("click", (event) => {
     const only = !$("alone").hidden && $("only").checked;
-    post("work", { action: "try", alone: only ? Number($("frame").value) : null });
+    once($("try"), event, { action: "try", alone: only ? state.opened.numbers[frameIndex()] : null });
   });
-  $("render").addEventListener("click", () => post("work", { action: "render" }));
+  $("render").addEventListener("click", (event) => once($("render"), event, { action: "render" }));
   $("anew").addEventListener("click", () => post("work", { action: "anew" }));
   $("clear").addEventListener("click", () => {
     const others = otherTries();

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,15 @@ def mask_tables(recipe: Recipe) -> list[list[dict[str, Any]]]:
     return [[dict(table_of(part)) for part in parts_of(mask)] for mask in masks]
 
 
-def masks_described(recipe: Recipe) -> list[dict[str, Any]]:
-    """What the page shows of each target: its title, and the form, title and table of each part of its mask."""
+def masks_described(recipe: Recipe, ids: PartIds) -> list[dict[str, Any]]:
+    """What the page shows of each target: its title, and the id, form, title and table of each part of its mask."""
     titles = [_goal_of(number, target) for number, target in enumerate(recipe.target, start=1)] or ["all goals"]
     parts = [
-        [{"form": form_of(table), "title": _title(table), "table": table} for table in tables]
-        for tables in mask_tables(recipe)
+        [
+            {"id": identity, "form": form_of(table), "title": _title(table), "table": table}
+            for identity, table in zip(of_target, tables, strict=True)
+        ]
+        for of_target, tables in zip(ids.of(recipe), mask_tables(recipe), strict=True)
     ]
     return [{"title": title, "parts": of_target} for title, of_target in zip(titles, parts, strict=True)]
 
@@ -59,12 +63,14 @@ class MaskEdit:
         target: index of the target, 0 in a recipe without targets.
         part: index of the part that is changed or removed.
         values: the keys of a new part, or those that are changed; None takes a key away.
+        id: of the part, as pages are told; it counts in place of the index, which another tab may have changed.
     """
 
     action: str
     target: int
     part: int = 0
     values: Mapping[str, Any] = field(default_factory=dict)
+    id: int | None = None
 
     @classmethod
     def of_json(cls, values: Mapping[str, Any]) -> MaskEdit:
@@ -74,16 +80,16 @@ class MaskEdit:
             InputError: it is none, or it names a file.
         """
         action, keys = values.get("action"), values.get("values", {})
-        target, part = values.get("target", 0), values.get("part", 0)
+        target, part, identity = values.get("target", 0), values.get("part", 0), values.get("id")
         if action not in _ACTIONS:
             raise InputError(one_line(f"mask: action = {action!r}: expected one of {', '.join(_ACTIONS)}"))
-        if not all(isinstance(index, int) and not isinstance(index, bool) for index in (target, part)):
-            raise InputError("mask: target and part are whole numbers, from 0")
+        if not all(isinstance(index, int) and not isinstance(index, bool) for index in (target, part, identity or 0)):
+            raise InputError("mask: target, part and id are whole numbers, from 0")
         if not isinstance(keys, Mapping):
             raise InputError("mask: values are a table of keys, such as {radius: 4}")
         if foreign := [key for key in keys if key not in _KEYS]:
             raise InputError(one_line(f"mask: the page sets no {foreign[0]!r}, expected one of {', '.join(_KEYS)}"))
-        return cls(action, target, part, keys)
+        return cls(action, target, part, keys, identity)
 
     def applied(self, recipe: Recipe) -> dict[str, Any]:
         """The keys of a recipe that this changes, with their new values, which the recipe has yet to check.
@@ -109,6 +115,48 @@ class MaskEdit:
         targets = [dict(target) for target in recipe.target]
         targets[self.target] |= {"mask": mask}
         return {"target": [_without_none(target) for target in targets]}
+
+
+class PartIds:
+    """Names parts of masks by numbers that stay theirs when others are added and removed, and are not given again.
+
+    Args:
+        ids: of the parts of each target's mask.
+    """
+
+    _next = itertools.count(1)
+
+    def __init__(self, ids: list[list[int]] | None = None) -> None:
+        self._ids = ids or []
+
+    def of(self, recipe: Recipe) -> list[list[int]]:
+        """The ids of the parts of each target's mask; new ones, if the recipe is not the one that had them."""
+        counts = [len(tables) for tables in mask_tables(recipe)]
+        if [len(ids) for ids in self._ids] != counts:
+            self._ids = [[next(self._next) for _ in range(count)] for count in counts]
+        return self._ids
+
+    def located(self, edit: MaskEdit, recipe: Recipe) -> MaskEdit:
+        """An edit with the index of the part that its id names.
+
+        Raises:
+            InputError: there is no such part any more.
+        """
+        if edit.id is None:
+            return edit
+        ids = _at(self.of(recipe), edit.target, "target")
+        if edit.id not in ids:
+            raise InputError("mask: this region is gone, removed or replaced in another tab; nothing has been changed")
+        return replace(edit, part=ids.index(edit.id))
+
+    def after(self, edit: MaskEdit, recipe: Recipe) -> PartIds:
+        """The ids after an edit that has been located and can be done."""
+        ids = [list(of_target) for of_target in self.of(recipe)]
+        if edit.action == "add":
+            ids[edit.target].append(next(self._next))
+        elif edit.action == "remove":
+            del ids[edit.target][edit.part]
+        return PartIds(ids)
 
 
 def _at(items: list[Any], index: int, name: str) -> Any:

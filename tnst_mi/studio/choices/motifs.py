@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import threading
 from collections import Counter
@@ -25,6 +24,7 @@ from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.readers import read_weights
 from tnst_mi.network.weights import find_weights
 from tnst_mi.recipe.paths import STYLES, shipped_styles
+from tnst_mi.studio.choices.atlas_channels import ATLAS, PICTURE, channels_of
 from tnst_mi.studio.choices.examples import ATLASES, channel_of
 from tnst_mi.studio.choices.similarity import COMPARED, PictureAnswer
 from tnst_mi.studio.choices.uploads import as_png, read_upload
@@ -37,8 +37,8 @@ _TAGS, _CHANNELS = 48, 64
 #: Edge of a thumbnail in pixels.
 _EDGE = 96
 
-#: Folders below the started one in which atlases are looked for, and files of an atlas.
-_DEPTH, _ATLAS, _PICTURE = 3, "atlas.json", re.compile(r"(\d{3,6})_picture\.png")
+#: How many folders below the started one atlases are looked for.
+_DEPTH = 3
 
 #: Pictures that have been uploaded, at most.
 _UPLOADS = 200
@@ -134,7 +134,7 @@ class MotifBrowser:
         layer, number = _layer_and_number(wanted)
         seen = set()
         for atlas in self._atlases():
-            for found, picture in _channels_of(atlas):
+            for found, picture in channels_of(atlas):
                 goal = f"{found.layer}:{found.channel}"
                 named = layer in found.layer.lower() and number in (None, found.channel) and found.layer != LOGITS
                 if found.flavour != flavour or not named or goal in seen or (means := means_in(picture)) is None:
@@ -145,7 +145,7 @@ class MotifBrowser:
                     continue
                 seen.add(goal)
                 share = (float(of_layer[found.channel]) - before) / (after - before)
-                title = f"{goal.removeprefix('inception_')} {share:.0%}"
+                title = _channel_title(found.layer, found.channel, f" {share:.0%}")
                 yield share, Motif("channels of atlases, by share", "semantic", goal, title, self._picture_url(picture))
 
     def tags(self, weights: str | None) -> list[str]:
@@ -169,7 +169,7 @@ class MotifBrowser:
         return {
             found.channel: self._picture_url(picture)
             for atlas in self._atlases()
-            for found, picture in _channels_of(atlas)
+            for found, picture in channels_of(atlas)
             if (found.layer, found.flavour) == (LOGITS, flavour)
         }
 
@@ -195,7 +195,7 @@ class MotifBrowser:
                 raise InputError(one_line(f"{style!r}: no such style picture"))
             return _thumbnail(read_image(names[style]))
         path = self._places.within(atlas or "") if made is None else self._made.within(made)
-        if not _PICTURE.fullmatch(path.name) or not (path.parent.parent / _ATLAS).is_file():
+        if not PICTURE.fullmatch(path.name) or not (path.parent.parent / ATLAS).is_file():
             raise InputError(one_line(f"{made or atlas!r}: is no picture of an atlas"))
         return _thumbnail(read_image(path))
 
@@ -250,27 +250,32 @@ class MotifBrowser:
         layer, number = _layer_and_number(wanted)
         seen = set()
         for atlas in self._atlases():
-            for found, picture in _channels_of(atlas):
+            for found, picture in channels_of(atlas):
                 goal = f"{found.layer}:{found.channel}"
                 if tags and found.layer == LOGITS:
                     continue
                 if layer in found.layer.lower() and number in (None, found.channel) and goal not in seen:
                     seen.add(goal)
-                    title = goal.removeprefix("inception_")
+                    title = _channel_title(found.layer, found.channel)
                     yield Motif("channels", "semantic", goal, title, self._picture_url(picture))
         if wanted and number is not None:
             for name in LAYERS:
                 goal = f"{name}:{number}"
                 if layer in name.lower() and goal not in seen:
-                    yield Motif("channels", "semantic", goal, goal)
+                    yield Motif("channels", "semantic", goal, _channel_title(name, number))
 
     def _atlases(self) -> Iterator[Path]:
         for depth in range(1, _DEPTH + 1):
-            for file in sorted(self._places.root.glob("/".join(["*"] * depth + [_ATLAS]))):
+            for file in sorted(self._places.root.glob("/".join(["*"] * depth + [ATLAS]))):
                 inside = self._places.relative(file) is not None
                 if inside and self._made.relative(file) is None:
                     yield file.parent
-        yield from (file.parent for file in sorted(self._made.root.glob(f"*/{_ATLAS}")))
+        yield from (file.parent for file in sorted(self._made.root.glob(f"*/{ATLAS}")))
+
+
+def _channel_title(layer: str, channel: int, measure: str = "") -> str:
+    """What the page calls a channel: what tells it from others of its layer comes first, where narrow tiles show it."""
+    return f"{channel}{measure} · {layer.removeprefix('inception_')}"
 
 
 def _layer_and_number(wanted: str) -> tuple[str, int | None]:
@@ -291,28 +296,8 @@ def _by_deviation(wanted: str, answer: PictureAnswer) -> Iterator[Motif]:
     ]
     for deviation, name, channel in sorted(found, key=lambda one: -one[0])[:_CHANNELS]:
         goal = f"{name}:{channel}"
-        title = f"{goal.removeprefix('inception_')} {deviation:+.1f}σ"
+        title = _channel_title(name, channel, f" {deviation:+.1f}σ")
         yield Motif("channels, by deviation", "semantic", goal, title)
-
-
-@dataclass(frozen=True)
-class _AtlasChannel:
-    layer: str
-    flavour: str
-    channel: int
-
-
-def _channels_of(atlas: Path) -> Iterator[tuple[_AtlasChannel, Path]]:
-    """The channels of an atlas with their pictures; none of what is damaged."""
-    try:
-        described = json.loads((atlas / _ATLAS).read_text("utf-8"))
-        layer, flavour = str(described["layer"]), str(described["flavour"])
-        pictures = sorted((atlas / "channels").glob("*_picture.png"))
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return
-    for picture in pictures:
-        if layer in LAYERS and (match := _PICTURE.fullmatch(picture.name)):
-            yield _AtlasChannel(layer, flavour, int(match[1])), picture
 
 
 def _thumbnail(image: GreyImage) -> bytes:

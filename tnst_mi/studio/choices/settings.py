@@ -13,7 +13,7 @@ from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.going_on import FREE
-from tnst_mi.studio.choices.masks import MaskEdit, masks_described
+from tnst_mi.studio.choices.masks import MaskEdit, PartIds, masks_described
 
 #: Keys that name goals, and what one of theirs is called on the page.
 GOAL_KEYS = ("style", "tag", "semantic")
@@ -68,10 +68,12 @@ class StudioSettings:
     Attributes:
         base: the recipe of what is opened, or the defaults.
         values: the keys that were set, with their values.
+        parts: what the parts of masks are called.
     """
 
     base: Recipe = field(default_factory=Recipe)
     values: dict[str, Any] = field(default_factory=dict)
+    parts: PartIds = field(default_factory=PartIds)
 
     @property
     def recipe(self) -> Recipe:
@@ -122,7 +124,10 @@ class StudioSettings:
         Raises:
             InputError: there is no such mask, or the recipe does not allow what becomes of it.
         """
-        settings = StudioSettings(self.base, self.values | edit.applied(self.recipe))
+        recipe = self.recipe
+        edit = self.parts.located(edit, recipe)
+        values = self.values | edit.applied(recipe)
+        settings = StudioSettings(self.base, values, self.parts.after(edit, recipe))
         settings._with(settings.values)
         return settings
 
@@ -146,7 +151,7 @@ class StudioSettings:
             "knobs": knobs,
             "goals": goals,
             "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)],
-            "masks": masks_described(recipe),
+            "masks": masks_described(recipe, self.parts),
         }
 
     def _with(self, values: Mapping[str, Any]) -> Recipe:

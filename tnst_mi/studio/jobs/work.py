@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
-from tnst_mi.machine.terminal import duration, one_line
+from tnst_mi.machine.terminal import displayable, duration, one_line
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.run.folder import DAMAGE
 from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
@@ -49,6 +49,7 @@ class StudioWork:
         self.name, self.process = name, process
         self.live = LiveRun(process.folder, process.recipe_file, process.record.shape)
         self.goals, self.asked_at = _goals(process.recipe_file), _written_at(process.recipe_file)
+        self.subject = _subject(process)
         self.status = INTERRUPTED
         self._described: dict[str, Any] = {}
         self.update()
@@ -104,6 +105,8 @@ class StudioWork:
         return {
             "id": self.name,
             "title": title_of(self.name),
+            "of": self.subject,
+            "alone": self.process.record.alone,
             "status": self.status,
             "goals": self.goals,
             "line": self._line(),
@@ -180,7 +183,7 @@ class StudioWork:
         elif losses:
             parts.append(f"octave {octaves[-1] + 1}")
             parts.append(f"{self.live.done} of {self.live.total or '?'} iterations")
-            parts.append(f"loss {losses[-1]:.4g}")
+            parts.append(f"loss in this octave {losses[-1]:.4g}")
             if self.status == RUNNING and self.live.left is not None:
                 parts.append(f"about {duration(self.live.left)} left")
         elif self.status == RUNNING:
@@ -223,6 +226,18 @@ def _goals(recipe_file: Path) -> str:
     return " + ".join([*names, *recipe.tag, *recipe.semantic]) or "a recipe of its own"
 
 
+def _subject(process: RunProcess) -> str:
+    """The input of a run in a few words, and the frame that it is of, if it is of one alone."""
+    source = Path(process.record.source)
+    name = displayable(source.name if source.is_dir() else source.stem)
+    if not process.record.alone:
+        return name
+    try:
+        return f"{name}, frame {plain_recipe(process.recipe_file).frames}"
+    except InputError:
+        return name
+
+
 def _written_at(file: Path) -> float:
     """When a file was written; 0 if it is gone."""
     try:
@@ -241,7 +256,7 @@ def _outcome(folder: Path) -> list[str]:
         losses = [(frame["loss_before"], frame["loss_after"]) for frame in frames if frame["loss_before"] is not None]
         if losses:
             means = [sum(float(loss) for loss in side) / len(losses) for side in zip(*losses, strict=True)]
-            parts.insert(0, f"loss {means[0]:.3g} → {means[1]:.3g}")
+            parts.insert(0, f"loss in the fixed views {means[0]:.3g} → {means[1]:.3g}")
         return [*parts, duration(float(run["seconds"]))]
     except DAMAGE:
         return []

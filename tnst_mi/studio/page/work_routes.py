@@ -43,7 +43,7 @@ class WorkRoutes:
         values, session = request.json(), self._session
         action = _word(values, "action")
         if action in _KINDS:
-            session.begin(_KINDS[action], _whole(values, "alone", "the index of a frame"))
+            session.begin(_KINDS[action], _frame_number(values.get("alone")))
         elif action == "delete":
             session.delete(_names(values))
         elif action == "anew":
@@ -102,10 +102,10 @@ def _word(values: Mapping[str, Any], name: str) -> str:
     return value
 
 
-def _whole(values: Mapping[str, Any], name: str, what: str) -> int | None:
-    value = values.get(name)
-    if not isinstance(value, int | None) or isinstance(value, bool):
-        raise InputError(f"studio: {name} is {what}, or nothing")
+def _frame_number(value: Any) -> int | float | None:
+    """The number of the frame that is to be tried alone; None for all."""
+    if not isinstance(value, int | float | None) or isinstance(value, bool):
+        raise InputError("studio: alone is the number of a frame, or nothing for all")
     return value
 
 

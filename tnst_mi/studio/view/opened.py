@@ -21,6 +21,7 @@ from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.reopened import Reopened, reopened
 from tnst_mi.run.stored_arrays import StoredArrays
+from tnst_mi.studio.source import among_all_frames
 
 #: Sides of a frame: as it came, and stylized.
 BEFORE, AFTER = "before", "after"
@@ -128,13 +129,17 @@ class Opened:
         return self.results.frames if side == AFTER or before is None else before
 
 
-def opened(path: Path) -> Opened:
+def opened(path: Path, all_frames: bool = False) -> Opened:
     """Open densities or the folder of a run, finished or not.
+
+    Args:
+        path: where they are.
+        all_frames: whether to show a run among all frames of its input, if that can be read.
 
     Raises:
         InputError: nothing is there that can be shown.
     """
-    results = reopened(path)
+    results = among_all_frames(reopened(path)) if all_frames else reopened(path)
     record = results.record
     middle = results.frames[len(results.frames) // 2]
     if record is None:
