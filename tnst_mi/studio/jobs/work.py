@@ -126,6 +126,7 @@ class StudioWork:
     def _damaged(self, error: Exception) -> dict[str, Any]:
         """What the page shows where the files of a run cannot be understood."""
         shown = {"id": self.name, "title": title_of(self.name), "status": self.status, "goals": self.goals}
+        shown |= {"of": self.subject, "alone": self.process.record.alone}
         said = {"line": self.goals, "error": one_line(f"its files are damaged ({type(error).__name__}: {error})")}
         unknown = dict.fromkeys(("total", "left", "picture", "cluster", "dashboard"))
         empty: dict[str, Any] = {"losses": [], "octaves": [], "done": 0, "states": []}
