@@ -136,3 +136,9 @@ def test_no_two_classes_have_one_name() -> None:
     )
     twice = [(a, b) for a, b in itertools.pairwise(names) if a[0] == b[0]]
     assert twice == []
+
+
+def test_no_two_modules_of_tests_have_one_name() -> None:
+    """pytest imports them by their names alone."""
+    names = sorted(path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "__init__.py")
+    assert [name for name, other in itertools.pairwise(names) if name == other] == []

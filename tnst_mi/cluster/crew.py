@@ -135,15 +135,16 @@ class Crew:
         return members[frame * len(members) // len(self._plan.frames)]
 
     def _place_again(self) -> None:
-        """Others are there than before: give tasks that nobody is at to those that they are for now.
+        """Others are there than before: see to it that tasks are for them.
 
-        Dask keeps a task for a process that it was given for, even where others are allowed, as long as that is there.
+        Of one that has left, Dask gives the tasks to others by itself; but not those that were for nobody else, and
+        where nobody is left, it would give them to who has not joined. What somebody is at stays there.
         """
-        begun = set(self._blame.at.values())
+        members, begun = frozenset(self._roster.members), set(self._blame.at.values())
         moved = {
             task: given.told
             for task, given in self._given.items()
-            if task not in begun and not (self._roster.members and given.asked == self._asked(task))
+            if task not in begun and (not members or (self._roster.refused and given.asked != members))
         }
         self._client.cancel([self._given.pop(task).future for task in moved], force=True)
         self.give(moved)
