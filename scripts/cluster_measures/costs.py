@@ -74,18 +74,19 @@ def _empty_tasks(folder: Path, iterations: int = 60) -> tuple[float, dict[str, f
 
     def nothing(run: str, task: Task, told: Told, parcels: None) -> None:
         """In place of `member.perform`: reports as that does."""
-        worker, topic = get_worker(), f"tnst_mi-{run}"
+        worker, topic = get_worker(), member.topic_of(run)
+        worker.log_event(topic, {"worker": worker.address, "task": task})
         entry = {"frame": "", "octave": 0, "iteration": 0, "loss": 0.0, "terms": {}, "seconds": 0.0}
         if task.kind == "step":
-            worker.log_event(topic, {"entry": entry})
+            worker.log_event(topic, {"worker": worker.address, "entry": entry})
         took = {"kind": task.kind, "level": task.level, "seconds": 0.0, "read": 0, "written": 0}
-        worker.log_event(topic, {"worker": worker.address, "took": took})
+        worker.log_event(topic, {"worker": worker.address, "took": took, "task": task, "result": None})
 
     with (
         processes(folder / "empty_cluster", [()]) as cluster,
         Client(cluster.address, set_as_default=False) as client,
         mock.patch.object(member, "perform", nothing),
-        mock.patch.object(member, "join", lambda run, sharing: None),
+        mock.patch.object(member, "join", lambda run, sharing, versions, order: None),
     ):
         crew = Crew(client, b"", plan, print, lacking=None)
         told = Told(scales={"style": 1.0})
