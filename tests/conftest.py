@@ -69,6 +69,8 @@ SLOW = (
     "studio/test_browser.py::test_motifs_are_found_by_a_picture_and_shown",
     "studio/test_browser.py::test_tries_are_gone_on_from_and_deleted",
     "studio/test_browser.py::test_a_render_outlives_the_page_and_the_studio",
+    "studio/test_examples.py::test_pictures_are_made_once_and_are_those_of_an_atlas[out]",
+    "studio/test_tries.py::test_a_running_try_is_stopped_and_deleted_with_all_that_it_has",
     "studio/test_tries.py::test_a_render_on_a_cluster_outlives_the_studio_and_is_resumed",
     "studio/test_tries.py::test_a_try_that_runs_and_one_that_was_killed_are_gone_on_from",
     "studio/test_work.py::test_a_killed_run_is_found_again_by_another_studio",

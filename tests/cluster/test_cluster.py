@@ -24,7 +24,7 @@ from dask_cluster import Processes, processes
 from distributed import Client
 
 import tnst_mi
-from tnst_mi.cluster import crew, member
+from tnst_mi.cluster import member, roster
 from tnst_mi.cluster.run import ClusterRun
 from tnst_mi.errors import InputError, StoppedError
 from tnst_mi.io.sequence import save_frame
@@ -359,7 +359,7 @@ def test_without_any_fit_worker_the_run_says_why(
 ) -> None:
     versions = member.decisive_versions()
     monkeypatch.setattr(member, "decisive_versions", lambda: versions | {"mitsuba": "9.9"})
-    monkeypatch.setattr(crew, "_PATIENCE", 0.0)
+    monkeypatch.setattr(roster, "_PATIENCE", 0.0)
     with pytest.raises(InputError, match=r"no worker can take part: it has mitsuba .*, and the run 9\.9"):
         stylized(smoke, recipe(weights, window=3), tmp_path / "out", "local:1")
 

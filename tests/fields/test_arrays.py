@@ -197,7 +197,7 @@ def test_the_decorated_functions_keep_their_names_and_signatures() -> None:
     for name, parameters in (
         ("velocity", ["phi", "psi", "lam", "h"]),
         ("advect", ["field", "v", "method", "h", "outside", "steps", "trace", "stages", "conservative"]),
-        ("render", ["density", "view", "gamma", "quadrature", "h", "fit", "camera", "size"]),
+        ("render", ["density", "view", "gamma", "quadrature", "h", "fit", "camera", "size", "colour"]),
     ):
         function = getattr(tnst_mi, name)
         assert function.__name__ == name

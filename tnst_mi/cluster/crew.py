@@ -70,7 +70,7 @@ class Crew:
         #: Tasks that wait to be given: with items, only some are sent at once; to nobody, none.
         self._waiting: dict[Task, Told] = {}
         self._given: dict[Task, Given] = {}
-        #: What tasks have returned that are about to be done.
+        #: What tasks have returned whose items have not come yet.
         self._results: dict[Task, Any] = {}
         events = self._events
         self._client.subscribe_topic(member.topic_of(self._run), lambda event: events.put(event[1]))
@@ -167,8 +167,8 @@ class Crew:
                 yield None
                 continue
             if isinstance(event, dict):
-                if (iterated := self._reported(event)) is not None:
-                    yield iterated
+                if (answer := self._reported(event)) is not None:
+                    yield answer
                 continue
             task, future = event
             given = self._given.get(task)
@@ -183,7 +183,7 @@ class Crew:
             else:
                 self._failed(task, given.told, future)
 
-    def _reported(self, event: dict[str, Any]) -> Iterated | None:
+    def _reported(self, event: dict[str, Any]) -> Done | Iterated | None:
         """Take note of what a process has reported."""
         address = event["worker"]
         if "entry" in event:
@@ -192,8 +192,13 @@ class Crew:
         task = Task(*event["task"])
         if "took" in event:
             self._blame.ended(address, task)
-            self._results[task] = event["result"]
             self.shares.count(address, event["took"])
+            if self._pack is not None:
+                self._results[task] = event["result"]
+            elif (given := self._given.pop(task, None)) is not None:
+                # What it has written is there. If its process died before Dask has told so too, others would do it again.
+                given.future.release()
+                return Done(task, event["result"])
         else:
             self._blame.begun(address, task)
         return None
