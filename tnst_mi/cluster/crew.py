@@ -196,7 +196,7 @@ class Crew:
             if self._pack is not None:
                 self._results[task] = event["result"]
             elif (given := self._given.pop(task, None)) is not None:
-                # What it has written is there. If its process died before Dask has told so too, others would do it again.
+                # What it has written is there. Did its process die before Dask told so, others would do it again.
                 given.future.release()
                 return Done(task, event["result"])
         else:
