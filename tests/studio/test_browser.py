@@ -210,6 +210,11 @@ def test_look_choose_try_and_compare(root: Path, tmp_path: Path, weights: Path, 
         page.locator("#mode-wipe.on").wait_for()
         wiped = shown.settled()
         # On the left is what was there before, with the exposure of the run.
+        page.locator("#mode-before").click()
+        before = shown.settled()
+        page.locator("#mode-wipe").click()
+        shown.settled()
+        assert np.abs(wiped[:, : width - 10] - before[:, : width - 10]).max() < 0.05
         left, right = (side[:, : width - 10].ravel() for side in (front, wiped))
         assert np.corrcoef(left, right)[0, 1] > 0.99
         for mode in ("after", "difference", "movement"):

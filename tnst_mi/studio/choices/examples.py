@@ -19,6 +19,7 @@ from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.download import file_hash
 from tnst_mi.network.googlenet import LAYERS, LOGITS
 from tnst_mi.network.weights import find_weights
+from tnst_mi.studio.jobs.processes import NICENESS
 from tnst_mi.studio.plain import excerpt, opened_plain
 
 #: The folder of these atlases below that of the studio, and what the processes that make them say.
@@ -27,8 +28,8 @@ ATLASES, _LOG = "atlases", "atlases.log"
 #: Channels that can be asked for at a time, and that wait, at most.
 _MOST = 256
 
-#: How much less urgent pictures are than the page, and seconds in which a process ends that is asked to.
-_NICENESS, _PATIENCE = 10, 10.0
+#: Seconds in which a process ends that is asked to.
+_PATIENCE = 10.0
 
 #: Channels of a layer by the weights of their network.
 _Wanted = tuple[Path, str, list[int]]
@@ -120,7 +121,7 @@ class ExampleMaker:
                 with opened_plain(log, "wb") as opened:
                     self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=opened, stderr=opened)
                 with suppress(psutil.Error):
-                    psutil.Process(self._process.pid).nice(_NICENESS if psutil.POSIX else None)
+                    psutil.Process(self._process.pid).nice(NICENESS if psutil.POSIX else None)
             code = self._process.wait()
         except (OSError, InputError) as error:
             return one_line(str(error))

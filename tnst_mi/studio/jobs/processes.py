@@ -36,7 +36,7 @@ RUNNING, DONE, PAUSED, INTERRUPTED, FAILED = "running", "done", "paused", "inter
 _STOPPED = 3
 
 #: How much less urgent tries and renders are than the page.
-_NICENESS = 10
+NICENESS = 10
 
 #: Bytes that are read of a record, of the first and of the last words of a run.
 _RECORD, _FIRST_WORDS, _LAST_WORDS = 1 << 16, 1 << 16, 1 << 12
@@ -163,7 +163,7 @@ class RunProcess:
             process = psutil.Process(self._child.pid)
             began = process.create_time()
             if psutil.POSIX:
-                process.nice(_NICENESS)
+                process.nice(NICENESS)
         self._note(pid=self._child.pid, began=began)
 
     def pause(self) -> None:

@@ -89,3 +89,15 @@ class PageAnswer:
     def of_json(cls, values: Any, status: int = 200) -> PageAnswer:
         """Values as JSON."""
         return cls(json_text(values).encode("utf-8"), status=status)
+
+
+def text_in(values: Mapping[str, Any], name: str) -> str:
+    """A text among the values of a request.
+
+    Raises:
+        InputError: it is missing, or none.
+    """
+    value = values.get(name)
+    if not isinstance(value, str):
+        raise InputError(f"studio: {name} is missing, or no text")
+    return value

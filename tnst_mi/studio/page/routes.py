@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -16,7 +15,7 @@ from tnst_mi.studio.choices.examples import ExampleMaker
 from tnst_mi.studio.choices.masks import MaskEdit
 from tnst_mi.studio.choices.motifs import MotifBrowser
 from tnst_mi.studio.choices.similarity import PictureAnswers
-from tnst_mi.studio.page.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest, text_in
 from tnst_mi.studio.page.server import ALIKE, PAINTING, UPLOAD
 from tnst_mi.studio.page.work_routes import WorkRoutes
 from tnst_mi.studio.session import Session
@@ -122,17 +121,17 @@ class StudioRoutes:
         return PageAnswer.of_json({})
 
     def _open(self, request: PageRequest) -> PageAnswer:
-        self.session.open(self.session.places.within(_text(request.json(), "path")))
+        self.session.open(self.session.places.within(text_in(request.json(), "path")))
         return PageAnswer.of_json({})
 
     def _set(self, request: PageRequest) -> PageAnswer:
         values = request.json()
-        self.session.set(_text(values, "key"), values.get("value"))
+        self.session.set(text_in(values, "key"), values.get("value"))
         return PageAnswer.of_json({})
 
     def _goal(self, request: PageRequest) -> PageAnswer:
         values = request.json()
-        key, goal = _text(values, "key"), _text(values, "goal")
+        key, goal = text_in(values, "key"), text_in(values, "goal")
         # What a recipe came with can be removed, whether or not it could be chosen here.
         if goal not in self.session.settings.goals(key):
             self.motifs.require_offered(key, goal, self.session.recipe().weights)
@@ -165,10 +164,3 @@ def jpeg(picture: np.ndarray, quality: int) -> bytes:
     encoded = io.BytesIO()
     Image.fromarray(eight_bits(picture)).save(encoded, "JPEG", quality=quality)
     return encoded.getvalue()
-
-
-def _text(values: dict[str, Any], name: str) -> str:
-    value = values.get(name)
-    if not isinstance(value, str):
-        raise InputError(f"studio: {name} is missing, or no text")
-    return value

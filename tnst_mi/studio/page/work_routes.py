@@ -9,7 +9,7 @@ from typing import Any
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import printable
 from tnst_mi.studio.jobs.work import RENDERS, TRIES
-from tnst_mi.studio.page.messages import PageAnswer, PageRequest
+from tnst_mi.studio.page.messages import PageAnswer, PageRequest, text_in
 from tnst_mi.studio.plain import excerpt, plain_bytes
 from tnst_mi.studio.session import Session
 
@@ -41,7 +41,7 @@ class WorkRoutes:
 
     def _act(self, request: PageRequest) -> PageAnswer:
         values, session = request.json(), self._session
-        action = _word(values, "action")
+        action = text_in(values, "action")
         if action in _KINDS:
             session.begin(_KINDS[action], _frame_number(values.get("alone")))
         elif action == "delete":
@@ -49,7 +49,7 @@ class WorkRoutes:
         elif action == "anew":
             session.begin_anew()
         elif action == "branch":
-            session.go_on_from(_word(values, "id"), _octave(values.get("octave")))
+            session.go_on_from(text_in(values, "id"), _octave(values.get("octave")))
         else:
             act = {
                 "pause": session.workshop.pause,
@@ -61,11 +61,11 @@ class WorkRoutes:
                 raise InputError(
                     "studio: an action is try, render, pause, resume, finish, open, branch, anew or delete"
                 )
-            act(_word(values, "id"))
+            act(text_in(values, "id"))
         return PageAnswer.of_json({})
 
     def _cluster(self, request: PageRequest) -> PageAnswer:
-        self._session.set_cluster(_word(request.json(), "address"))
+        self._session.set_cluster(text_in(request.json(), "address"))
         return PageAnswer.of_json({})
 
     def _picture(self, request: PageRequest) -> PageAnswer:
@@ -93,13 +93,6 @@ def _content(picture: Path | None, folder: Path) -> bytes:
     except OSError:
         pass
     raise InputError("studio: there is no picture, or none any more")
-
-
-def _word(values: Mapping[str, Any], name: str) -> str:
-    value = values.get(name)
-    if not isinstance(value, str):
-        raise InputError(f"studio: {name} is missing, or no text")
-    return value
 
 
 def _frame_number(value: Any) -> int | float | None:
