@@ -9,6 +9,7 @@ import pytest
 import torch
 from networks import random_googlenet
 
+from tnst_mi.choices import STYLE_LOSSES, STYLE_STATISTICS
 from tnst_mi.losses import evaluation
 from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.losses.guided import UNGUIDED
@@ -38,6 +39,22 @@ def bound(request: pytest.FixtureRequest, tmp_path: Path) -> BoundObjective:
         + Match("inception_3a/3x3", np.ones((1, 1, 1), np.float32))
     )
     return objective.bind(network, 64, 48, record=True, sigma=request.param)
+
+
+@pytest.mark.parametrize("distance", STYLE_LOSSES)
+@pytest.mark.parametrize("statistics", STYLE_STATISTICS)
+def test_each_loss_of_a_style_is_the_same_recorded(tmp_path: Path, distance: str, statistics: str) -> None:
+    random_googlenet(tmp_path / "random.safetensors", narrow=8)
+    network = GoogLeNet.load(tmp_path / "random.safetensors").to("cuda")
+    picture = GreyImage("picture", np.random.default_rng(1).random((64, 48)).astype(np.float32))
+    style = Style(picture, {"conv2/3x3": 1.0}, distance=distance, statistics=statistics)
+    recorded, plain = (style.bind(network, 64, 48, record=record).drawn((0, 1)) for record in (True, False))
+    for seed in (0, 1):
+        (losses, gradient), (expected, expected_gradient) = (
+            bound._differentiated(images(seed, 3), UNGUIDED) for bound in (recorded, plain)
+        )
+        assert losses["style"].item() == expected["style"].item()
+        assert torch.equal(gradient, expected_gradient) and gradient.any()
 
 
 def images(seed: int, count: int) -> torch.Tensor:

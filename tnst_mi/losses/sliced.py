@@ -78,7 +78,8 @@ class _Quantiles:
 
     def even(self, count: int) -> Tensor:
         """(K, count): those of (i + 1/2) / count."""
-        levels = (torch.arange(count).to(self._sorted) + 0.5) / count
+        numbers = torch.arange(count, dtype=self._sorted.dtype, device=self._sorted.device)
+        levels = (numbers + 0.5) / count
         return self.at(levels.expand(len(self._sorted), -1)[None])[0]
 
     def at(self, levels: Tensor) -> Tensor:
