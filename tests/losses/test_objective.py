@@ -10,7 +10,7 @@ import torch
 from small_network import HEIGHT, TERMS, WIDTH, SmallNetwork, gradient, picture, value, views
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.evaluation import SMALLEST_SCALE, rms_scales
+from tnst_mi.losses.scales import SMALLEST_SCALE, rms_scales
 from tnst_mi.losses.style import Style
 from tnst_mi.losses.terms import ClassTag, Content, Semantic
 

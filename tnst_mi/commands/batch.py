@@ -64,7 +64,7 @@ def run(arguments: BatchArguments) -> int:
 
 def _recipe(file: Path, arguments: BatchArguments) -> Recipe:
     recipe = Recipe.from_toml(file)
-    for flags in (arguments.method, arguments.resources, arguments.reading):
+    for flags in (arguments.method, arguments.colouring, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     return recipe
 

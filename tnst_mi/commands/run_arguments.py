@@ -9,11 +9,12 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.recipe.sections import Goals, Method, Reading, Resources
+from tnst_mi.recipe.sections import Colouring, Goals, Method, Reading, Resources
 
 # Dataclasses created at run time: a type checker cannot know them, so their fields are `Any`.
 _GoalFlags = recipe_flags(key for key in Goals.__annotations__ if key != "target")
 _MethodFlags = recipe_flags(Method.__annotations__)
+_ColourFlags = recipe_flags(Colouring.__annotations__)
 _ResourceFlags = recipe_flags(Resources.__annotations__)
 _InputFlags = recipe_flags(Reading.__annotations__)
 
@@ -57,6 +58,8 @@ class StylizeArguments(Arguments):
     """What to stylize towards."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
     """How to get there."""
+    colouring: Annotated[Any, tyro.conf.arg(constructor=_ColourFlags)] = field(default_factory=_ColourFlags)
+    """The colour of the smoke."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
     """What to read, compute with and write."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
@@ -84,6 +87,8 @@ class BatchArguments(Arguments):
     jobs of a batch system (docs/cluster.md)."""
     method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
     """How to get there, for all recipes, such as --quality draft."""
+    colouring: Annotated[Any, tyro.conf.arg(constructor=_ColourFlags)] = field(default_factory=_ColourFlags)
+    """The colour of the smoke."""
     resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
     """What to read, compute with and write."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)

@@ -42,7 +42,7 @@ _TOO_LITTLE = 0.01
 def run(arguments: StylizeArguments) -> int:
     """Stylize, and report every frame."""
     source, recipe = _input_and_recipe(arguments)
-    for flags in (arguments.goals, arguments.method, arguments.resources, arguments.reading):
+    for flags in (arguments.goals, arguments.method, arguments.colouring, arguments.resources, arguments.reading):
         recipe = recipe.updated_by_flags(given(flags))
     out, resume, overwrite, begin = arguments.out, arguments.resume, arguments.overwrite, arguments.start_from
     if arguments.unshared and arguments.cluster is None:

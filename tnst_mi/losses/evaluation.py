@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -17,10 +16,8 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
 from tnst_mi.losses.recorded import RecordedEvaluation
+from tnst_mi.losses.scales import rms_scales
 from tnst_mi.network.googlenet import LAST_BLOCK, LOGITS, GoogLeNet
-
-#: Lower bound of a scale, so that a gradient that is zero up to rounding is not amplified.
-SMALLEST_SCALE = 1e-12
 
 #: Limit in bytes of the feature maps that a GPU holds at once; a single view may exceed it. On an H100, nine views of
 #: the paper's 200×300 pixels (2.1 GB) take 20 ms in one batch and 47 ms in batches of three: for small batches cuDNN
@@ -30,6 +27,9 @@ LARGEST_BATCH = 1 << 32
 #: Number of pixels in a batch up to which its evaluation is recorded. A GPU takes longer for larger ones than the host
 #: takes to launch them, and a recording keeps their memory.
 LARGEST_RECORDED = 1 << 18
+
+#: The name, among layers, of the image itself: three channels of display values.
+PIXELS = "pixels"
 
 Features = Mapping[str, Tensor]
 
@@ -41,6 +41,7 @@ class BoundTerm(NamedTuple):
         layers: those it reads.
         loss: that (N,) of each of N views, by their features and, if there is one, the guide of their positions.
         of_smoke: whether that guide is the smoke, where it is known, rather than the region.
+        of_colour: whether the colours of the smoke alone follow it, and its density does not.
         drawn: for a term that draws random numbers, the same with those of a seed; None for all others.
     """
 
@@ -48,6 +49,7 @@ class BoundTerm(NamedTuple):
     loss: Callable[[Features, Guide | None], Tensor]
     of_smoke: bool = False
     drawn: Callable[[Sequence[int]], BoundTerm] | None = None
+    of_colour: bool = False
 
 
 class BoundObjective:
@@ -91,7 +93,8 @@ class BoundObjective:
         """Return Σ_i weight_i L_i / scale_i, a scalar that is differentiable with respect to the images.
 
         Args:
-            images: (N, H, W) grey views in about [0, 1], of the size that the objective is bound to.
+            images: (N, H, W) grey views in about [0, 1], of the size that the objective is bound to, or coloured ones
+                (N, H, W, 3).
         """
         return self.evaluate(images)[0]
 
@@ -100,7 +103,7 @@ class BoundObjective:
 
         With guides, the losses are those of a region, or of the smoke; of a view that does not show it, 0.
         """
-        if images.ndim != 3 or tuple(images.shape[1:]) != self._size:
+        if tuple(images.shape[1:]) not in (self._size, (*self._size, 3)):
             raise ValueError(f"images of shape {tuple(images.shape)}: expected (N, {self._size[0]}, {self._size[1]})")
         if torch.is_grad_enabled() and images.requires_grad:
             terms: dict[str, Tensor] = {}
@@ -206,6 +209,30 @@ class BoundObjective:
         other._recorded = None
         return other
 
+    def apart(self) -> tuple[BoundObjective | None, BoundObjective | None]:
+        """What density and colours follow, and what the colours alone follow; None where there is no such term."""
+        if not self.of_colour:
+            return self, None
+        of_all, of_colour = (
+            [name for name in self.names if self._terms[name].of_colour == alone] for alone in (False, True)
+        )
+        return self._part(of_all) if of_all else None, self._part(of_colour)
+
+    def _part(self, names: list[str]) -> BoundObjective:
+        """A copy with some of the terms; recordings are those of a part then, since all together are not evaluated."""
+        other = copy.copy(self)
+        other.names, other._terms = names, {name: self._terms[name] for name in names}
+        other._layers = list(dict.fromkeys(layer for term in other._terms.values() for layer in term.layers))
+        if all(layer == PIXELS for layer in other._layers):
+            # There is no network in it, whose many kernels are worth recording.
+            other._recorded = None
+        return other
+
+    @property
+    def of_colour(self) -> bool:
+        """Whether there is a term that colours alone follow."""
+        return any(term.of_colour for term in self._terms.values())
+
     @property
     def of_smoke(self) -> bool:
         """Whether a term takes statistics of the smoke, which then has to be among the guides."""
@@ -247,15 +274,19 @@ class BoundObjective:
                 loss = term.loss(features, guide)
                 by_view[name] = loss if guide is None else guide.seen * loss
             if self._sigma:
-                sigma = images.flatten(1).sum(1)
+                sigma = as_rgb(images).mean(1).flatten(1).sum(1) if images.ndim == 4 else images.flatten(1).sum(1)
                 by_view = {name: sigma * loss for name, loss in by_view.items()}
             return {name: loss.sum() for name, loss in by_view.items()}, images
 
     def _features(self, images: Tensor, guide: Guide | None) -> Features:
         """The features of the layers; of a region, the logits are those of the mean of its features alone."""
-        if guide is None or LOGITS not in self._layers:
-            return self._net(as_rgb(images), layers=self._layers)
-        features = self._net(as_rgb(images), layers=[*self._layers, LAST_BLOCK])
+        shown, layers = as_rgb(images), [layer for layer in self._layers if layer != PIXELS]
+        features: dict[str, Tensor] = {PIXELS: shown} if PIXELS in self._layers else {}
+        if not layers:
+            return features
+        if guide is None or LOGITS not in layers:
+            return features | self._net(shown, layers=layers)
+        features |= self._net(shown, layers=[*layers, LAST_BLOCK])
         return features | {LOGITS: self._net.classifier(guide.mean(features[LAST_BLOCK]))}
 
 
@@ -284,17 +315,6 @@ def views_at_once(count: int, saved_bytes: float) -> int:
     return math.ceil(count / math.ceil(count / fitting))
 
 
-def rms_scales(sums: Iterable[Mapping[str, tuple[float, int]]]) -> dict[str, float]:
-    """Pool results of `gradient_square_sum`, e.g. of all frames: RMS by name, at least `SMALLEST_SCALE`."""
-    squares: defaultdict[str, float] = defaultdict(float)
-    counts: Counter[str] = Counter()
-    for batch in sums:
-        for name, (square_sum, count) in batch.items():
-            squares[name] += square_sum
-            counts[name] += count
-    return {name: max(math.sqrt(squares[name] / counts[name]), SMALLEST_SCALE) for name in counts}
-
-
 def as_rgb(images: Tensor) -> Tensor:
-    """Turn (N, H, W) grey into (N, 3, H, W) without copying."""
-    return images[:, None].expand(-1, 3, -1, -1)
+    """Turn (N, H, W) grey, or (N, H, W, 3), into (N, 3, H, W) without copying."""
+    return images.permute(0, 3, 1, 2) if images.ndim == 4 else images[:, None].expand(-1, 3, -1, -1)

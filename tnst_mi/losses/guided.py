@@ -69,6 +69,10 @@ class Guides(NamedTuple):
         """The same for some of the views."""
         return Guides(*(None if guide is None else guide.of(views) for guide in self))
 
+    def needed(self, of_smoke: bool) -> Guides:
+        """What some terms need of them: the smoke only if one takes statistics of it."""
+        return self if of_smoke else Guides(self.region)
+
     def of_term(self, of_smoke: bool) -> Guide | None:
         """The one of a term, by whether that takes statistics of the smoke."""
         return self.region if self.smoke is None or not of_smoke else self.smoke

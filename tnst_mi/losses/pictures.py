@@ -16,7 +16,8 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import MAGIC as RADIANCE
 from tnst_mi.io.pictures.radiance import read_radiance
-from tnst_mi.losses.tone_mapping import srgb, tone_mapped
+from tnst_mi.io.pictures.srgb import srgb
+from tnst_mi.losses.tone_mapping import tone_mapped
 from tnst_mi.machine.gate import decoding, silenced
 
 # Only formats that Pillow decodes in-process: others, such as EPS, would start external programs.
@@ -41,13 +42,14 @@ _FLAT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class GreyImage:
-    """A grey picture with an optional mask.
+    """A grey picture with an optional mask, and the colours that it was made grey from.
 
     Attributes:
         name: The name in logs and errors, e.g. the file name.
         grey: (H, W) float32 in [0, 1], row 0 at the top.
         alpha: (H, W) float32 in [0, 1], 1 where the picture counts; None means everywhere.
         remarks: What is worth saying about it.
+        rgb: (H, W, 3) float32 in [0, 1], the display values of its colours; None if it has none.
 
     Raises:
         InputError: A value is not finite.
@@ -57,13 +59,26 @@ class GreyImage:
     grey: np.ndarray
     alpha: np.ndarray | None = None
     remarks: tuple[str, ...] = ()
+    rgb: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
-        for plane in (self.grey, self.alpha):
+        for plane in (self.grey, self.alpha, self.rgb):
             if plane is not None and not np.isfinite(plane).all():
                 bad = int((~np.isfinite(plane)).sum())
                 raise InputError(f"{self.name}: {bad} of {plane.size} pixels are not finite, expected values in [0, 1]")
+
+    @property
+    def colours(self) -> np.ndarray:
+        """(H, W, 3): the colours, or the grey three times."""
+        return np.repeat(self.grey[..., None], 3, axis=2) if self.rgb is None else self.rgb
+
+    @property
+    def mean_colour(self) -> np.ndarray:
+        """(3,): the mean of the colours where the picture counts."""
+        weights = np.ones_like(self.grey) if self.alpha is None else self.alpha
+        total = float(weights.sum(dtype=np.float64))
+        return (np.einsum("ij,ijc->c", weights, self.colours, dtype=np.float64) / total).astype(np.float32)
 
     def flat(self, height: int, width: int) -> bool:
         """Whether the largest centred crop of aspect width:height has the same grey, to 8 bits, wherever it counts."""
@@ -76,11 +91,12 @@ class GreyImage:
         """Return the largest centred crop of aspect width:height, resized to (height, width)."""
         box = centred_box(self.grey.shape, height, width)
         alpha = None if self.alpha is None else resized(self.alpha, height, width, box)
-        return GreyImage(self.name, resized(self.grey, height, width, box), alpha)
+        rgb = None if self.rgb is None else resized(self.rgb, height, width, box)
+        return GreyImage(self.name, resized(self.grey, height, width, box), alpha, rgb=rgb)
 
 
 def read_image(path: str | Path) -> GreyImage:
-    """Read a picture as grey: the mean of its three 8-bit channels / 255; an alpha channel is kept separately.
+    """Read a picture as grey: the mean of its three 8-bit channels / 255; alpha and colours are kept separately.
 
     Palette, one-bit, grey, colour and CMYK pictures are converted to 8-bit RGB, 16-bit grey ones are divided by 65535.
     EXIF orientation is applied; only the first frame of an animation is read. OpenEXR and Radiance pictures are linear:
@@ -101,12 +117,13 @@ def read_image(path: str | Path) -> GreyImage:
     if pixels.ndim == 2:
         return GreyImage(path.name, grey := pixels.astype(np.float32) / full_scale, None, remarks + _flatness(grey))
     grey = pixels[..., :3].mean(-1, dtype=np.float32) / full_scale
+    rgb = pixels[..., :3].astype(np.float32) / full_scale
     if pixels.shape[-1] == 3:
-        return GreyImage(path.name, grey, None, remarks + _flatness(grey))
+        return GreyImage(path.name, grey, None, remarks + _flatness(grey), rgb)
     if not pixels[..., 3].any():
         raise InputError(f"{path}: alpha is 0 in every pixel; use a picture that is not wholly transparent")
     flatness = _flatness(grey[pixels[..., 3] > 0])
-    return GreyImage(path.name, grey, pixels[..., 3].astype(np.float32) / full_scale, remarks + flatness)
+    return GreyImage(path.name, grey, pixels[..., 3].astype(np.float32) / full_scale, remarks + flatness, rgb)
 
 
 def centred_box(shape: tuple[int, int], height: int, width: int) -> tuple[float, float, float, float]:

@@ -36,15 +36,16 @@ class Style(Term):
     Distances are relative to what the picture's features are, so that layers of equal weight contribute equally; only
     "paper" has the constants of Eq. 7 instead, by which one layer dominates.
 
-    The picture is centre-cropped and resized to the image. Its alpha, resized to the feature map, multiplies its
-    features, as an image of smoke is black where there is none; in statistics of the smoke it is the weight of a
-    position instead.
+    The picture is centre-cropped and resized to the image, and grey unless the smoke is in colour. Its alpha, resized
+    to the feature map, multiplies its features, as an image of smoke is black where there is none; in statistics of the
+    smoke it is the weight of a position instead.
 
     Args:
         image: a path or a `GreyImage`.
         layers: weights w_l by layer.
         distance: one of `tnst_mi.choices.STYLE_LOSSES`.
         statistics: one of `tnst_mi.choices.STYLE_STATISTICS`.
+        colour: whether the picture's colours count.
 
     Raises:
         InputError: the picture cannot be used, or there is no layer.
@@ -54,6 +55,7 @@ class Style(Term):
     layers: Mapping[str, float]
     distance: str = "gram"
     statistics: str = "image"
+    colour: bool = False
     picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
@@ -99,7 +101,7 @@ class Style(Term):
                 f"{picture.name}: one grey all over {where}, which is no style; use a picture with structure there"
             )
         targets = {}
-        for layer, values in picture_features(net, picture, layers).items():
+        for layer, values in picture_features(net, picture, layers, self.colour).items():
             if values.ndim != 4:
                 raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
             guide = None

@@ -111,11 +111,13 @@ class Match(Term):
 class Content(Term):
     """Match the features of a picture: L = mean (F - F_picture)² (paper Eq. 5).
 
-    The picture, a path or a `GreyImage`, is converted to grey, cropped and resized as in `Style`; its alpha is ignored.
+    The picture, a path or a `GreyImage`, is cropped and resized as in `Style`, and grey unless the smoke is in
+    `colour`; its alpha is ignored.
     """
 
     image: str | Path | GreyImage
     layer: str
+    colour: bool = False
     picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
@@ -130,7 +132,8 @@ class Content(Term):
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Evaluate the network on the picture."""
         layer = net.resolve(self.layer)
-        return _match(layer, picture_features(net, self.picture.fitted(height, width), [layer])[layer][0])
+        picture = self.picture.fitted(height, width)
+        return _match(layer, picture_features(net, picture, [layer], self.colour)[layer][0])
 
 
 def _match(layer: str, target: Tensor) -> BoundTerm:
@@ -145,9 +148,10 @@ def grey_image(image: str | Path | GreyImage) -> GreyImage:
     return image if isinstance(image, GreyImage) else read_image(image)
 
 
-def picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str]) -> Features:
-    """The features of a picture by layer, (1, C, H, W) or (1, C)."""
-    return net(as_rgb(torch.as_tensor(picture.grey)[None].to(parameter_of(net))), layers=layers)
+def picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str], colour: bool = False) -> Features:
+    """The features of a picture, grey or in colour, by layer, (1, C, H, W) or (1, C)."""
+    pixels = torch.as_tensor(picture.colours if colour else picture.grey)
+    return net(as_rgb(pixels[None].to(parameter_of(net))), layers=layers)
 
 
 def parameter_of(net: GoogLeNet) -> Tensor:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tnst_mi.io.pictures.srgb import srgb
+
 #: Relative luminance of linear red, green and blue.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _MIDDLE_GREY = 0.18
@@ -35,11 +37,3 @@ def tone_mapped(linear: np.ndarray) -> np.ndarray:
         factor = scale * (1 + scaled / white**2) / (1 + scaled)
         colours[...] = np.minimum(colours * factor[:, None], 1.0)
     return srgb(linear)
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """The display values (H, W, 3) float32 in [0, 1] of linear ones in [0, 1]."""
-    shown = np.empty(linear.shape, np.float32)
-    for row, colours in zip(shown, linear, strict=True):
-        row[...] = np.where(colours <= 0.0031308, 12.92 * colours, 1.055 * colours ** (1 / 2.4) - 0.055)
-    return shown

@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.colouring import in_gamut
 from tnst_mi.optimisation.gradient import OctaveProblem
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.own_step import OwnStep
@@ -75,28 +76,32 @@ def iterated(
 
 def own_step(plan: Plan, now: Current, level: int, problem: OctaveProblem, k: int) -> OwnStep:
     """What a frame finds by itself: views → loss → ∇Φ, ∇Ψ, and the step along them (paper Eq. 4)."""
-    since, frame, density = time.perf_counter(), now.frame, now.inputs.density
-    found = problem.gradient(frame, now.fields, density, frame.seed(level, k), now.inputs.regions)
+    since, frame, of = time.perf_counter(), now.frame, now.inputs
+    found = problem.gradient(frame, now.fields, of.density, frame.seed(level, k), of.regions, of.colour)
     raw = plan.averages_gradients
     step = found.gradients[0] if raw else step_along(found.gradients, plan, now, problem.octave.cell_size)
-    change = found.density - density if plan.recipe.coherence > 0 and plan.window > 1 else None
+    change = found.density - of.density if plan.recipe.coherence > 0 and plan.window > 1 else None
     return OwnStep(step, change, found.loss, found.terms, since, raw)
 
 
 def step_along(gradients: Sequence[Fields], plan: Plan, now: Current, h: float) -> Fields:
     """η · mask · N(g), summed over the targets: the step to subtract from a frame's fields; gradients are consumed."""
-    frame, levels = now.frame, now.frame.recipe.pyramid_levels
+    frame, inputs, levels = now.frame, now.inputs, now.frame.recipe.pyramid_levels
     steps = (
-        frame.parameterisation.step(gradient, mask, frame.eta * share, plan.rows, h, levels)
-        for gradient, mask, share in zip(gradients, now.inputs.target_masks(), frame.shares, strict=True)
+        frame.colour_step(gradient, region, share)
+        | frame.parameterisation.step(gradient, mask, frame.eta * share, plan.rows, h, levels)
+        for gradient, mask, region, share in zip(
+            gradients, inputs.target_masks(), inputs.target_regions(), frame.shares, strict=True
+        )
     )
-    return functools.reduce(Fields.__add__, steps)
+    return functools.reduce(Fields.__add__, map(Fields, steps))
 
 
 def fields_after(plan: Plan, now: Current, items: Items) -> Fields:
     """A frame's fields after the iteration whose own steps have been found."""
     fields = now.fields - window_average(plan, now, items)
-    return now.frame.within_reach(fields, items.octave.cell_size, now.inputs.allowed)
+    fields = now.frame.within_reach(fields, items.octave.cell_size, now.inputs.allowed)
+    return fields if now.inputs.colour is None else in_gamut(fields, now.inputs.colour)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:

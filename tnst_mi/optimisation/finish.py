@@ -11,6 +11,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
+from tnst_mi.optimisation.colouring import COLOUR, final_colour
 from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.movement import Movement
 from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Transport, times
@@ -46,8 +47,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     if strength < 1.0:
         fields = fields.times(strength)
     movement = None
-    if isinstance(parameterisation, Transport):
-        movement = Movement(parameterisation, fields, full.cell_size, source, exponent, frame.recipe.blend)
+    if isinstance(parameterisation.of_density, Transport):
+        moving = parameterisation.of_density
+        movement = Movement(moving, fields, full.cell_size, source, exponent, frame.recipe.blend)
         density, velocity = movement.density(source.density), movement.velocity.numpy()
     else:
         density = _offset(parameterisation, fields, source, exponent, full.cell_size, frame.recipe.blend)
@@ -59,6 +61,9 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         )
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
     result = Stylized(density, velocity, (phi, psi), movement=movement)
+    if items.plan.colours is not None:
+        start = items.plan.colours.start(frame.index, source)
+        result.colour = final_colour(start, fields[COLOUR], frame.recipe.blend, source.obstacle)
     begun = items.level > 0 or items.iterations_done(frame) > 0
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
         result.note = f"{source.name}: left unchanged, since {_why_unchanged(items, frame, source)}"

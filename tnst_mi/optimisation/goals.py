@@ -9,6 +9,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.losses import terms as losses
 from tnst_mi.losses.feature_maps import read_map
 from tnst_mi.losses.objective import Objective
+from tnst_mi.losses.palette import Palette
 from tnst_mi.losses.style import Style
 from tnst_mi.network.class_names import matching_classes
 from tnst_mi.network.googlenet import GoogLeNet
@@ -20,13 +21,17 @@ from tnst_mi.recipe.recipe import Recipe
 
 def objective_of(recipe: Recipe) -> Objective:
     """The sum of the recipe's terms; a style that changes over the frames contributes the pictures of all its keys."""
-    recipe = recipe.located(Path.cwd())
+    recipe, colour = recipe.located(Path.cwd()), recipe.colour == "style"
     terms = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
         *(losses.ClassTag(tag) for tag in recipe.tag),
-        *(losses.Content(path, layer) for path in recipe.content for layer in recipe.content_layers),
+        *(losses.Content(path, layer, colour) for path in recipe.content for layer in recipe.content_layers),
         *(losses.Match(layer, read_map(path)) for layer, path in recipe.maps),
-        *(Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics) for path in recipe.style),
+        *(
+            Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics, colour)
+            for path in recipe.style
+        ),
+        *(Palette(path) for path in recipe.style if colour),
     ]
     weighted = [weight * term for weight, term in zip(term_weights(recipe), terms, strict=True)]
     return Objective(pair for term in weighted for pair in term.weighted_terms)
@@ -37,7 +42,9 @@ def term_weights(recipe: Recipe) -> list[float]:
     named, mapped = [1.0] * (len(recipe.semantic) + len(recipe.tag)), [1.0] * len(recipe.match)
     content = [weight for _ in recipe.content for weight in recipe.content_layers.values()]
     semantic = [recipe.semantic_weight * weight for weight in (*named, *content, *mapped)]
-    return semantic + [recipe.style_weight * share for share in recipe.style_shares]
+    strokes = [recipe.style_weight * share for share in recipe.style_shares]
+    palettes = [recipe.colour_weight * share for share in recipe.style_shares if recipe.colour == "style"]
+    return semantic + strokes + palettes
 
 
 def require_meant(recipe: Recipe, network: GoogLeNet, fallback: bool) -> None:

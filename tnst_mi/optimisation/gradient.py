@@ -17,11 +17,12 @@ from tnst_mi.fields.resampling import resample_density, resample_mask
 from tnst_mi.losses.evaluation import BoundObjective
 from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.colouring import COLOUR, on_octave
 from tnst_mi.optimisation.parameterisation import Fields
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.regions.seen import seen_in_views
 from tnst_mi.rendering.cameras.views import View, sample_views
-from tnst_mi.rendering.driving import driving_renderer
+from tnst_mi.rendering.driving import colour_renderer, driving_renderer
 from tnst_mi.rendering.levels import Level
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
@@ -85,6 +86,7 @@ class OctaveProblem:
         density: mi.TensorXf,
         seed: Sequence[int],
         regions: Sequence[mi.TensorXf | None] = (),
+        start: mi.TensorXf | None = None,
     ) -> Evaluation:
         """The loss, summed over random views, and the derivative of each target's with respect to the fields.
 
@@ -94,6 +96,7 @@ class OctaveProblem:
             density: (D, H, W), unstylized, on the octave's grid.
             seed: of the views, and of the renderer where it is random.
             regions: for each target, its mask on the octave's grid, or None for everywhere; none at all if all are.
+            start: the colours that the fields change, (D, H, W, 3) likewise; None for grey smoke.
         """
         # Two phases: the views accumulate their gradient on a copy of the density; it is then propagated back through
         # the transport once instead of once per view.
@@ -101,31 +104,46 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
+        colour = _colour(fields, start)
+        dr.enable_grad(colour)
         views = self._views(frame, seed)
-        images = self._rendered(seen, views, frame, seed)
+        images = self._rendered(seen, views, frame, seed, colour)
         found: dict[str, torch.Tensor] = {}
         values: list[torch.Tensor] = []
         gradients = []
 
         @dr.wrap(source="drjit", target="torch")
-        def loss_of(batch, target, guides):  # noqa: ANN202
-            value, terms = self._loss_of(frame, target).drawn(seed).evaluate(batch, guides)
+        def loss_of(batch, loss, target, guides):  # noqa: ANN202
+            value, terms = loss.evaluate(batch, guides)
             found.update({self.term_name(target, name): term for name, term in terms.items()})
             values.append(value.detach())
             return value
 
         of_targets = self._guides(stylized, regions, views, frame)
+        # What colours alone follow is differentiated on images whose density is fixed.
+        tinted = None
+        if colour is not None and any(loss.of_colour for loss in self.losses):
+            tinted = self._rendered(stylized, views, frame, seed, colour)
+        shares = []
         for target, guides in enumerate(of_targets):
             # The images are those of all targets: their graph is kept until the last one has been differentiated.
             last = target == len(of_targets) - 1
-            dr.backward(loss_of(images, target, guides), dr.ADFlag.Default if last else dr.ADFlag.ClearVertices)
+            flags = dr.ADFlag.Default if last else dr.ADFlag.ClearVertices
+            of_all, of_colour = self._loss_of(frame, target).drawn(seed).apart()
+            for loss, shown in ((of_all, images), (of_colour, tinted)):
+                if loss is not None and shown is not None:
+                    dr.backward(loss_of(shown, loss, target, guides.needed(loss.of_smoke)), flags)
+                    shares.append(frame.shares[target])
             gradients.append(pull_back(dr.grad(seen), last))
             dr.clear_grad(seen)
+            if colour is not None:
+                gradients[-1][COLOUR] = dr.grad(colour)
+                dr.clear_grad(colour)
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
         # collector, so the young generations are collected explicitly, which is cheap.
-        del images, seen, pull_back, loss_of
+        del images, tinted, seen, pull_back, loss_of
         gc.collect(1)
-        return Evaluation(_total(values, frame.shares), found, stylized, tuple(gradients))
+        return Evaluation(_total(values, shares), found, stylized, tuple(gradients))
 
     def gradient_square_sum(
         self,
@@ -134,12 +152,13 @@ class OctaveProblem:
         density: mi.TensorXf,
         seed: Sequence[int],
         regions: Sequence[mi.TensorXf | None] = (),
+        start: mi.TensorXf | None = None,
     ) -> dict[str, tuple[float, int]]:
         """Per term, the sum of its squared image gradient over the views, and the pixel count; see `rms_scales`."""
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             views = self._views(frame, seed)
-            images = self._rendered(stylized, views, frame, seed).torch().clone()
+            images = self._rendered(stylized, views, frame, seed, _colour(fields, start)).torch().clone()
             of_targets = self._guides(stylized, regions, views, frame)
         return {
             self.term_name(target, name): found
@@ -148,12 +167,17 @@ class OctaveProblem:
         }
 
     def judge(
-        self, frame: FramePlan, density: np.ndarray, regions: Sequence[np.ndarray | None] = ()
+        self,
+        frame: FramePlan,
+        density: np.ndarray,
+        regions: Sequence[np.ndarray | None] = (),
+        colour: np.ndarray | None = None,
     ) -> tuple[float, dict[str, float]]:
         """Loss of a scaled full-resolution density (D, H, W), and its unscaled terms, as means over three fixed views.
 
         They are the main view, and the views 0.8 of the way from it to either end of the range of azimuths.
-        `regions` are the masks of the targets at full resolution, as for `gradient`.
+        `regions` are the masks of the targets at full resolution, as for `gradient`, and `colour`, (D, H, W, 3) display
+        values, is that of the smoke; None for grey smoke.
         """
         recipe = frame.recipe
         azimuth, elevation = sum(recipe.azimuth) / 2, sum(recipe.elevation) / 2
@@ -162,7 +186,8 @@ class OctaveProblem:
         with torch.no_grad(), dr.suspend_grad():
             shape, h = self.octave.shape, self.octave.cell_size
             smoke = resample_density(mi.TensorXf(density), 1.0, shape, h)
-            images = self._rendered(smoke, views, frame, (recipe.seed,)).torch()
+            tint = None if colour is None else on_octave(colour, self.octave)
+            images = self._rendered(smoke, views, frame, (recipe.seed,), tint).torch()
             masks = [None if mask is None else resample_mask(mi.TensorXf(mask), 1.0, shape, h) for mask in regions]
             found = [
                 self._loss_of(frame, target).evaluate(images, guides)
@@ -205,11 +230,20 @@ class OctaveProblem:
         return found
 
     def _rendered(
-        self, density: mi.TensorXf, views: Sequence[View], frame: FramePlan, seed: Sequence[int]
+        self,
+        density: mi.TensorXf,
+        views: Sequence[View],
+        frame: FramePlan,
+        seed: Sequence[int],
+        colour: mi.TensorXf | None,
     ) -> mi.TensorXf:
-        octave = self.octave
-        renderer = driving_renderer(frame.recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
-        return renderer.render(density, views, seed) * opaque(frame.exposure)
+        """The images (V, H, W) of grey smoke, or (V, H, W, 3) of smoke of a colour, as the network sees them."""
+        octave, recipe = self.octave, frame.recipe
+        if colour is None:
+            renderer = driving_renderer(recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
+            return renderer.render(density, views, seed) * opaque(frame.exposure)
+        coloured = colour_renderer(recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
+        return coloured.render_colour(density, colour, views) * opaque(frame.exposure)
 
 
 def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:
@@ -225,8 +259,13 @@ def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:
     return OctaveProblem(octave, losses)
 
 
+def _colour(fields: Fields, start: mi.TensorXf | None) -> mi.TensorXf | None:
+    """The colours of the fields, which change those that the smoke begins with; None for grey smoke."""
+    return None if start is None else dr.detach(start + fields[COLOUR])
+
+
 def _total(values: Sequence[torch.Tensor], shares: Sequence[float]) -> torch.Tensor:
-    """The sum of the losses of the targets, each times the factor of its steps."""
+    """The sum of losses, each times the factor of the steps of its target."""
     if len(values) == 1:
         return values[0]
     return torch.stack([share * value for share, value in zip(shares, values, strict=True)]).sum()

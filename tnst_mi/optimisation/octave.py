@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from tnst_mi.frame import Frame
-from tnst_mi.losses.evaluation import rms_scales
+from tnst_mi.losses.scales import rms_scales
 from tnst_mi.machine.backend import release_memory
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
@@ -109,5 +109,5 @@ def known_scales(
 
 def calibration(problem: OctaveProblem, now: Current, level: int) -> dict[str, tuple[float, int]]:
     """What a frame contributes to the scales of an octave's loss, see `gradient_square_sum`."""
-    seed = now.frame.seed(level, 0)
-    return problem.gradient_square_sum(now.frame, now.fields, now.inputs.density, seed, now.inputs.regions)
+    seed, inputs = now.frame.seed(level, 0), now.inputs
+    return problem.gradient_square_sum(now.frame, now.fields, inputs.density, seed, inputs.regions, inputs.colour)

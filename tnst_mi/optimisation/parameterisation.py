@@ -43,8 +43,8 @@ class Fields(dict[str, "mi.TensorXf"]):
         return after
 
     def __add__(self, other: Fields) -> Fields:
-        """The sum of two steps."""
-        return Fields({name: field + other[name] for name, field in self.items()})
+        """The sum of two steps; what one of them does not change follows the other."""
+        return Fields({name: field + other[name] if name in other else field for name, field in self.items()})
 
     def times(self, factor: float) -> Fields:
         """The fields times a number."""
@@ -67,6 +67,11 @@ class Parameterisation(ABC):
 
     channels: dict[str, int]
     largest_derivative: float | None = None
+
+    @property
+    def of_density(self) -> Parameterisation:
+        """What the density depends on: this, unless there is something else beside it."""
+        return self
 
     def zeros(self, octave: Octave) -> Fields:
         """The fields before the first iteration."""

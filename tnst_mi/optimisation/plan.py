@@ -15,6 +15,7 @@ from tnst_mi.fields.grid import Octave, Shape
 from tnst_mi.fields.resampling import resample_mask
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
+from tnst_mi.optimisation.colouring import COLOUR, Coloured, Colours, colour_step, mean_colour
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
 from tnst_mi.optimisation.silhouette import displacement_allowed
@@ -65,6 +66,14 @@ class FramePlan:
         """The step size η_t."""
         return self.recipe.eta * self.step_scale
 
+    def colour_step(self, gradient: Fields, region: mi.TensorXf | None, share: float) -> Fields:
+        """The step of colours for their part of a target's gradient, which is taken out of it; nothing without one."""
+        of_colour = gradient.pop(COLOUR, None)
+        if of_colour is None:
+            return Fields()
+        size = self.recipe.colour_eta * self.step_scale * share
+        return Fields({COLOUR: colour_step(of_colour, region, size, self.recipe.colour_smoothness)})
+
     @property
     def still(self) -> bool:
         """Whether the frame is invisible and therefore stays unchanged."""
@@ -73,7 +82,7 @@ class FramePlan:
     @property
     def keeps_silhouette(self) -> bool:
         """Whether how far a cell may be moved depends on where it is."""
-        return self.keep_silhouette is not None and isinstance(self.parameterisation, Transport)
+        return self.keep_silhouette is not None and isinstance(self.parameterisation.of_density, Transport)
 
     def within_reach(self, fields: Fields, h: float, allowed: mi.TensorXf | None = None) -> Fields:
         """The fields of the frame, on cells of size h, scaled down to how far its smoke may be moved.
@@ -100,6 +109,7 @@ class Plan:
         objectives: what to minimise, for each target.
         regions: the masks of the targets; None if there is one target, which applies everywhere.
         start: where the fields begin; None if that is at 0 in the first octave.
+        colours: those with which the smoke begins; None if they are not optimised.
     """
 
     recipe: Recipe
@@ -109,6 +119,7 @@ class Plan:
     objectives: tuple[Objective, ...]
     regions: Regions | None = None
     start: Start | None = None
+    colours: Colours | None = None
 
     @cached_property
     def octaves(self) -> list[Level]:
@@ -198,6 +209,7 @@ def plan_of(
     density_scale: float = 1.0,
     objective: Objective | None = None,
     regions: Regions | None = None,
+    colour_grid: str | None = None,
 ) -> Plan:
     """Plan a sequence.
 
@@ -212,6 +224,7 @@ def plan_of(
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
         regions: the masks of its targets, see `regions_of`.
+        colour_grid: where colours are optimised, the grid of the frames that has those with which they begin.
 
     Raises:
         InputError: the recipe's window cannot be averaged as it says, its keys of the transport do not belong together,
@@ -231,17 +244,7 @@ def plan_of(
             at_frame,
             float(scale > 0) if recipe.sigma == "loss" else scale,
             exposure,
-            DensityOffset()
-            if recipe.parameterisation == "density"
-            else Transport(
-                at_frame.lam,
-                recipe.steps,
-                max(lams) > 0,
-                min(lams) < 1,
-                recipe.transport,
-                recipe.stages,
-                recipe.conservative,
-            ),
+            _parameterisation(at_frame, max(lams) > 0, min(lams) < 1),
             None if objective is not None else tuple(_weights(target, number) for target in targets),
             in_cells(recipe.reach, shape[1]),
             in_cells(recipe.keep_silhouette, shape[1]),
@@ -252,7 +255,24 @@ def plan_of(
         )
     )
     objectives = (objective,) if objective is not None else tuple(objective_of(target.recipe) for target in targets)
-    return Plan(recipe, frames, shape, density_scale, objectives, regions)
+    colours = None
+    if recipe.colour == "style":
+        means = (mean_colour(objectives, frame.weights or [[1.0] * len(objectives[0].names)]) for frame in frames)
+        colours = Colours(colour_grid, tuple(means))
+    return Plan(recipe, frames, shape, density_scale, objectives, regions, colours=colours)
+
+
+def _parameterisation(recipe: Recipe, scalar: bool, vector: bool) -> Parameterisation:
+    """That of the recipe of a frame; `scalar`, `vector`: whether frames of the sequence have a Φ and a Ψ."""
+    if recipe.parameterisation == "density":
+        of_density: Parameterisation = DensityOffset()
+    else:
+        of_density = Transport(
+            recipe.lam, recipe.steps, scalar, vector, recipe.transport, recipe.stages, recipe.conservative
+        )
+    if recipe.colour != "style":
+        return of_density
+    return Coloured(of_density)
 
 
 def _weights(target: Target, number: int | float | None) -> tuple[float, ...]:

@@ -46,6 +46,7 @@ class Stylized:
         terms_before, terms_after: likewise the terms of the loss, unscaled and so comparable between runs.
         state: from which another run can go on; None for a frame that is left unchanged.
         movement: what moves the frame's other grids likewise; None where nothing moves.
+        colour: that of the stylized smoke, (D, H, W, 3) float32 display values in [0, 1]; None if it was not optimised.
     """
 
     density: np.ndarray
@@ -61,3 +62,4 @@ class Stylized:
     terms_after: dict[str, float] = field(default_factory=dict)
     state: State | None = None
     movement: Movement | None = None
+    colour: np.ndarray | None = None

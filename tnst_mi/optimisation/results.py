@@ -43,6 +43,10 @@ def result_of(
     # Memory blocks of the iterations are no longer needed.
     release_memory()
     result = stylized_frame(items, frame, source)
+    start = None
+    if plan.colours is not None:
+        start = plan.colours.start(frame.index, source)
+        result.colour = start if result.colour is None else result.colour
     if items is not None and not frame.still and items.iterations_done(frame) >= 0:
         fields = {name: field.numpy() for name, field in items.fields(frame).items()}
         result.state = State(items.level, items.iterations_done(frame), fields, dict(scales))
@@ -55,8 +59,8 @@ def result_of(
     if problem is not None and items is not None and (items.level > 0 or items.iterations_done(frame) > 0):
         before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
         regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
-        result.loss_before, result.terms_before = problem.judge(frame, before, regions)
-        result.loss_after, result.terms_after = problem.judge(frame, after, regions)
+        result.loss_before, result.terms_before = problem.judge(frame, before, regions, start)
+        result.loss_after, result.terms_after = problem.judge(frame, after, regions, result.colour)
     return result
 
 

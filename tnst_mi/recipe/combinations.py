@@ -26,15 +26,27 @@ def require_averageable(recipe: Recipe) -> None:
 
 
 def require_colour_driven(recipe: Recipe) -> None:
-    """Check that the renderer of a recipe shows colours, if these are wanted.
+    """Check that the renderer of a recipe shows colours, if these are wanted, and that there are pictures to take.
 
     Raises:
-        InputError: it does not.
+        InputError: it does not, or there are none, or nothing of them counts.
     """
-    if recipe.colour == "keep" and recipe.integrator != "emission_absorption":
+    if recipe.colour != "off" and recipe.integrator != "emission_absorption":
         raise InputError(
-            f"colour = 'keep' and integrator = {recipe.integrator!r}, which shows grey smoke; expected integrator = "
-            "'emission_absorption', or colour = 'off'"
+            f"colour = {recipe.colour!r} and integrator = {recipe.integrator!r}, which shows grey smoke; expected "
+            "integrator = 'emission_absorption', or colour = 'off'"
+        )
+    if recipe.colour != "style":
+        return
+    if not recipe.style and not any(target.get("style") for target in recipe.target):
+        raise InputError(
+            "colour = 'style' takes the colours of a style picture, and there is none; expected --style PICTURE, or "
+            "colour = 'off' or 'keep'"
+        )
+    if recipe.colour_weight == 0 and recipe.style_weight == 0:
+        raise InputError(
+            "colour = 'style' with style_weight = 0 and colour_weight = 0: nothing of the pictures counts; expected "
+            "one of them above 0"
         )
 
 

@@ -38,7 +38,7 @@ from tnst_mi.recipe.keyframes import (
 from tnst_mi.recipe.paths import located, shipped_name
 from tnst_mi.recipe.presets import implied
 from tnst_mi.recipe.recipe_file import read_recipe_file
-from tnst_mi.recipe.sections import KINDS, Goals, Method, Reading, Resources, documentation
+from tnst_mi.recipe.sections import KINDS, Colouring, Goals, Method, Reading, Resources, documentation
 from tnst_mi.recipe.synonyms import advice, meant
 from tnst_mi.resources import expanded
 
@@ -47,7 +47,7 @@ _View = tuple[float, float] | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Recipe(Reading, Resources, Method, Goals, NotebookDisplay):
+class Recipe(Reading, Resources, Colouring, Method, Goals, NotebookDisplay):
     """Everything that determines a stylization, apart from the frames themselves.
 
     A notebook shows its pictures, and the keys that are not as by default.
@@ -256,11 +256,10 @@ class Recipe(Reading, Resources, Method, Goals, NotebookDisplay):
 
     @property
     def components(self) -> int:
-        """Number of optimised values per cell: 1 for Φ if λ > 0 and 3 for Ψ if λ < 1, in any frame."""
-        if self.parameterisation == "density":
-            return 1
+        """Number of optimised values per cell: 1 for Φ if λ > 0, 3 for Ψ if λ < 1, in any frame, and 3 for a colour."""
         lams = [value for _, value in self.keyframes.get("lam", ((0, self.lam),))]
-        return (max(lams) > 0) + 3 * (min(lams) < 1)
+        of_density = 1 if self.parameterisation == "density" else (max(lams) > 0) + 3 * (min(lams) < 1)
+        return of_density + 3 * (self.colour == "style")
 
     @property
     def frame_range(self) -> tuple[int | float, int | float] | None:

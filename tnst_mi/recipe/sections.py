@@ -12,6 +12,7 @@ from typing import Annotated, Any, get_type_hints
 from tnst_mi.choices import LOOKS, QUADRATURES, QUALITIES, STYLE_LOSSES, STYLE_STATISTICS, TRACES, WINDOW_WEIGHTS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.recipe.colouring import Colouring
 from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Range, Switch, Text, Texts
 from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.name_lists import Names
@@ -243,9 +244,6 @@ class Resources:
     carry: Annotated[str, Names()] = "all"
     """Grids of the input that move with the smoke and come back with it: all, such as temperature, flame and velocity;
     those with the given names, separated by commas; or none. Vectors keep their directions, obstacles their places."""
-    colour: Annotated[str, Choice(("off", "keep"))] = "off"
-    """Colour of the smoke: off shows it in grey, as the network sees it always; keep shows it in the colour that moves
-    with it, the grid Cd, color or the like of the input."""
     keep_octaves: Annotated[bool, Switch()] = False
     """Keep the states of all frames at the end of each octave too, from which --from RUN/octaves/1 goes on."""
     fps: Annotated[float | None, Unset(Number(above=0.0, high=240.0))] = None
@@ -294,7 +292,7 @@ class Reading:
     """Leave out the frames of a sequence that cannot be read, rather than stop before the work begins."""
 
 
-_SECTIONS = (Goals, Method, Resources, Reading)
+_SECTIONS = (Goals, Method, Colouring, Resources, Reading)
 
 #: The kind of value that each key of a recipe holds, in the order of the file.
 KINDS: dict[str, Kind] = {

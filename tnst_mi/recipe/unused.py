@@ -45,7 +45,7 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
         yield ("style_weight", "semantic_weight"), "each target has a weight of its own"
     if "style" not in goals:
         yield ("style_weight", "style_layers", "style_loss", "style_statistics"), "there is no style"
-    elif not other_goals and _only_scales(recipe, "style_weight"):
+    elif not other_goals and recipe.colour != "style" and _only_scales(recipe, "style_weight"):
         yield ("style_weight",), "there is no other goal to weigh the style against"
     if not other_goals:
         yield ("semantic_weight",), "there is no semantic, tag, content or match"
@@ -55,6 +55,8 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
         yield ("content_layers",), "there is no content"
     if "semantic" not in goals:
         yield ("damping",), "there is no semantic"
+    if recipe.colour != "style":
+        yield ("colour_weight", "colour_eta", "colour_smoothness"), 'they belong to colour = "style"'
     if recipe.gamma != "auto":
         yield ("look",), 'it belongs to gamma = "auto"'
     if recipe.parameterisation == "density":

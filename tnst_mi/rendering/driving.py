@@ -66,6 +66,17 @@ def driving_renderer(
     return _scattering(mi.variant(), shape, recipe.extinction, h, lighting, size, pixel)
 
 
+def colour_renderer(
+    recipe: Recipe,
+    shape: Shape,
+    h: float,
+    size: tuple[int, int] | None = None,
+    pixel: float | None = None,
+) -> ColouredRenderer:
+    """The renderer of a recipe's views of smoke in colour; see `driving_renderer`."""
+    return ColouredRenderer(shape, recipe.extinction, recipe.quadrature, h, size=size, pixel=pixel)
+
+
 def main_view(
     density: np.ndarray, recipe: Recipe, size: tuple[int, int] | None = None, colour: np.ndarray | None = None
 ) -> np.ndarray:
@@ -76,7 +87,7 @@ def main_view(
     """
     if colour is None:
         return stills(density, [recipe.main_view], recipe, size)[0]
-    renderer = ColouredRenderer(density.shape, recipe.extinction, recipe.quadrature, 1.0, size=size)
+    renderer = colour_renderer(recipe, density.shape, 1.0, size=size)
     return renderer.render_colour(mi.TensorXf(density), mi.TensorXf(colour), [recipe.main_view]).numpy()[0]
 
 

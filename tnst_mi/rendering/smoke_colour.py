@@ -9,6 +9,7 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
+from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.machine.terminal import quoted, some_of
 
 #: Names that say enough by themselves, in order of preference: Houdini's, and Blender's.
@@ -47,6 +48,21 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
     if values.dtype.kind == "u":
         return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
     return values.astype(np.float32)
+
+
+def shown_colours(
+    grids: Mapping[str, np.ndarray], name: str | None, frame: str, cells: tuple[int, ...]
+) -> np.ndarray | None:
+    """A grid of colours, (D, H, W, 3), as the pictures of a run show them: display values, of which white is 1.
+
+    The light that smoke gives has no curve in these pictures, so that its colour alone has it. None without a name;
+    frames that lack the grid are white, on `cells` (D, H, W). Errors are those of `colours_of`.
+    """
+    if name is None:
+        return None
+    if name not in grids:
+        return np.ones((*cells, 3), np.float32)
+    return srgb(colours_of(grids, name, frame))
 
 
 def find_colour(frames: Iterable[Frame], choice: str | None) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,9 +13,11 @@ from tnst_mi.frame import Frame
 from tnst_mi.geometry.other_grids import OtherGrid, OtherGrids
 from tnst_mi.io.formats import held
 from tnst_mi.io.grids.vdb.other_grids import stored_velocity
+from tnst_mi.io.pictures.srgb import linear_of
 from tnst_mi.machine.terminal import quoted, some_of
 from tnst_mi.optimisation.movement import Movement
 from tnst_mi.optimisation.result import Stylized
+from tnst_mi.rendering.smoke_colour import colour_name
 from tnst_mi.run.inputs import changed, grid_digest
 
 #: The name in `carry` and in records of the simulation's velocity, whatever its file calls it.
@@ -66,6 +68,16 @@ def chosen(carry: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if carry == "all" or name in _listed(carry)]
 
 
+def written_colour(names: Iterable[str]) -> str:
+    """The name of the grid in which optimised colours are written: that of the colours that the smoke had, or Cd."""
+    return colour_name(names) or "Cd"
+
+
+def with_colour(names: Sequence[str], colour: str | None) -> list[str]:
+    """Some names, and that of the grid of optimised colours, if there is one."""
+    return list(names) if colour is None or colour in names else [*names, colour]
+
+
 def require_there(carry: str, names: Iterable[str]) -> None:
     """Check that `carry` lists nothing that no frame has.
 
@@ -107,12 +119,14 @@ def carried(
             changed raises InputError.
     """
     names, movement = chosen(carry, movable(frame)), stylized.movement
+    own_colour = None if stylized.colour is None else written_colour(names)
+    names = with_colour(names, own_colour)
     if suffix is not None:
         names = held(frame.name, suffix, names)
     readers = {
         name: partial(_unchanged, frame, name, (digests or {}).get(name))
         for name in frame.other_grids.readers
-        if name in names
+        if name in names and name != own_colour
     }
     read_velocity = None
     if VELOCITY in names and frame.velocity is not None:
@@ -122,6 +136,8 @@ def carried(
         else:
             readers |= own
     moved = {name: partial(_moved, reader, movement) for name, reader in readers.items()}
+    if own_colour in names and stylized.colour is not None:
+        moved[own_colour] = partial(OtherGrid, linear_of(stylized.colour))
     return Carried(OtherGrids(moved, frame.density.shape, frame.name), read_velocity, tuple(names))
 
 

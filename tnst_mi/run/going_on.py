@@ -38,6 +38,7 @@ from tnst_mi.run.states import read_state, state_file
 FREE = (
     *("preset", "quality", "iterations", "views", "spp", "eta", "seed"),
     *("reach", "keep_silhouette", "strength", "blend"),
+    *("colour_weight", "colour_eta", "colour_smoothness"),
     *(key for section in (Resources, Reading) for key in section.__annotations__),
 )
 
@@ -133,6 +134,8 @@ def _require_same(
     for key in (*KINDS, "keyframes"):
         before, now = (_without_free(getattr(of_run, key), key) for of_run in (recipe, later_recipe))
         free = key in FREE or (key == "look" and later_recipe.gamma != "auto")
+        # Whether the smoke keeps a colour shows in pictures alone; one that is optimised is a field of its own.
+        free |= key == "colour" and "style" not in (before, now)
         if not free and before != now:
             raise InputError(
                 one_line(

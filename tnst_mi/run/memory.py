@@ -36,6 +36,7 @@ class Costs:
         flow_cell, volume_cell: what transport along the flow adds: ends of paths, velocity, and sums of its derivative;
             and what its conservative form adds to that.
         result_cell: per cell of the frames, the transport of the result, where octaves are coarser than they.
+        colour_cell: what colours that are optimised add beside their field: start, colour, and its derivative.
         region_cell: what each mask of a region adds: on the full grid, on the octave's, and in use.
         window_cell, window_component: what a window adds: velocity, gain, sums, and an item that is read ahead.
         network_factor, network_pixel: the network's evaluation takes more than what autograd saves: gradients and
@@ -49,6 +50,7 @@ class Costs:
     flow_cell: int
     volume_cell: int
     result_cell: int
+    colour_cell: int
     region_cell: int
     window_cell: int
     window_component: int
@@ -63,8 +65,8 @@ class Costs:
 #: the sum of its arrays, a third of them empty, and the transport of results likewise. What regions take is the sum of
 #: their arrays too.
 COSTS = {
-    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 80, 16, 50, 16, 1.2, 1000),
-    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 180, 16, 60, 24, 2.5, 0),
+    "cpu": Costs(PROCESS, 55, 27, 55, 38, 30, 80, 60, 16, 50, 16, 1.2, 1000),
+    "cuda": Costs(1_300_000_000, 60, 36, 52, 120, 50, 180, 80, 16, 60, 24, 2.5, 0),
 }
 
 
@@ -115,6 +117,7 @@ class Need:
         if recipe.window > 1:
             by_cell += costs.window_cell + costs.window_component * components
         targets = targets_of(recipe)
+        by_cell += costs.colour_cell * (recipe.colour == "style")
         by_cell += costs.region_cell * sum(bool(target.mask) for target in targets)
         # Their gradients are kept until the step is made of all.
         return by_cell + 4 * components * (len(targets) - 1)

@@ -17,7 +17,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import LARGEST_COUNT, require_indexable
 from tnst_mi.frame import Frame
 from tnst_mi.io.files.frame_numbers import frame_step
-from tnst_mi.io.formats import FORMATS, held
+from tnst_mi.io.formats import FORMATS
 from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate, network_threads
@@ -33,9 +33,9 @@ from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.cameras.shots import ShotView, shot_views, with_shots
 from tnst_mi.rendering.exposure import Brightness, brightness
 from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
-from tnst_mi.rendering.smoke_colour import colours_of, require_colour
 from tnst_mi.resources import expanded
-from tnst_mi.run.carry import chosen, require_there
+from tnst_mi.run.carry import require_there
+from tnst_mi.run.colour import colour_grids
 from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
@@ -192,10 +192,7 @@ def prepare(
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     require_there(recipe.carry, movable)
     sequence = readable.frames()
-    if recipe.colour == "keep":
-        colour = require_colour(chosen(recipe.carry, movable), movable)
-        coloured = next(i for i, measure in enumerate(measures) if colour in measure.movable)
-        colours_of(sequence[coloured].grids, colour, measures[coloured].name)
+    colours = colour_grids(recipe, measures, sequence)
     if out is not None:
         require_names(out, [measure.name for measure in measures])
     require_coherent(measures, recipe)
@@ -243,13 +240,7 @@ def prepare(
         "reference_density": reference.value,
         "density_scale": density_scale,
         # Frames of different γ have exposures of their own, which are with the frames.
-        "carried": list(
-            dict.fromkeys(
-                name
-                for measure in measures
-                for name in held(measure.name, suffix, chosen(recipe.carry, measure.movable))
-            )
-        ),
+        "carried": colours.carried(recipe, measures, suffix),
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,
         "frames": [],
     }
@@ -272,9 +263,14 @@ def prepare(
         shape,
         density_scale,
         regions=regions,
+        colour_grid=colours.begins_with,
     )
     plan, record = going_on(plan, record, start_from, earlier)
-    said = [*readable.lines(), *(f"note: {note}" for note in (regions.notes if regions is not None else ()))]
+    said = [
+        *readable.lines(),
+        *colours.notes,
+        *(f"note: {note}" for note in (regions.notes if regions is not None else ())),
+    ]
     if earlier is not None:
         said += earlier["notes"]
     return Prepared(

@@ -10,7 +10,7 @@ from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.rendering.driving import main_view
-from tnst_mi.rendering.smoke_colour import colour_name, colours_of
+from tnst_mi.rendering.smoke_colour import colour_name, shown_colours
 from tnst_mi.run.carry import carried
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.record import frame_record
@@ -41,14 +41,14 @@ def write_results(
     recipe, exposure, history = plan.recipe, plan.exposure, stylized.history
     carry = carried(source, stylized, work.recipe.carry, work.suffix, work.measures[index].others)
     record = frame_record(source, plan, stylized) | {"carried": list(carry.names)}
-    name = colour_name(carry.names) if recipe.colour == "keep" else None
+    name = colour_name(carry.names) if recipe.colour != "off" else None
     before, after = (
         exposure
         * main_view(
             scaled(density, work.plan.density_scale),
             recipe,
             work.plan.full.size,
-            None if name is None else colours_of(grids, name, source.name),
+            shown_colours(grids, name, source.name, density.shape),
         )
         for density, grids in ((source.density, source.grids), (stylized.density, carry.grids))
     )

@@ -14,6 +14,7 @@ from tnst_mi.fields.density_unit import scaled
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density, resample_mask, resample_velocity
 from tnst_mi.frame import Frame
+from tnst_mi.optimisation.colouring import COLOUR, on_octave
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.regions.octave_masks import border_of, octave_mask
@@ -31,12 +32,24 @@ class Inputs:
         mask: of its smoke; times the union of the regions, if there are any.
         regions: the mask of each target, None for one that is everywhere; none at all if there are no regions.
         allowed: how far each of its cells may be moved; None if it is the same for all.
+        colour: with which it begins, (D, H, W, 3) display values; None if colours are not optimised.
     """
 
     density: mi.TensorXf
     mask: mi.TensorXf
     regions: tuple[mi.TensorXf | None, ...] = ()
     allowed: mi.TensorXf | None = None
+    colour: mi.TensorXf | None = None
+
+    def target_regions(self) -> list[mi.TensorXf | None]:
+        """For each target, its part of the regions, (D, H, W) in [0, 1]; None if it is everywhere."""
+        if len(self.regions) < 2:
+            return list(self.regions) or [None]
+        union = _union(self.regions)
+        return [
+            None if region is None and union is None else mi.TensorXf(_share(region, union), self.mask.shape)
+            for region in self.regions
+        ]
 
     def target_masks(self) -> list[mi.TensorXf]:
         """For each target, the mask of the smoke in its region."""
@@ -54,13 +67,14 @@ def region_name(target: int) -> str:
 def input_names(plan: Plan, frame: FramePlan) -> tuple[str, ...]:
     """The names of the arrays that `Inputs` are made of."""
     named = [region_name(i) for i, present in enumerate(_regions_present(plan)) if present]
-    return ("density", "mask", *named, *(["allowed"] if frame.keeps_silhouette else []))
+    allowed, colour = ["allowed"] if frame.keeps_silhouette else [], [COLOUR] if plan.colours is not None else []
+    return ("density", "mask", *named, *allowed, *colour)
 
 
 def inputs_of(plan: Plan, arrays: Mapping[str, mi.TensorXf]) -> Inputs:
     """The inputs of a frame, made of arrays by name."""
     masks = tuple(arrays.get(region_name(i)) for i in range(len(_regions_present(plan))))
-    return Inputs(arrays["density"], arrays["mask"], masks, arrays.get("allowed"))
+    return Inputs(arrays["density"], arrays["mask"], masks, arrays.get("allowed"), arrays.get(COLOUR))
 
 
 def _regions_present(plan: Plan) -> list[bool]:
@@ -94,6 +108,8 @@ def octave_inputs(
         # would decide by how much potentials are scaled as a whole.
         mask = mi.TensorXf(mask.array * allowed.array / dr.max(allowed.array), mask.shape)
     arrays["mask"] = mi.TensorXf16(mask)
+    if plan.colours is not None:
+        arrays[COLOUR] = on_octave(plan.colours.start(frame.index, source), octave)
     if plan.window > 1 and frame.index + 1 < len(plan.frames):
         if source.velocity is None:
             raise InputError(f"{frame.name}: has no velocity, which a window of {plan.window} frames needs")

@@ -23,6 +23,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
+from tnst_mi.optimisation.colouring import COLOUR
 from tnst_mi.optimisation.items.device_store import DeviceStore, Request
 from tnst_mi.optimisation.items.inputs import INSIDE, Inputs, input_names, inputs_of, octave_inputs
 from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
@@ -204,15 +205,19 @@ class Items:
         """
         frame, following = now.frame, now.done + 1
         names, weights = list(frame.parameterisation.channels), self.plan.window_weights
+        window = window_of(frame.index, len(self.plan.frames), self.plan.window)
+        present = sum(weights[abs(i - frame.index)] for i in window)
         if self.plan.recipe.window_average == "plain":
-            window = window_of(frame.index, len(self.plan.frames), self.plan.window)
-            present = sum(weights[abs(i - frame.index)] for i in window)
             sums = Fields(self.windowed_sums(frame, "step", following, names, weights / present))
             # Gradients are masked later, when a step is made of their average.
             return sums if self.plan.averages_gradients else self._inside(frame, sums)
         sums = self.windowed_sums(frame, "step", following, names, weights)
         gain = self._store.read(self._group("gain"), frame.index, ["gain"], 0)["gain"]
-        return Fields({name: times(gain, total) for name, total in sums.items()})
+        average = Fields({name: times(gain, total) for name, total in sums.items() if name != COLOUR})
+        if COLOUR in sums:
+            # Steps of colours have no mask of the smoke.
+            average |= self._inside(frame, Fields({COLOUR: sums[COLOUR]}).times(1 / present))
+        return average
 
     def windowed_sums(
         self, frame: FramePlan, kind: str, generation: int, names: Sequence[str], weights: np.ndarray

@@ -1,0 +1,190 @@
+"""Colours that are optimised: the gradient, steps within bounds, and what follows which part of a loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+import torch
+from networks import random_googlenet
+from PIL import Image
+
+from tnst_mi.frame import Frame
+from tnst_mi.losses.palette import Palette, _directions
+from tnst_mi.losses.pictures import GreyImage
+from tnst_mi.machine.backend import torch_device
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.optimisation.colouring import COLOUR, Coloured, colour_step, final_colour, in_gamut
+from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
+from tnst_mi.optimisation.parameterisation import Fields, Transport
+from tnst_mi.optimisation.plan import Plan, plan_of
+from tnst_mi.recipe.recipe import Recipe
+
+SHAPE = (10, 14, 12)
+START = np.float32([0.5, 0.4, 0.3])
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> GoogLeNet:
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    random_googlenet(path, narrow=8)
+    return GoogLeNet.load(path).to(torch_device())
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("pictures") / "colours.png"
+    pixels = np.random.default_rng(5).integers(0, 256, (24, 24, 3)).astype(np.uint8)
+    pixels[:, :12, 2] //= 4
+    Image.fromarray(pixels).save(path)
+    return str(path)
+
+
+def smoke() -> np.ndarray:
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
+    return np.exp(-4 * (x**2 + y**2 + z**2)).astype(np.float32)
+
+
+def setting(network: GoogLeNet, picture: str, **keys: object) -> tuple[Plan, OctaveProblem, Fields]:
+    """A plan of one frame, its only octave, and fields that are not 0."""
+    fixed = {"octaves": 1, "views": 2, "style_layers": {"conv2/3x3": 1.0}, "loss_scaling": "none", "gamma": 0.2}
+    recipe = Recipe.from_dict({"style": [picture], "colour": "style"} | fixed | keys)
+    plan = plan_of(recipe, ["f"], [0], [1.0], [1.0], SHAPE)
+    rng = np.random.default_rng(1)
+    zeros = plan.frames[0].parameterisation.zeros(plan.octaves[0])
+    sizes = {"psi": 0.5, "phi": 0.5, COLOUR: 0.1}
+    fields = {k: sizes[k] * rng.normal(size=field.shape).astype(np.float32) for k, field in zeros.items()}
+    return plan, problem_of(plan, plan.octaves[0], network), Fields({k: mi.TensorXf(f) for k, f in fields.items()})
+
+
+def start() -> mi.TensorXf:
+    return mi.TensorXf(np.broadcast_to(START, (*SHAPE, 3)).copy())
+
+
+@pytest.mark.parametrize(("palette", "step"), [(1.0, 0.03), (0.0, 0.001)], ids=["palette", "strokes"])
+def test_the_gradient_of_colours_is_that_of_the_loss(
+    network: GoogLeNet, picture: str, palette: float, step: float
+) -> None:
+    """By central differences; the network's have many kinks, between which only short steps are."""
+    plan, problem, fields = setting(network, picture, style_weight=1.0 - palette, colour_weight=palette)
+    density, frame = mi.TensorXf(smoke()), plan.frames[0]
+
+    def loss(colour: np.ndarray) -> float:
+        at = Fields({**fields, COLOUR: mi.TensorXf(colour.astype(np.float32))})
+        return float(problem.gradient(frame, at, density, (3,), (), start()).loss.double())
+
+    found = problem.gradient(frame, fields, density, (3,), (), start()).gradients[0][COLOUR].numpy().astype(float)
+    colour = fields[COLOUR].numpy()
+    direction = found / np.linalg.norm(found)
+    slope = (loss(colour + step * direction) - loss(colour - step * direction)) / (2 * step)
+    assert slope == pytest.approx((found * direction).sum(), rel=1e-3)
+
+
+def test_the_density_does_not_follow_a_palette(network: GoogLeNet, picture: str) -> None:
+    """Its gradient is that of the strokes alone, to the bit; without strokes it is 0."""
+    found = {}
+    for weight in (0.0, 1.0):
+        plan, problem, fields = setting(network, picture, colour_weight=weight)
+        (found[weight],) = problem.gradient(plan.frames[0], fields, mi.TensorXf(smoke()), (3,), (), start()).gradients
+    np.testing.assert_array_equal(found[0.0]["psi"].numpy(), found[1.0]["psi"].numpy())
+    assert (found[0.0][COLOUR].numpy() != found[1.0][COLOUR].numpy()).mean() > 0.5
+    plan, problem, fields = setting(network, picture, style_weight=0.0)
+    (palette,) = problem.gradient(plan.frames[0], fields, mi.TensorXf(smoke()), (3,), (), start()).gradients
+    assert not palette["psi"].numpy().any() and palette[COLOUR].numpy().any()
+
+
+def test_white_smoke_has_the_loss_of_a_grey_picture_in_grey(network: GoogLeNet, tmp_path: Path) -> None:
+    """Strokes in colour are those in grey where nothing has a colour."""
+    path = tmp_path / "grey.png"
+    Image.fromarray(np.random.default_rng(2).integers(0, 256, (20, 20), np.uint8)).save(path)
+    density, losses = mi.TensorXf(smoke()), []
+    for colour in ("off", "style"):
+        plan, problem, fields = setting(network, str(path), colour=colour, colour_weight=0.0)
+        white = mi.TensorXf(np.ones((*SHAPE, 3), np.float32)) - fields[COLOUR] if colour == "style" else None
+        losses.append(float(problem.gradient(plan.frames[0], fields, density, (3,), (), white).loss))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+
+
+def test_directions_prefer_none() -> None:
+    """31 axes of symmetry of an icosahedron: second and fourth moments are those of the sphere."""
+    lines = _directions().numpy()
+    assert len(lines) == 31
+    np.testing.assert_allclose(lines.T @ lines, 31 / 3 * np.eye(3), atol=1e-12)
+    others = np.random.default_rng(0).normal(size=(8, 3))
+    others /= np.linalg.norm(others, axis=1, keepdims=True)
+    np.testing.assert_allclose(((lines @ others.T) ** 4).sum(0), 31 / 5, atol=1e-12)
+
+
+def test_a_grey_palette_draws_grey_smoke_to_no_colour(network: GoogLeNet) -> None:
+    rng = np.random.default_rng(3)
+    bound = Palette(GreyImage("grey", rng.random((16, 16)).astype(np.float32))).bind(network, 16, 16)
+    images = torch.from_numpy(rng.random((1, 16, 16, 1)).astype(np.float32)).repeat(1, 1, 1, 3).requires_grad_()
+    bound(images.to(torch_device())).backward()
+    gradient = images.grad.numpy()
+    assert np.abs(gradient).max() > 0
+    np.testing.assert_allclose(gradient, gradient.mean(-1, keepdims=True).repeat(3, -1), atol=1e-5 * gradient.max())
+
+
+def test_the_palette_of_a_picture_is_its_own(network: GoogLeNet) -> None:
+    """Shuffled pixels have no distance; shifted ones the square of the shift over that of the picture."""
+    rng = np.random.default_rng(4)
+    rgb = rng.random((12, 12, 3)).astype(np.float32) * 0.5
+    bound = Palette(GreyImage("picture", rgb.mean(-1), rgb=rgb)).bind(network, 12, 12)
+    shuffled = rng.permutation(rgb.reshape(-1, 3)).reshape(1, 12, 12, 3)
+    shift = np.float32([0.1, -0.05, 0.2])
+    assert float(bound(torch.from_numpy(shuffled).to(torch_device()))) < 1e-10
+    expected = (shift.astype(float) ** 2).sum() / (rgb.astype(float) ** 2).sum(-1).mean()
+    assert float(bound(torch.from_numpy(shuffled + shift).to(torch_device()))) == pytest.approx(expected, rel=1e-5)
+
+
+def test_steps_are_bounded_and_downhill() -> None:
+    rng = np.random.default_rng(6)
+    gradient = rng.normal(size=(*SHAPE, 3)).astype(np.float32) * 10.0 ** rng.integers(-9, 3, (*SHAPE, 1))
+    gradient[0] = 0
+    found = colour_step(mi.TensorXf(gradient.astype(np.float32)), None, 0.03, 0.0).numpy().astype(float)
+    length = np.linalg.norm(gradient.astype(float), axis=-1, keepdims=True)
+    expected = 0.03 * gradient / (length + length[length > 0].mean())
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-12)
+    assert np.linalg.norm(found, axis=-1).max() < 0.03 and not found[0].any()
+    half = np.full(SHAPE, 0.5, np.float32)
+    masked = colour_step(mi.TensorXf(gradient.astype(np.float32)), mi.TensorXf(half), 0.03, 0.0).numpy()
+    np.testing.assert_allclose(masked, found / 2, rtol=1e-5, atol=1e-12)
+    assert not colour_step(mi.TensorXf(np.zeros((*SHAPE, 3), np.float32)), None, 0.03, 1.2).numpy().any()
+
+
+def test_colours_stay_display_values() -> None:
+    rng = np.random.default_rng(7)
+    change = mi.TensorXf(rng.normal(size=(*SHAPE, 3)).astype(np.float32))
+    fields = in_gamut(Fields({"psi": change, COLOUR: change}), start())
+    colours = START + fields[COLOUR].numpy()
+    assert colours.min() >= -1e-7 and colours.max() <= 1 + 1e-7 and fields["psi"] is change
+    solid = np.zeros(SHAPE, bool)
+    solid[2:4] = True
+    final = final_colour(start().numpy(), change, 0.5, solid)
+    np.testing.assert_array_equal(final[2:4], start().numpy()[2:4])
+    np.testing.assert_allclose(final[4:], np.clip(START + 0.5 * change.numpy()[4:], 0, 1), atol=1e-6)
+
+
+def test_what_moves_the_smoke_does_so_as_without_colours() -> None:
+    plain, rng = Transport(0.0, trace="flow"), np.random.default_rng(8)
+    coloured = Coloured(plain)
+    psi = mi.TensorXf(rng.normal(size=(*SHAPE, 3)).astype(np.float32))
+    fields, density = Fields({"psi": psi, COLOUR: psi}), mi.TensorXf(smoke())
+    for of_both, of_one in (
+        (coloured.density(fields, density, 1.0), plain.density(Fields(psi=psi), density, 1.0)),
+        (coloured.within(fields, 0.3, 1.0)["psi"], plain.within(Fields(psi=psi), 0.3, 1.0)["psi"]),
+    ):
+        np.testing.assert_array_equal(of_both.numpy(), of_one.numpy())
+    assert coloured.channels == {"psi": 3, COLOUR: 3} and coloured.of_density is plain
+    assert dr.all(coloured.within(fields, 0.3, 1.0)[COLOUR].array == psi.array)
+
+
+def test_a_start_without_a_grid_is_the_mean_of_the_pictures(network: GoogLeNet, picture: str) -> None:
+    plan, _, _ = setting(network, picture)
+    pixels = np.asarray(Image.open(picture), float) / 255
+    assert plan.colours is not None
+    colours = plan.colours.start(0, Frame(smoke(), name="f"))
+    np.testing.assert_allclose(colours, np.broadcast_to(pixels.mean((0, 1)), colours.shape), atol=1e-6)
