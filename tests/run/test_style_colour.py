@@ -67,7 +67,6 @@ def test_colours_begin_with_those_of_the_input(keys: dict) -> None:
     frames = [dataclasses.replace(frame, grids={"Cd": colour}) for frame in moving_smoke(1)]
     unmoved = tnst_mi.stylize(frames, Recipe(**keys, strength=0.0), progress=False)
     np.testing.assert_allclose(unmoved.grids[0]["Cd"], colour, atol=1e-6)
-    assert any("colours begin with those of grid 'Cd'" in note for note in unmoved.run["notes"])
     left = tnst_mi.stylize(frames, Recipe(**keys, strength=0.0, carry="velocity"), progress=False)
     assert np.ptp(left.grids[0]["Cd"].reshape(-1, 3), axis=0).max() == 0
 
