@@ -450,12 +450,12 @@ def test_tries_are_gone_on_from_and_deleted(
         # An address that means no cluster is told at once; of one that does, all tabs hear.
         page.locator("#cluster").fill("local:many")
         page.locator("#cluster").blur()
-        page.locator("#error", has_text="expected local:N").wait_for()
+        page.locator("#cluster-error", has_text="expected local:N").wait_for()
         shown.troubles.clear()  # the browser's own words of the refusal
         page.locator("#cluster").fill("local:2")
         page.locator("#cluster").blur()
         expect(other.page.locator("#cluster")).to_have_value("local:2", timeout=PATIENCE)
-        assert page.locator("#error").is_hidden()
+        assert page.locator("#cluster-error").is_hidden()
         shown.photographed("7_going_on")
         for key, value in (("iterations", 60), ("views", 8)):
             page.locator(f"#knob-{key}").fill(str(value))

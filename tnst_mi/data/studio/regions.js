@@ -10,8 +10,12 @@ const keyed = (value) => value !== null && typeof value === "object" && !Array.i
 const frameIndex = () => Number($("frame").value);
 
 // By the part's id: another tab may have changed the list.
-function edit(action, id, values = {}) {
-  return post("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
+function edited(action, id, values = {}) {
+  return posted("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
+}
+
+function edit(action, id, values) {
+  return change(edited(action, id, values));
 }
 
 function selectNext() {
@@ -25,18 +29,25 @@ function followSelection() {
   if (parts().length && !parts().some((part) => part.id === asked)) asked = parts().at(-1).id;
 }
 
-// Edits while something is dragged: one at a time, the latest next.
-let editing = false, nextEdit = null;
-async function editSoon(id, values) {
-  nextEdit = [id, values];
-  if (editing) return;
+// Edits while something is dragged: one at a time, the latest of each part next.
+let editing = false;
+const nextEdits = new Map();
+function editSoon(id, values) {
+  nextEdits.set(id, { ...nextEdits.get(id), ...values });
+  if (!editing) change(editAll());
+}
+
+// Whether the latest edit of each part has been made: those before it do not matter any more.
+async function editAll() {
+  const made = new Map();
   editing = true;
-  while (nextEdit) {
-    const [part, latest] = nextEdit;
-    nextEdit = null;
-    await edit("change", part, latest);
+  while (nextEdits.size) {
+    const [[part, latest]] = nextEdits;
+    nextEdits.delete(part);
+    made.set(part, await edited("change", part, latest));
   }
   editing = false;
+  return [...made.values()].every(Boolean);
 }
 
 const tidy = (value) => Number(value.toPrecision(5));
@@ -144,11 +155,11 @@ async function showShare() {
 $("masked").addEventListener("change", () => { asked = null; showParts(); look(); });
 $("masks-shown").addEventListener("change", () => { showParts(); look(); });
 
-// In the middle of what is seen, as deep as the middle of the smoke, and about half as large.
+// In the middle of what is seen, as deep as the middle of the smoke, and about half as large. Whether it is there.
 async function addShape(shape) {
   await askPlace();
-  if (!place) return;
-  if (!place.smoke) { complain("There is no smoke in this frame to put a region in."); return; }
+  if (!place) return false;
+  if (!place.smoke) { complain("There is no smoke in this frame to put a region in."); return false; }
   const { right, up, towards } = cameraAxes(), corners = place.smoke.map(fromScene);
   const middle = times(plus(corners[0], corners[1]), 0.5);
   const seen = plus(plus(times(right, view.right), up, view.up), towards, dot(middle, towards));
@@ -164,10 +175,12 @@ async function addShape(shape) {
     ? { shape, centre: inScene(at), radius: tidy(radius * cellEdge()), edge }
     : { shape, low: inScene(plus(at, halfInScene, -1)), high: inScene(plus(at, halfInScene)), edge };
   selectNext();
-  if (!(await edit("add", null, values))) awaiting = null;
+  const added = await edited("add", null, values);
+  if (!added) awaiting = null;
+  return added;
 }
-$("add-sphere").addEventListener("click", () => addShape("sphere"));
-$("add-box").addEventListener("click", () => addShape("box"));
+$("add-sphere").addEventListener("click", () => change(addShape("sphere")));
+$("add-box").addEventListener("click", () => change(addShape("box")));
 
 /* ---- what the page tells ------------------------------------------------------------------------------------------ */
 

@@ -6,8 +6,8 @@ let state = null; // what all tabs share, as the server tells it
 const $ = (id) => document.getElementById(id);
 
 // Says something in the place of its source, where it stays until that has something else to say, or it is closed:
-// "error" of what is asked for, "view-error" of pictures, "place-error" of where frames lie, "notes" of what is opened,
-// "kept" of paintings.
+// "error" of what is asked for, "cluster-error" of the address of a cluster, "view-error" of pictures, "place-error" of
+// where frames lie, "notice" of what the studio could not show, "notes" of what is opened, "kept" of paintings.
 function complain(text, source = "error") {
   const shown = $(source);
   if (!shown.firstChild) {
@@ -26,23 +26,37 @@ async function answered(response) {
   throw new Error(text);
 }
 
-const underway = new Set(); // changes that have not been answered yet
+const underway = new Set(); // changes that are not over yet: promises, never broken, of whether they have been made
 
-function post(path, values) {
-  const asked = posted(path, values);
-  underway.add(asked);
-  asked.finally(() => underway.delete(asked));
-  return asked;
+// Counts a change with all its steps as under way until it is over.
+function change(made) {
+  underway.add(made);
+  made.finally(() => underway.delete(made));
+  return made;
 }
 
-async function posted(path, values) {
+function post(path, values) {
+  return change(posted(path, values));
+}
+
+let refusals = 0; // so far
+
+async function posted(path, values, source = "error") {
+  const headers = { "Content-Type": "application/json" };
+  return done(fetch(path, { method: "POST", headers, body: JSON.stringify(values) }), source);
+}
+
+// Whether what has been asked for is done; if not, why is said, until it is closed or something that is asked for later
+// is done: what was asked for at the same time does not hide it.
+async function done(asked, source = "error") {
+  const before = refusals;
   try {
-    const headers = { "Content-Type": "application/json" };
-    await answered(await fetch(path, { method: "POST", headers, body: JSON.stringify(values) }));
-    complain("");
+    await answered(await asked);
+    if (refusals === before) complain("", source);
     return true;
   } catch (error) {
-    complain(error.message);
+    refusals += 1;
+    complain(error.message, source);
     return false;
   }
 }

@@ -7,20 +7,60 @@ const chosenJobs = new Set(); // of this tab, kept when the other tries are dele
 
 const JOB_ACTIONS = { pause: "pause", resume: "resume", open: "open", finish: "render this", delete: "delete" };
 
-// Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again.
+// Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again. What
+// has been set and is refused keeps it from being done. Whether it is done.
 async function once(button, event, action) {
-  if (event.detail > 1 || button.dataset.busy === "yes") return;
+  if (event.detail > 1 || button.dataset.busy === "yes") return false;
   button.dataset.busy = "yes";
   button.disabled = true;
   try {
-    await allIsSet();
-    await post("work", action);
+    return (await allIsSet()) && (!usesCluster(action) || (await clusterIsThere())) && (await post("work", action));
   } finally {
     delete button.dataset.busy;
     button.disabled = false;
     showRecipe();
   }
 }
+
+/* ---- the cluster -------------------------------------------------------------------------------------------- */
+
+let clusterAsked = Promise.resolve(true); // whether the address in the field has been accepted
+let clusterTyped = null; // the address in the field, while it is checked and when it has been refused
+
+function usesCluster({ action, id }) {
+  return action === "render" || action === "finish" || (action === "resume" && id.startsWith("renders/"));
+}
+
+function askCluster() {
+  clusterTyped = $("cluster").value;
+  clusterAsked = askClusterAfter(clusterAsked, clusterTyped);
+}
+
+async function askClusterAfter(before, typed) {
+  await before;
+  const accepted = await posted("cluster", { address: typed }, "cluster-error");
+  if (clusterTyped !== typed) return accepted; // another one has been typed, which counts
+  $("cluster").classList.toggle("wrong", !accepted);
+  if (accepted) clusterTyped = null;
+  return accepted;
+}
+
+// Whether renders are done where the field says. What has been refused is asked for again: a scheduler may answer by now.
+async function clusterIsThere() {
+  if ($("cluster").classList.contains("wrong")) askCluster();
+  let asked = null, there = false;
+  while (asked !== clusterAsked) {
+    asked = clusterAsked;
+    there = await asked;
+  }
+  return there;
+}
+
+function showCluster() {
+  if (clusterTyped === null && document.activeElement !== $("cluster")) $("cluster").value = state.cluster;
+}
+
+/* ---- deleting ----------------------------------------------------------------------------------------------- */
 
 // Delete tries or renders, after a question; running ones are stopped first.
 function deleteJobs(ids, question) {
@@ -114,8 +154,8 @@ function showStates(shown, job) {
     const query = kept.octave === null ? { of: job.picture } : { octave: kept.octave };
     if (kept.picture) tile.append(element("img", undefined, { src: jobPicture(job.id, query), alt: "", loading: "lazy" }));
     tile.append(kept.title);
-    tile.addEventListener("click", async () => {
-      if (await post("work", { action: "branch", id: job.id, octave: kept.octave })) shown.states.hidden = true;
+    tile.addEventListener("click", async (event) => {
+      if (await once(tile, event, { action: "branch", id: job.id, octave: kept.octave })) shown.states.hidden = true;
     });
     return tile;
   }));
@@ -181,7 +221,7 @@ function showStart() {
   $("start").hidden = !job;
   $("start-text").textContent = job ? `goes on from ${job.title}, ${kept ? kept.title : "a state that is gone"}` : "";
   $("alone").hidden = Boolean(job) || !state.opened || !state.opened.of_several;
-  if (document.activeElement !== $("cluster")) $("cluster").value = state.cluster;
+  showCluster();
 }
 
 document.addEventListener("DOMContentLoaded", () => {
@@ -195,8 +235,5 @@ document.addEventListener("DOMContentLoaded", () => {
     const others = otherTries();
     deleteJobs(others, `Delete ${others.length === 1 ? "the other try" : `the ${others.length} other tries`}, all but the chosen?`);
   });
-  $("cluster").addEventListener("change", async () => {
-    const accepted = await post("cluster", { address: $("cluster").value });
-    $("cluster").classList.toggle("wrong", !accepted);
-  });
+  $("cluster").addEventListener("change", askCluster);
 });
