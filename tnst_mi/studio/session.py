@@ -279,12 +279,13 @@ class Session:
         work = self.workshop.described()
         with self._news:
             painter, recipe = self.painter, self.settings.recipe
+            shown = None if painter is None else self.workshop.in_folder(painter.opened.results.path)
             return {
                 "work": work,
                 "version": self._version,
                 "start": None if self.start is None else {"id": self.start[0], "octave": self.start[1]},
                 "cluster": self.cluster or "",
-                "opened": None if painter is None else opened_told(painter, self.places, recipe, self._source),
+                "opened": None if painter is None else opened_told(painter, self.places, recipe, self._source, shown),
                 "physics": physics_told(recipe),
                 "notice": self.notice,
                 **self.settings.described(),

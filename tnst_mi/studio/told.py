@@ -17,7 +17,9 @@ _PATH_TRACED = (
 )
 
 
-def opened_told(painter: SightPainter, places: Places, recipe: Recipe, source: Source | None) -> dict[str, Any]:
+def opened_told(
+    painter: SightPainter, places: Places, recipe: Recipe, source: Source | None, work: str | None
+) -> dict[str, Any]:
     """What is opened, and how large pictures are that are painted over it.
 
     Args:
@@ -25,6 +27,7 @@ def opened_told(painter: SightPainter, places: Places, recipe: Recipe, source: S
         places: by which its path is told.
         recipe: as it is set.
         source: the input that is stylized.
+        work: the name of the try or render that it is; None if it is none.
     """
     results = painter.opened.results
     d, h, w = painter.opened.shape
@@ -32,6 +35,7 @@ def opened_told(painter: SightPainter, places: Places, recipe: Recipe, source: S
     return {
         "title": results.title,
         "path": places.relative(results.path),
+        "work": work,
         "run": results.record is not None,
         "after": painter.opened.has_after,
         "names": list(results.names),

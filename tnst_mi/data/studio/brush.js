@@ -119,7 +119,8 @@ async function usePainting() {
   const where = new URLSearchParams({ target, azimuth, elevation, frame });
   const used = await done(fetch(`painting?${where}`, { method: "POST", body: file }));
   $("brush-done").disabled = false;
-  if (used) endPainting(); else awaiting = null;
+  if (!used) awaiting = null;
+  else if (painting && painting.sheet === sheet) endPainting(); // something else may be painted by now
   return used;
 }
 

@@ -61,13 +61,13 @@ function numbersRow(part, key) {
     return row;
   }
   const inputs = (Array.isArray(value) ? value : [value]).map((number, axis, all) => {
-    const input = element("input", undefined, { type: "number", step: "any", value: tidy(number) });
+    const input = element("input", undefined, { type: "number", step: "any", defaultValue: tidy(number) });
     input.dataset.field = `${part.id} ${key} ${axis}`;
     input.setAttribute("aria-label", all.length > 1 ? `${key} ${"xyz"[axis]}` : key);
     input.addEventListener("change", async () => {
       const numbers = inputs.map((other) => (other.value === "" ? null : Number(other.value)));
-      const done = await edit("change", part.id, { [key]: all.length > 1 ? numbers : numbers[0] });
-      if (!done) inputs.forEach((other, of) => { other.value = tidy(all[of]); });
+      const made = await edit("change", part.id, { [key]: all.length > 1 ? numbers : numbers[0] });
+      if (!made) for (const other of inputs) other.value = other.defaultValue;
     });
     return input;
   });
@@ -106,6 +106,34 @@ function partRow(part, index) {
   return row;
 }
 
+// Puts rows into the list, but leaves the one alone in which something is being typed: its text may not be a number yet.
+function putRows(rows) {
+  const typed = document.activeElement, field = $("parts").contains(typed) && typed.dataset.field;
+  const old = field && typed.closest(".part"), numbers = field && typed.closest(".row");
+  const made = field && rows.map((row) => row.querySelector(`[data-field="${field}"]`)).find(Boolean);
+  const others = made ? [...made.closest(".row").querySelectorAll("input")] : [];
+  const inputs = field ? [...numbers.querySelectorAll("input")] : [];
+  if (!made || others.length !== inputs.length) {
+    $("parts").replaceChildren(...rows);
+    return;
+  }
+  for (const [index, input] of inputs.entries()) {
+    input.defaultValue = others[index].defaultValue;
+    if (input !== typed) input.value = input.defaultValue;
+  }
+  const row = made.closest(".part");
+  replaceAround(old, numbers, [...row.children], made.closest(".row"));
+  replaceAround($("parts"), old, rows, row);
+}
+
+// Makes elements the children of another one, of which a child stays in place of one of them.
+function replaceAround(parent, kept, elements, instead) {
+  const index = elements.indexOf(instead);
+  for (const child of [...parent.children]) if (child !== kept) child.remove();
+  kept.before(...elements.slice(0, index));
+  kept.after(...elements.slice(index + 1));
+}
+
 let shownList = "";
 
 function showParts() {
@@ -118,17 +146,10 @@ function showParts() {
   const key = JSON.stringify([state.masks, chosen, selected(), state.opened && state.opened.names.length]);
   if (key === shownList) return;
   shownList = key;
-  const typed = $("parts").contains(document.activeElement) ? document.activeElement : null;
-  const field = typed && typed.dataset.field, text = field && typed.value !== typed.defaultValue ? typed.value : null;
   $("masked").replaceChildren(...state.masks.map((target, index) => element("option", target.title, { value: index })));
   $("masked").value = chosen;
   $("masked").hidden = state.masks.length < 2;
-  $("parts").replaceChildren(...parts().map(partRow));
-  // What is being typed goes on, if its part is still there.
-  const again = field && $("parts").querySelector(`[data-field="${field}"]`);
-  if (!again) return;
-  if (text !== null) again.value = text;
-  again.focus();
+  putRows(parts().map(partRow));
 }
 
 let shareOf = "";

@@ -109,17 +109,19 @@ function jobCard(job) {
   actions.finish.title = `The whole recipe${job.alone ? ", of this frame" : ""}, from here to the end; nothing is computed twice`;
   buttons.insertBefore(branch, actions.delete);
   const of = new URLSearchParams({ id: job.id });
+  const links = element("span", undefined, { className: "links" });
   for (const [name, path] of [["recipe.toml", "work/recipe"], ["log", "work/log"]]) {
-    buttons.append(element("a", name, { href: `${path}?${of}`, target: "_blank", rel: "noopener" }));
+    links.append(element("a", name, { href: `${path}?${of}`, target: "_blank", rel: "noopener" }));
   }
   const dashboard = element("a", "dashboard", { target: "_blank", rel: "noopener noreferrer", hidden: true, title: "Dask's own page on its cluster" });
-  buttons.append(dashboard);
+  links.append(dashboard);
+  buttons.append(links);
   card.append(head, bar, image, graph, line, told, buttons, states);
   return { card, choose, status, bar, image, graph, line, told, actions, branch, states, dashboard, picture: "", shown: "", offered: "" };
 }
 
-function showJob(shown, job) {
-  shown.card.className = `job ${job.status}`;
+function showJob(shown, job, isShown) {
+  shown.card.className = `job ${job.status}${isShown ? " shown" : ""}`;
   shown.card.dataset.id = job.id;
   const share = job.total ? Math.min(1, job.done / job.total) : 0;
   shown.status.textContent = job.status + (job.status === "done" || !job.total ? "" : ` · ${Math.floor(100 * share)} %`);
@@ -186,10 +188,11 @@ function showJobs() {
   const cards = [];
   for (const job of state.work) {
     if (!jobs.has(job.id)) jobs.set(job.id, jobCard(job));
-    const shown = jobs.get(job.id), now = JSON.stringify(job);
+    const isShown = Boolean(state.opened) && state.opened.work === job.id;
+    const shown = jobs.get(job.id), now = JSON.stringify([job, isShown]);
     if (now !== shown.shown) {
       shown.shown = now;
-      showJob(shown, job);
+      showJob(shown, job, isShown);
     }
     cards.push(shown.card);
   }

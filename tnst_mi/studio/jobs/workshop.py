@@ -168,6 +168,11 @@ class Workshop:
                 raise InputError(one_line(f"studio: {name!r}: no such try or render"))
             return self._works[name]
 
+    def in_folder(self, folder: Path) -> str | None:
+        """The name of the work that has a folder; None if none has it."""
+        with self._lock:
+            return next((name for name, work in self._works.items() if _is_same(work.process.folder, folder)), None)
+
     def holds(self, name: str) -> bool:
         """Whether there is a work of a name."""
         with self._lock:
@@ -252,3 +257,10 @@ class Workshop:
             if any(news):
                 self._changed()
             self._ended.wait(_INTERVAL)
+
+
+def _is_same(folder: Path, other: Path) -> bool:
+    try:
+        return folder.samefile(other)
+    except (OSError, ValueError):  # one of them is gone, or has no name that can be
+        return False
