@@ -117,7 +117,7 @@ async function usePainting() {
   const file = await new Promise((made) => sheet.toBlob(made, "image/png"));
   selectNext();
   const where = new URLSearchParams({ target, azimuth, elevation, frame });
-  const used = await done(fetch(`painting?${where}`, { method: "POST", body: file }));
+  const used = await sent(`painting?${where}`, { body: file });
   $("brush-done").disabled = false;
   if (!used) awaiting = null;
   else if (painting && painting.sheet === sheet) endPainting(); // something else may be painted by now

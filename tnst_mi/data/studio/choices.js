@@ -98,7 +98,7 @@ let finding = 0;
 $("find").addEventListener("input", () => { clearTimeout(finding); finding = setTimeout(find, 150); });
 
 async function upload(file) {
-  if (await done(fetch(`upload?${new URLSearchParams({ name: file.name })}`, { method: "POST", body: file }))) find();
+  if (await sent(`upload?${new URLSearchParams({ name: file.name })}`, { body: file })) find();
 }
 $("picture").addEventListener("change", (event) => { for (const file of event.target.files) upload(file); event.target.value = ""; });
 document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });

@@ -24,13 +24,13 @@ function setKnob(key, value) {
   const send = async () => {
     await before;
     const accepted = await posted("set", { key, value });
-    if (sentKnobs.get(key) !== sent) return true; // another value has followed, which counts
+    if (sentKnobs.get(key) !== asked) return true; // another value has followed, which counts
     sentKnobs.delete(key);
     if (accepted) answeredKnobs.set(key, state.version); else showRecipe();
     return accepted;
   };
-  const sent = change(send());
-  sentKnobs.set(key, sent);
+  const asked = change(send());
+  sentKnobs.set(key, asked);
 }
 
 // Whether what the studio tells of a key may be older than what has been set here.
@@ -38,9 +38,10 @@ function isNewerHere(key) {
   return waitingKnobs.has(key) || sentKnobs.has(key) || answeredKnobs.get(key) === state.version;
 }
 
-// Sends what has been set, and waits until all changes are made or refused; whether all have been made.
+// Sends what has been set, and waits until all changes are made or refused; whether all have been made, those too that
+// the press of the present button has begun by leaving a field.
 async function allIsSet() {
-  let all = true;
+  let all = refusals === refusalsBefore;
   while (waitingKnobs.size || underway.size) {
     for (const key of [...waitingKnobs.keys()]) sendKnob(key);
     all = (await Promise.all([...underway])).every(Boolean) && all;

@@ -8,8 +8,9 @@ const $ = (id) => document.getElementById(id);
 // Says something in the place of its source, where it stays until that has something else to say, or it is closed:
 // "error" of what is asked for, "cluster-error" of the address of a cluster, "view-error" of pictures, "place-error" of
 // where frames lie, "notice" of what the studio could not show, "notes" of what is opened, "kept" of paintings.
-function complain(text, source = "error") {
+function complain(text, source = "error", path = "") {
   const shown = $(source);
+  shown.dataset.path = path;
   if (!shown.firstChild) {
     const close = element("button", "×", { title: "close" });
     close.addEventListener("click", () => { shown.hidden = true; });
@@ -39,24 +40,26 @@ function post(path, values) {
   return change(posted(path, values));
 }
 
-let refusals = 0; // so far
-
 async function posted(path, values, source = "error") {
-  const headers = { "Content-Type": "application/json" };
-  return done(fetch(path, { method: "POST", headers, body: JSON.stringify(values) }), source);
+  return sent(path, { headers: { "Content-Type": "application/json" }, body: JSON.stringify(values) }, source);
 }
 
-// Whether what has been asked for is done; if not, why is said, until it is closed or something that is asked for later
-// is done: what was asked for at the same time does not hide it.
-async function done(asked, source = "error") {
+let refusals = 0, refusalsBefore = 0; // of changes: so far, and until a button or key was pressed last
+
+for (const press of ["pointerdown", "keydown"]) document.addEventListener(press, () => { refusalsBefore = refusals; }, true);
+
+// Whether what has been sent is done. If not, why is said until it is closed, or the like is done that was asked for later:
+// neither what was asked for at the same time nor what is done next hides it.
+async function sent(path, what, source = "error") {
   const before = refusals;
   try {
-    await answered(await asked);
-    if (refusals === before) complain("", source);
+    await answered(await fetch(path, { method: "POST", ...what }));
+    const said = $(source).dataset.path;
+    if (refusals === before && (!said || said === path.split("?")[0])) complain("", source);
     return true;
   } catch (error) {
-    refusals += 1;
-    complain(error.message, source);
+    if (source === "error") refusals += 1;
+    complain(error.message, source, path.split("?")[0]);
     return false;
   }
 }

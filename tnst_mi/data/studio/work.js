@@ -16,6 +16,7 @@ async function once(button, event, action) {
   try {
     return (await allIsSet()) && (!usesCluster(action) || (await clusterIsThere())) && (await post("work", action));
   } finally {
+    refusalsBefore = refusals; // which keep nothing back that is asked for once more
     delete button.dataset.busy;
     button.disabled = false;
     showRecipe();
