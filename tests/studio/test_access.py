@@ -100,7 +100,7 @@ def test_nothing_outside_of_the_started_folder_is_opened_or_listed(studio: Studi
     for reply in (studio.post("/open", path=escape), studio.get("/files", at=escape)):
         assert reply.status == 400
         assert "is not below" in reply.error
-    assert studio.session.painter is None
+    assert studio.session.shown is None
 
 
 @pytest.mark.parametrize(

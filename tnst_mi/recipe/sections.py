@@ -220,7 +220,8 @@ class Resources:
         Text(
             "FIRST:LAST",
             'a range of frame numbers, such as "70:89"',
-            r"-?\d{1,9}(\.\d{1,6})?(:-?\d{1,9}(\.\d{1,6})?)?",
+            # As many digits as the name of a file can have.
+            r"-?\d{1,255}(\.\d{1,255})?(:-?\d{1,255}(\.\d{1,255})?)?",
         ),
     ] = None
     """Numbers of the first and the last frame of a sequence to take, or of one; with decimal points, such as 1.0:2.5,

@@ -224,6 +224,8 @@ function showStart() {
   const kept = job && job.states.find((one) => one.octave === start.octave);
   $("start").hidden = !job;
   $("start-text").textContent = job ? `goes on from ${job.title}, ${kept ? kept.title : "a state that is gone"}` : "";
+  $("restricted").hidden = Boolean(job) || state.frames === null;
+  $("restricted-text").textContent = `frames ${state.frames} only`;
   $("alone").hidden = Boolean(job) || !state.opened || !state.opened.of_several;
   showCluster();
 }
@@ -231,10 +233,11 @@ function showStart() {
 document.addEventListener("DOMContentLoaded", () => {
   $("try").addEventListener("click", (event) => {
     const only = !$("alone").hidden && $("only").checked;
-    once($("try"), event, { action: "try", alone: only ? state.opened.numbers[frameIndex()] : null });
+    once($("try"), event, { action: "try", alone: only ? frameIndex() : null });
   });
   $("render").addEventListener("click", (event) => once($("render"), event, { action: "render" }));
   $("anew").addEventListener("click", () => post("work", { action: "anew" }));
+  $("all-frames").addEventListener("click", () => post("work", { action: "all-frames" }));
   $("clear").addEventListener("click", () => {
     const others = otherTries();
     deleteJobs(others, `Delete ${others.length === 1 ? "the other try" : `the ${others.length} other tries`}, all but the chosen?`);
