@@ -63,11 +63,11 @@ function showCluster() {
 
 /* ---- deleting ----------------------------------------------------------------------------------------------- */
 
-// Delete tries or renders, after a question; running ones are stopped first.
+// Delete tries or renders, after a question; running ones are stopped first, which may take a while: nothing waits for it.
 function deleteJobs(ids, question) {
   const running = state.work.some((job) => ids.includes(job.id) && job.status === "running");
   const stopped = !running ? "" : ids.length === 1 ? " It is stopped first." : " Those that run are stopped first.";
-  if (ids.length && window.confirm(`${question}${stopped} This cannot be undone.`)) post("work", { action: "delete", ids });
+  if (ids.length && window.confirm(`${question}${stopped} This cannot be undone.`)) posted("work", { action: "delete", ids });
 }
 
 function jobPicture(id, query) {
