@@ -697,6 +697,17 @@ def test_a_frame_is_tried_again_and_again(
         shown.photographed("10_without_input")
         page.locator("#notes", has_text="cannot be read again").locator("button").click()
         assert page.locator("#notes").is_hidden()
+        # What the recipe is restricted to is told beside the buttons, and can be taken back.
+        assert page.locator("#restricted").is_hidden()
+        studio.session.settings.base = Recipe(frames="8")
+        studio.post("/set", key="strength", value=0.4)
+        expect(page.locator("#restricted-text")).to_have_text("frames 8 only")
+        page.locator("#all-frames").click()
+        page.locator("#restricted").wait_for(state="hidden")
+        # Once it is deleted, nothing is shown, and the page begins anew.
+        assert studio.post("/work", action="delete", ids=["tries/0001"]).status == 200
+        page.locator("#hint").wait_for()
+        page.locator("#messages", has_text="smoke").wait_for()
         page.context.close()
 
 

@@ -14,6 +14,7 @@ function showSameFrame(before) {
 }
 
 function told(next) {
+  if (!next.opened && shownKey) { location.reload(); return; } // what was shown is gone, and its input too
   const shownParts = (of) => JSON.stringify([of.knobs, of.opened, of.masks]);
   const before = state;
   state = next;
