@@ -80,6 +80,9 @@ def test_no_two_studios_have_one_token(studio: Studio) -> None:
     with running(studio.session.places.root, Path("none")) as other:
         assert other.server.access.token != studio.server.access.token
         assert other.request("GET", "/", Cookie=studio.cookie).status == 403
+        # Nor one cookie, whatever the port: a browser that goes to both, through tunnels, has both.
+        assert other.cookie.split("=")[0] != studio.cookie.split("=")[0]
+        assert other.request("GET", "/", Cookie=f"{studio.cookie}; {other.cookie}").status == 200
 
 
 @pytest.mark.parametrize("path", ["/open", "/set", "/goal", "/upload", "/work", "/cluster"])
@@ -100,7 +103,7 @@ def test_nothing_outside_of_the_started_folder_is_opened_or_listed(studio: Studi
     for reply in (studio.post("/open", path=escape), studio.get("/files", at=escape)):
         assert reply.status == 400
         assert "is not below" in reply.error
-    assert studio.session.painter is None
+    assert studio.session.shown is None
 
 
 @pytest.mark.parametrize(

@@ -450,12 +450,12 @@ def test_tries_are_gone_on_from_and_deleted(
         # An address that means no cluster is told at once; of one that does, all tabs hear.
         page.locator("#cluster").fill("local:many")
         page.locator("#cluster").blur()
-        page.locator("#error", has_text="expected local:N").wait_for()
+        page.locator("#cluster-error", has_text="expected local:N").wait_for()
         shown.troubles.clear()  # the browser's own words of the refusal
         page.locator("#cluster").fill("local:2")
         page.locator("#cluster").blur()
         expect(other.page.locator("#cluster")).to_have_value("local:2", timeout=PATIENCE)
-        assert page.locator("#error").is_hidden()
+        assert page.locator("#cluster-error").is_hidden()
         shown.photographed("7_going_on")
         for key, value in (("iterations", 60), ("views", 8)):
             page.locator(f"#knob-{key}").fill(str(value))
@@ -493,6 +493,153 @@ def sequence(folder: Path) -> None:
     save_frames(folder, [Frame(values * scale, name=f"f_{n}", number=n) for n, scale in ((7, 1.0), (8, 0.8), (9, 0.6))])
 
 
+@pytest.fixture
+def smoke(tmp_path: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Studio]:
+    """A studio that shows a sequence with a sphere as its region; what is begun fails at once."""
+    sequence(tmp_path / "root" / "smoke")
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with running(tmp_path / "root", tmp_path / "out") as studio:
+        studio.post("/open", path="smoke")
+        studio.session.settings.base = Recipe(weights=str(weights), octaves=1, iterations=2, views=1, gamma=0.2)
+        studio.post("/goal", key="style", goal="net")
+        studio.post("/mask", action="add", values={"shape": "sphere", "centre": [5, 7, 4], "radius": 3})
+        yield studio
+
+
+def test_what_is_refused_keeps_work_from_beginning(
+    smoke: Studio, tmp_path: Path, opened: Callable[[str], Page]
+) -> None:
+    shown = opened(address(smoke))
+    page = shown.page
+    cards, field, radius = page.locator(".job"), page.locator("#cluster"), page.get_by_label("radius", exact=True)
+    # It is refused before the button is released, or after.
+    for wait in (200, 0):
+        radius.fill("-5")
+        page.locator("#try").click(delay=wait)
+        page.locator("#error", has_text="radius").wait_for()
+        page.locator("#try:not([disabled])").wait_for()
+        assert cards.count() == 0 and radius.input_value() == "3"
+    # Nothing is rendered elsewhere than the field says, however often one asks.
+    field.press_sequentially("local:many")
+    for _ in range(2):
+        page.locator("#render").click()
+        page.locator("#cluster-error", has_text="expected local:N").wait_for()
+        page.locator("#render:not([disabled])").wait_for()
+        page.locator("#cluster-error button").click()
+    field.blur()
+    smoke.post("/set", key="strength", value=0.5)
+    page.locator(".knob.set", has_text="strength").wait_for()
+    assert [field.input_value(), field.get_attribute("class"), cards.count()] == ["local:many", "wrong", 0]
+    # Tries are done on this machine, and one is told of the cluster as long as that is not closed.
+    field.press("End")
+    field.press_sequentially("?")
+    page.locator("#try").click()
+    cards.nth(0).wait_for()
+    page.locator("#cluster-error").wait_for()
+    assert page.locator("#error", has_text="radius").is_visible()
+    field.fill("local:2")
+    page.locator("#render").click()
+    cards.nth(1).wait_for()
+    assert page.locator("#cluster-error").is_hidden() and field.get_attribute("class") == ""
+    assert json.loads((tmp_path / "out" / "renders" / "0001.json").read_text())["cluster"] == "local:2"
+    shown.troubles.clear()  # the browser's own words of the refusals
+    page.context.close()
+
+
+def test_what_is_being_changed_is_in_what_is_tried(
+    smoke: Studio, tmp_path: Path, opened: Callable[[str], Page]
+) -> None:
+    page = opened(address(smoke)).page
+    page.locator("#view[data-settled=yes]").wait_for()
+    changes = {
+        # Dragged so fast that the latest waits for the first.
+        "drag": "const { id } = parts()[0]; for (const radius of [4, 5]) editSoon(id, { radius });",
+        "shape": "$('add-box').click();",
+        "painting": "$('brush-done').click(); $('brush-done').click();",
+    }
+    for number, (what, script) in enumerate(changes.items(), 1):
+        if what == "painting":
+            page.locator("#add-painting").click()
+            page.locator("#view").click(position={"x": 300, "y": 300})
+        page.evaluate(f"() => {{ {script} $('try').click(); }}")
+        page.locator(".job").nth(number - 1).wait_for()
+        tried = Recipe.from_toml(tmp_path / "out" / "tries" / f"{number:04d}.toml")
+        assert mask_tables(tried) == mask_tables(smoke.session.recipe()), what
+        assert len(mask_tables(tried)[0]) == number and mask_tables(tried)[0][0]["radius"] == 5
+    page.context.close()
+
+
+def test_what_is_set_by_keys_outlasts_news(smoke: Studio, opened: Callable[[str], Page]) -> None:
+    page = opened(address(smoke)).page
+    slider = page.locator("#knob-lam")
+    slider.focus()
+    step = float(slider.get_attribute("step"))
+    for value in range(12):  # news comes between them
+        slider.press("ArrowRight")
+        smoke.session.set("strength", 0.5 + value / 100)
+        page.wait_for_timeout(35)
+    page.evaluate("allIsSet()")
+    assert smoke.session.recipe().lam == pytest.approx(12 * step)
+    # Half a number is not taken for a whole one where another tab edits the same part.
+    edge = page.get_by_label("edge", exact=True)
+    edge.fill("")
+    edge.press_sequentially("0.")
+    smoke.post("/mask", action="change", part=0, values={"strength": 0.5, "centre": [5, 8, 4]})
+    expect(page.get_by_label("strength", exact=True).and_(page.locator(".part input"))).to_have_value("0.5")
+    edge.press_sequentially("7")
+    edge.press("Tab")
+    page.evaluate("allIsSet()")
+    (part,) = mask_tables(smoke.session.recipe())[0]
+    assert (part["edge"], part["strength"], part["centre"]) == (0.7, 0.5, (5, 8, 4))
+    # What is fixed is so for all buttons of it.
+    smoke.session.start = "tries/0001", 0
+    smoke.post("/set", key="strength", value=0.7)
+    page.locator("#knob-motif_size[disabled]").wait_for()
+    motif_size = page.locator(".knob", has=page.locator("#knob-motif_size"))
+    assert [motif_size.locator(f"button:text-is('{of}')").is_disabled() for of in ("auto", "↺")] == [True, True]
+    page.context.close()
+
+
+def test_news_is_of_what_is_there(smoke: Studio, tmp_path: Path, opened: Callable[[str], Page]) -> None:
+    smoke.session.notice = "this cannot be shown"
+    shown = opened(address(smoke))
+    page = shown.page
+    page.locator("#notice", has_text="this cannot be shown").wait_for()
+    page.locator("#motifs [data-key=style][data-goal=cells]").click()
+    page.locator("#goals", has_text="cells").wait_for()
+    assert page.locator("#notice").is_visible()
+    smoke.post("/open", path="smoke")
+    page.locator("#notice").wait_for(state="hidden")
+    sequence(tmp_path / "root" / "more")
+    page.locator("#files").hover()
+    page.locator("#files button[data-path=more]").wait_for()
+    page.context.close()
+
+
+def test_tabs_that_nobody_sees_leave_room(smoke: Studio, browser: Any) -> None:
+    """A browser has six connections to a host: with news for six tabs, nothing else would be answered."""
+    context = browser.new_context(viewport={"width": SIZES[0][0], "height": SIZES[0][1]})
+    look = """(as) => {
+        Object.defineProperty(document, "visibilityState", { get: () => as, configurable: true });
+        document.dispatchEvent(new Event("visibilitychange"));
+    }"""
+    tabs = []
+    for _ in range(7):
+        tabs.append(context.new_page())
+        tabs[-1].set_default_timeout(PATIENCE)
+        tabs[-1].goto(address(smoke))
+        tabs[-1].locator("#goals .goal").wait_for()
+        tabs[-1].evaluate(look, "hidden")
+    tabs[-1].locator("#motifs button").first.wait_for()
+    smoke.post("/goal", key="style", goal="cells")
+    assert tabs[0].locator("#goals", has_text="cells").count() == 0
+    tabs[0].evaluate(look, "visible")
+    tabs[0].locator("#goals", has_text="cells").wait_for()
+    smoke.post("/goal", key="style", goal="cells")
+    tabs[0].locator("#goals", has_text="cells").wait_for(state="detached")
+    context.close()
+
+
 def test_a_frame_is_tried_again_and_again(
     tmp_path: Path, weights: Path, opened: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -516,6 +663,8 @@ def test_a_frame_is_tried_again_and_again(
         page.locator("#mode-wipe.on").wait_for()
         assert page.locator("#play").inner_text() == "▶"
         assert [page.locator("#frame").get_attribute("max"), page.locator("#frame").input_value()] == ["2", "1"]
+        page.locator("#status", has_text="try 1: smoke, frame 8").wait_for()
+        assert page.locator(".job.shown").count() == 1
         page.locator("#frame").fill("0")
         page.locator("#status", has_text="was not in the try").wait_for()
         page.locator("#frame").fill("1")
@@ -548,6 +697,17 @@ def test_a_frame_is_tried_again_and_again(
         shown.photographed("10_without_input")
         page.locator("#notes", has_text="cannot be read again").locator("button").click()
         assert page.locator("#notes").is_hidden()
+        # What the recipe is restricted to is told beside the buttons, and can be taken back.
+        assert page.locator("#restricted").is_hidden()
+        studio.session.settings.base = Recipe(frames="8")
+        studio.post("/set", key="strength", value=0.4)
+        expect(page.locator("#restricted-text")).to_have_text("frames 8 only")
+        page.locator("#all-frames").click()
+        page.locator("#restricted").wait_for(state="hidden")
+        # Once it is deleted, nothing is shown, and the page begins anew.
+        assert studio.post("/work", action="delete", ids=["tries/0001"]).status == 200
+        page.locator("#hint").wait_for()
+        page.locator("#messages", has_text="smoke").wait_for()
         page.context.close()
 
 

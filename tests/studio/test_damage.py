@@ -67,9 +67,11 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
 
 #: As a file may have them, numbers included that JSON has not.
 NUMBERS = st.sampled_from(["NaN", "Infinity", "-Infinity", "1e999", "-1e999", "1" + "0" * 400, "-1", "0", "1.5", "2"])
-VALUES = st.one_of(NUMBERS, st.sampled_from(["null", "true", '""', '"\\ud800"', "[]", "{}", "[1e999]", '{"a": NaN}']))
+TEXTS = st.sampled_from(['""', '"\\ud800"', '"a\\u0000b"', '"' + "a" * 5000 + '"'])
+VALUES = st.one_of(NUMBERS, TEXTS, st.sampled_from(["null", "true", "[]", "{}", "[1e999]", '{"a": NaN}']))
 ENTRY = {"octave": "0", "iteration": "1", "frame": '"a"', "loss": "0.5"}
 RECORD = {"source": '"/a"', "shape": "[10, 16, 12]", "pid": "0", "began": "0.0", "code": "3", "log_begin": "0"}
+RECORD |= {"alone": "true", "frames": "null", "start_from": "null"}
 STATE = {"octave": "1", "iterations": "2"}
 FRAME = {"mass_before": "1", "mass_after": "2", "loss_before": "1", "loss_after": "2", "state": "STATE"}
 RUN = {"status": '"done"', "frames": "[FRAME]", "inputs": '{"a": "b"}', "from": "STATE", "seconds": "1"}

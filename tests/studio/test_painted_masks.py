@@ -160,10 +160,10 @@ def test_following_begins_in_the_shown_frame(studio: Studio) -> None:
     assert mask_tables(studio.session.recipe())[0][0]["follow"] == 8
     # A frame alone does not know how smoke has moved to it.
     studio.post("/goal", key="style", goal="net")
-    refused = studio.post("/work", action="try", alone=9)
+    refused = studio.post("/work", action="try", alone=2)
     assert refused.status == 400 and "from frame 8, which a try of frame 9 alone does not have" in refused.error
     # In the wind of one cell per frame the box has moved by one cell.
-    masks = [studio.session.painter.masks.mask(studio.session.recipe(), 0, index) for index in (1, 2)]
+    masks = [studio.session.opened().painter.masks.mask(studio.session.recipe(), 0, index) for index in (1, 2)]
     np.testing.assert_allclose(masks[1][:, :, 1:], masks[0][:, :, :-1], atol=1e-5)
 
 
@@ -221,7 +221,7 @@ def test_a_painted_blob_covers_the_cells_behind_it(studio: Studio, azimuth: floa
     assert paint(studio, body, azimuth=azimuth, elevation=elevation) == (200, "")
     (part,) = mask_tables(studio.session.recipe())[0]
     assert part["view"] == (azimuth, elevation)
-    mask = studio.session.painter.masks.mask(studio.session.recipe(), 0, 0)
+    mask = studio.session.opened().painter.masks.mask(studio.session.recipe(), 0, 0)
     # Turn the smoke instead of the camera: around y by −azimuth, then around x by elevation.
     a, e = np.radians([-azimuth, elevation])
     around_y = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
@@ -246,7 +246,7 @@ def test_a_painting_is_kept_as_white_and_as_opaque_as_it_was(studio: Studio, tmp
         np.testing.assert_array_equal(np.asarray(kept), np.stack([np.full_like(alpha, 255), alpha], -1))
     # What is opaque everywhere counts everywhere.
     studio.post("/mask", action="remove", part=0)
-    assert (studio.session.painter.masks.mask(studio.session.recipe(), 0, 0) == 1).all()
+    assert (studio.session.opened().painter.masks.mask(studio.session.recipe(), 0, 0) == 1).all()
 
 
 OPAQUE = painting(np.full((24, 16), 255, np.uint8))

@@ -14,7 +14,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
-from tnst_mi.machine.lock import locked
+from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
@@ -39,12 +39,12 @@ def run(arguments: StudioArguments) -> int:
     activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
     out = expanded(arguments.out)
     require_writable(out, remedy=None)
-    with alone_in(out):
-        return _serve(arguments, port, first, root, out)
+    with alone_in(out) as lock:
+        return _serve(arguments, port, first, root, out, lock)
 
 
 @contextmanager
-def alone_in(out: Path) -> Iterator[None]:
+def alone_in(out: Path) -> Iterator[FolderLock]:
     """Within the block, no other studio has this folder, which is made; if nothing is in it at the end, it is removed.
 
     Raises:
@@ -54,17 +54,17 @@ def alone_in(out: Path) -> Iterator[None]:
     new = not out.exists()
     make_folder(out)
     try:
-        with locked(out, by="studio"):
-            yield
+        with locked(out, by="studio") as lock:
+            yield lock
     finally:
         if new:
             with suppress(OSError):  # something is in it
                 out.rmdir()
 
 
-def _serve(arguments: StudioArguments, port: int, first: Path | None, root: Path, out: Path) -> int:
+def _serve(arguments: StudioArguments, port: int, first: Path | None, root: Path, out: Path, lock: FolderLock) -> int:
     cluster = None if arguments.cluster is None else checked_address(arguments.cluster, None)
-    session = Session(Places(root), out, cluster)
+    session = Session(Places(root), out, cluster, lock)
     if first is not None:
         _open(session, first)
     motifs, examples = MotifBrowser(session.places, out), ExampleMaker(out)
@@ -97,15 +97,19 @@ def _serve(arguments: StudioArguments, port: int, first: Path | None, root: Path
 def _open(session: Session, first: Path) -> None:
     """Show what was named; of a folder in which something cannot be shown, the page says so and offers the rest.
 
+    What was to be said before, nobody has seen yet.
+
     Raises:
         InputError: it is a file or a run, and cannot be shown.
     """
+    notices = [session.notice]
     try:
         session.open(first)
     except InputError as error:
         if not first.is_dir() or holds_run(first):
             raise
-        session.notice = one_line(str(error))
+        notices.append(one_line(str(error)))
+    session.notice = "; ".join(filter(None, notices)) or None
 
 
 def first_and_root(given: Path | None) -> tuple[Path | None, Path]:

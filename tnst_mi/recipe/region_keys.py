@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.files.frame_numbers import DIGITS
 from tnst_mi.recipe.keyframes import KEYABLE, frame_number
 from tnst_mi.recipe.keys import Choice, Integer, Kind, Number, Switch, Text
 from tnst_mi.recipe.optional_keys import Point
@@ -200,7 +201,7 @@ def _listed(key: str, value: Any) -> Any:
 def _entry(key: str, value: Any) -> Any:
     if key == "follow":
         # True is an integer for Python.
-        kind = Switch() if isinstance(value, bool) else Integer(-(10**9) + 1, 10**9 - 1)
+        kind = Switch() if isinstance(value, bool) else Integer(-(10**DIGITS) + 1, 10**DIGITS - 1)
         expected = "true, or the number of the frame whose mask moves"
     elif key in _NUMBERS or key in _OTHERS:
         kind = _NUMBERS.get(key) or _OTHERS[key]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, get_type_hints
 
 from tnst_mi.choices import LOOKS, QUADRATURES, QUALITIES, STYLE_LOSSES, STYLE_STATISTICS, TRACES, WINDOW_WEIGHTS
+from tnst_mi.io.files.frame_numbers import DIGITS
 from tnst_mi.io.interpretation.conventions import VELOCITY_UNITS
 from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.colouring import Colouring
@@ -18,6 +19,9 @@ from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.name_lists import Names
 from tnst_mi.recipe.optional_keys import Point, Unset
 from tnst_mi.recipe.region_keys import MaskKind, TargetsKind
+
+#: Number of a frame or a sub-frame.
+_NUMBER = rf"-?\d{{1,{DIGITS}}}(\.\d{{1,{DIGITS}}})?"
 
 
 def _kinds() -> dict[str, Kind]:
@@ -218,11 +222,7 @@ class Resources:
 
     frames: Annotated[
         str | None,
-        Text(
-            "FIRST:LAST",
-            'a range of frame numbers, such as "70:89"',
-            r"-?\d{1,9}(\.\d{1,6})?(:-?\d{1,9}(\.\d{1,6})?)?",
-        ),
+        Text("FIRST:LAST", 'a range of frame numbers, such as "70:89"', rf"{_NUMBER}(:{_NUMBER})?"),
     ] = None
     """Numbers of the first and the last frame of a sequence to take, or of one; with decimal points, such as 1.0:2.5,
     sub-frames are taken too. All whole frames if not set."""

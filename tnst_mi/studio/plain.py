@@ -13,7 +13,8 @@ import stat
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, StoppedError
+from tnst_mi.machine.lock import FolderLock
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.recipe import Recipe
 
@@ -22,6 +23,28 @@ _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 #: Bytes of a file that is read as a whole, at most.
 _LARGEST = 64 << 20
+
+
+def require_own(out: Path, lock: FolderLock | None) -> None:
+    """Check that the folder of a studio is the one that it has locked, since another may have it by now.
+
+    Args:
+        out: the folder.
+        lock: of it; None for a folder that nobody else can have.
+
+    Raises:
+        InputError: it has been moved, removed or replaced.
+    """
+    try:
+        if lock is not None:
+            lock.require_held()
+    except StoppedError:
+        raise InputError(
+            one_line(
+                f"studio: {out} has been moved, removed or replaced, so nothing is written there any more; end this "
+                "studio and start it again"
+            )
+        ) from None
 
 
 def is_plain(file: Path, above: Path | None = None) -> bool:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import image_size
 from tnst_mi.studio.places import Places
-from tnst_mi.studio.source import Source, stylized_frames
-from tnst_mi.studio.view.painting import SightPainter
+from tnst_mi.studio.shown import Shown
+from tnst_mi.studio.source import stylized_frames
 
 #: Of recipes whose images are not those of the view.
 _PATH_TRACED = (
@@ -17,32 +18,42 @@ _PATH_TRACED = (
 )
 
 
-def opened_told(painter: SightPainter, places: Places, recipe: Recipe, source: Source | None) -> dict[str, Any]:
+#: The largest whole number below which browsers know them all.
+_LARGEST_EXACT = 2**53
+
+
+def opened_told(shown: Shown, places: Places, recipe: Recipe, work: str | None) -> dict[str, Any]:
     """What is opened, and how large pictures are that are painted over it.
 
     Args:
-        painter: of what is opened.
+        shown: what is opened.
         places: by which its path is told.
         recipe: as it is set.
-        source: the input that is stylized.
+        work: the name of the try or render that it is; None if it is none.
     """
-    results = painter.opened.results
-    d, h, w = painter.opened.shape
+    results, found, source = shown.results, shown.painter.opened, shown.source
+    d, h, w = found.shape
     own = results.recipe or Recipe()
     return {
         "title": results.title,
         "path": places.relative(results.path),
+        "work": work,
         "run": results.record is not None,
-        "after": painter.opened.has_after,
+        "after": found.has_after,
         "names": list(results.names),
-        "numbers": list(results.numbers),
+        "numbers": [_exact(number) for number in results.numbers],
         "stylized": stylized_frames(results),
         "of_several": source is not None and len(source.numbers) > 1,
-        "painted_size": list(image_size(recipe, painter.opened.shape)),
+        "painted_size": list(image_size(recipe, found.shape)),
         "shape": [d, h, w],
         "main_view": list(own.main_view[:2]),
         "notes": list(results.notes),
     }
+
+
+def _exact(number: Number | None) -> Number | str | None:
+    """The number of a frame; as a text where browsers would round it, so that it is another one's."""
+    return str(number) if isinstance(number, int) and abs(number) > _LARGEST_EXACT else number
 
 
 def physics_told(recipe: Recipe) -> str | None:

@@ -110,19 +110,18 @@ function drawPainting(pen) {
   pen.stroke();
 }
 
+// Makes it a mask; whether it has become one.
 async function usePainting() {
-  const { sheet, view: [azimuth, elevation] } = painting, target = targetIndex();
-  const file = await new Promise((done) => sheet.toBlob(done, "image/png"));
+  const { sheet, view: [azimuth, elevation] } = painting, target = targetIndex(), frame = frameIndex();
+  $("brush-done").disabled = true; // once
+  const file = await new Promise((made) => sheet.toBlob(made, "image/png"));
   selectNext();
-  try {
-    const where = new URLSearchParams({ target, azimuth, elevation, frame: frameIndex() });
-    await answered(await fetch(`painting?${where}`, { method: "POST", body: file }));
-    complain("");
-    endPainting();
-  } catch (error) {
-    awaiting = null;
-    complain(error.message);
-  }
+  const where = new URLSearchParams({ target, azimuth, elevation, frame });
+  const used = await sent(`painting?${where}`, { body: file });
+  $("brush-done").disabled = false;
+  if (!used) awaiting = null;
+  else if (painting && painting.sheet === sheet) endPainting(); // something else may be painted by now
+  return used;
 }
 
 function chooseBrush(erase) {
@@ -135,5 +134,5 @@ $("brush-paint").addEventListener("click", () => chooseBrush(false));
 $("brush-erase").addEventListener("click", () => chooseBrush(true));
 $("brush-undo").addEventListener("click", () => { painting.strokes.pop(); repaint(); });
 $("brush-clear").addEventListener("click", () => { painting.strokes = []; repaint(); });
-$("brush-done").addEventListener("click", usePainting);
+$("brush-done").addEventListener("click", () => change(usePainting()));
 $("brush-cancel").addEventListener("click", endPainting);

@@ -2,9 +2,18 @@
 
 // What can be chosen: files, and motifs.
 
+const entriesOf = (at) => got(`files?${new URLSearchParams({ at })}`);
+let listed = { at: "", entries: "" }, listings = 0; // the folder that is shown, and its entries; how often one was chosen
+
 async function list(at) {
+  const asked = listings += 1;
   let entries;
-  try { entries = await got(`files?${new URLSearchParams({ at })}`); } catch (error) { complain(error.message); return; }
+  try { entries = await entriesOf(at); } catch (error) { complain(error.message); return; }
+  if (asked === listings) showFiles(at, entries);
+}
+
+function showFiles(at, entries) {
+  listed = { at, entries: JSON.stringify(entries) };
   $("place").textContent = at;
   const rows = [];
   if (at) {
@@ -28,6 +37,23 @@ async function list(at) {
   }
   $("files").replaceChildren(...rows);
 }
+
+// Files come and go: looks again, and leaves what is shown alone as long as it is true.
+async function listAgain() {
+  const asked = listings, { at } = listed;
+  let entries;
+  try { entries = await entriesOf(at); } catch { return; } // that the folder is gone is said when one clicks there
+  if (asked === listings && JSON.stringify(entries) !== listed.entries) showFiles(at, entries);
+}
+$("files").addEventListener("pointerenter", listAgain);
+window.addEventListener("focus", listAgain);
+
+let listedWork = "";
+document.addEventListener("told", () => {
+  const work = JSON.stringify(state.work.map((job) => [job.id, job.status]));
+  if (listedWork && work !== listedWork) listAgain(); // results are files, too
+  listedWork = work;
+});
 
 let motifs = [];
 const byName = () => got(`motifs?${new URLSearchParams({ find: $("find").value })}`);
@@ -72,13 +98,7 @@ let finding = 0;
 $("find").addEventListener("input", () => { clearTimeout(finding); finding = setTimeout(find, 150); });
 
 async function upload(file) {
-  try {
-    await answered(await fetch(`upload?${new URLSearchParams({ name: file.name })}`, { method: "POST", body: file }));
-    complain("");
-    find();
-  } catch (error) {
-    complain(error.message);
-  }
+  if (await sent(`upload?${new URLSearchParams({ name: file.name })}`, { body: file })) find();
 }
 $("picture").addEventListener("change", (event) => { for (const file of event.target.files) upload(file); event.target.value = ""; });
 document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });

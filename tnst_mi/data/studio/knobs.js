@@ -4,6 +4,8 @@
 
 const rows = {};
 const waitingKnobs = new Map(); // values that are not yet sent, with the timers that send them, by their keys
+const sentKnobs = new Map(); // promises of the latest answers that are awaited, by their keys
+const answeredKnobs = new Map(); // versions of the state that were known when the latest answers came, by their keys
 
 function sendSoon(key, value) {
   if (waitingKnobs.has(key)) clearTimeout(waitingKnobs.get(key).timer);
@@ -11,16 +13,40 @@ function sendSoon(key, value) {
 }
 
 function sendKnob(key) {
-  const { value, timer } = waitingKnobs.get(key);
-  clearTimeout(timer);
-  waitingKnobs.delete(key);
-  post("set", { key, value });
+  setKnob(key, waitingKnobs.get(key).value);
 }
 
-// Sends what has been set, and waits until all that has been changed is known to the studio.
+// Sets a key after what is being set of it, and instead of what waits.
+function setKnob(key, value) {
+  if (waitingKnobs.has(key)) clearTimeout(waitingKnobs.get(key).timer);
+  waitingKnobs.delete(key);
+  const before = sentKnobs.get(key);
+  const send = async () => {
+    await before;
+    const accepted = await posted("set", { key, value });
+    if (sentKnobs.get(key) !== asked) return true; // another value has followed, which counts
+    sentKnobs.delete(key);
+    if (accepted) answeredKnobs.set(key, state.version); else showRecipe();
+    return accepted;
+  };
+  const asked = change(send());
+  sentKnobs.set(key, asked);
+}
+
+// Whether what the studio tells of a key may be older than what has been set here.
+function isNewerHere(key) {
+  return waitingKnobs.has(key) || sentKnobs.has(key) || answeredKnobs.get(key) === state.version;
+}
+
+// Sends what has been set, and waits until all changes are made or refused; whether all have been made, those too that
+// the press of the present button has begun by leaving a field.
 async function allIsSet() {
-  for (const key of [...waitingKnobs.keys()]) sendKnob(key);
-  await Promise.all([...underway]);
+  let all = refusals === refusalsBefore;
+  while (waitingKnobs.size || underway.size) {
+    for (const key of [...waitingKnobs.keys()]) sendKnob(key);
+    all = (await Promise.all([...underway])).every(Boolean) && all;
+  }
+  return all;
 }
 
 function knobRow(knob) {
@@ -39,26 +65,23 @@ function knobRow(knob) {
     sendSoon(knob.key, asked());
   });
   row.append(name, slider, value);
-  if (knob.word) {
-    const word = element("button", knob.word, { title: `${knob.key} = "${knob.word}"` });
-    word.addEventListener("click", () => post("set", { key: knob.key, value: knob.word }));
-    row.append(word);
-  }
+  const word = element("button", knob.word || "", { title: `${knob.key} = "${knob.word}"`, hidden: !knob.word });
+  word.addEventListener("click", () => setKnob(knob.key, knob.word));
   const back = element("button", "↺", { title: "as it was" });
-  back.addEventListener("click", () => post("set", { key: knob.key, value: null }));
-  row.append(back, help);
+  back.addEventListener("click", () => setKnob(knob.key, null));
+  row.append(word, back, help);
   $("knobs").append(row);
-  return { row, slider, value, back };
+  return { row, slider, value, word, back };
 }
 
 function showRecipe() {
   for (const knob of state.knobs) {
-    const { row, slider, value, back } = rows[knob.key] = rows[knob.key] || knobRow(knob);
+    const { row, slider, value, word, back } = rows[knob.key] = rows[knob.key] || knobRow(knob);
     row.classList.toggle("set", knob.set);
-    slider.disabled = Boolean(state.start) && !knob.free;
+    slider.disabled = word.disabled = back.disabled = Boolean(state.start) && !knob.free;
     slider.title = slider.disabled ? "stays as it was in what is gone on from" : "";
     back.hidden = !knob.set;
-    if (document.activeElement === slider && slider.matches(":active")) continue;
+    if (isNewerHere(knob.key) || (document.activeElement === slider && slider.matches(":active"))) continue;
     value.textContent = knob.keyframed ? "changes over the frames" : knob.value;
     if (typeof knob.value === "number") slider.value = knob.logarithmic ? Math.log10(knob.value) : knob.value;
   }

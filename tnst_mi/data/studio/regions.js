@@ -10,8 +10,12 @@ const keyed = (value) => value !== null && typeof value === "object" && !Array.i
 const frameIndex = () => Number($("frame").value);
 
 // By the part's id: another tab may have changed the list.
-function edit(action, id, values = {}) {
-  return post("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
+function edited(action, id, values = {}) {
+  return posted("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
+}
+
+function edit(action, id, values) {
+  return change(edited(action, id, values));
 }
 
 function selectNext() {
@@ -25,18 +29,25 @@ function followSelection() {
   if (parts().length && !parts().some((part) => part.id === asked)) asked = parts().at(-1).id;
 }
 
-// Edits while something is dragged: one at a time, the latest next.
-let editing = false, nextEdit = null;
-async function editSoon(id, values) {
-  nextEdit = [id, values];
-  if (editing) return;
+// Edits while something is dragged: one at a time, the latest of each part next.
+let editing = false;
+const nextEdits = new Map();
+function editSoon(id, values) {
+  nextEdits.set(id, { ...nextEdits.get(id), ...values });
+  if (!editing) change(editAll());
+}
+
+// Whether the latest edit of each part has been made: those before it do not matter any more.
+async function editAll() {
+  const made = new Map();
   editing = true;
-  while (nextEdit) {
-    const [part, latest] = nextEdit;
-    nextEdit = null;
-    await edit("change", part, latest);
+  while (nextEdits.size) {
+    const [[part, latest]] = nextEdits;
+    nextEdits.delete(part);
+    made.set(part, await edited("change", part, latest));
   }
   editing = false;
+  return [...made.values()].every(Boolean);
 }
 
 const tidy = (value) => Number(value.toPrecision(5));
@@ -50,13 +61,13 @@ function numbersRow(part, key) {
     return row;
   }
   const inputs = (Array.isArray(value) ? value : [value]).map((number, axis, all) => {
-    const input = element("input", undefined, { type: "number", step: "any", value: tidy(number) });
+    const input = element("input", undefined, { type: "number", step: "any", defaultValue: tidy(number) });
     input.dataset.field = `${part.id} ${key} ${axis}`;
     input.setAttribute("aria-label", all.length > 1 ? `${key} ${"xyz"[axis]}` : key);
     input.addEventListener("change", async () => {
       const numbers = inputs.map((other) => (other.value === "" ? null : Number(other.value)));
-      const done = await edit("change", part.id, { [key]: all.length > 1 ? numbers : numbers[0] });
-      if (!done) inputs.forEach((other, of) => { other.value = tidy(all[of]); });
+      const made = await edit("change", part.id, { [key]: all.length > 1 ? numbers : numbers[0] });
+      if (!made) for (const other of inputs) other.value = other.defaultValue;
     });
     return input;
   });
@@ -95,6 +106,34 @@ function partRow(part, index) {
   return row;
 }
 
+// Puts rows into the list, but leaves the one alone in which something is being typed: its text may not be a number yet.
+function putRows(rows) {
+  const typed = document.activeElement, field = $("parts").contains(typed) && typed.dataset.field;
+  const old = field && typed.closest(".part"), numbers = field && typed.closest(".row");
+  const made = field && rows.map((row) => row.querySelector(`[data-field="${field}"]`)).find(Boolean);
+  const others = made ? [...made.closest(".row").querySelectorAll("input")] : [];
+  const inputs = field ? [...numbers.querySelectorAll("input")] : [];
+  if (!made || others.length !== inputs.length) {
+    $("parts").replaceChildren(...rows);
+    return;
+  }
+  for (const [index, input] of inputs.entries()) {
+    input.defaultValue = others[index].defaultValue;
+    if (input !== typed) input.value = input.defaultValue;
+  }
+  const row = made.closest(".part");
+  replaceAround(old, numbers, [...row.children], made.closest(".row"));
+  replaceAround($("parts"), old, rows, row);
+}
+
+// Makes elements the children of another one, of which a child stays in place of one of them.
+function replaceAround(parent, kept, elements, instead) {
+  const index = elements.indexOf(instead);
+  for (const child of [...parent.children]) if (child !== kept) child.remove();
+  kept.before(...elements.slice(0, index));
+  kept.after(...elements.slice(index + 1));
+}
+
 let shownList = "";
 
 function showParts() {
@@ -107,17 +146,10 @@ function showParts() {
   const key = JSON.stringify([state.masks, chosen, selected(), state.opened && state.opened.names.length]);
   if (key === shownList) return;
   shownList = key;
-  const typed = $("parts").contains(document.activeElement) ? document.activeElement : null;
-  const field = typed && typed.dataset.field, text = field && typed.value !== typed.defaultValue ? typed.value : null;
   $("masked").replaceChildren(...state.masks.map((target, index) => element("option", target.title, { value: index })));
   $("masked").value = chosen;
   $("masked").hidden = state.masks.length < 2;
-  $("parts").replaceChildren(...parts().map(partRow));
-  // What is being typed goes on, if its part is still there.
-  const again = field && $("parts").querySelector(`[data-field="${field}"]`);
-  if (!again) return;
-  if (text !== null) again.value = text;
-  again.focus();
+  putRows(parts().map(partRow));
 }
 
 let shareOf = "";
@@ -144,11 +176,11 @@ async function showShare() {
 $("masked").addEventListener("change", () => { asked = null; showParts(); look(); });
 $("masks-shown").addEventListener("change", () => { showParts(); look(); });
 
-// In the middle of what is seen, as deep as the middle of the smoke, and about half as large.
+// In the middle of what is seen, as deep as the middle of the smoke, and about half as large. Whether it is there.
 async function addShape(shape) {
   await askPlace();
-  if (!place) return;
-  if (!place.smoke) { complain("There is no smoke in this frame to put a region in."); return; }
+  if (!place) return false;
+  if (!place.smoke) { complain("There is no smoke in this frame to put a region in."); return false; }
   const { right, up, towards } = cameraAxes(), corners = place.smoke.map(fromScene);
   const middle = times(plus(corners[0], corners[1]), 0.5);
   const seen = plus(plus(times(right, view.right), up, view.up), towards, dot(middle, towards));
@@ -164,10 +196,12 @@ async function addShape(shape) {
     ? { shape, centre: inScene(at), radius: tidy(radius * cellEdge()), edge }
     : { shape, low: inScene(plus(at, halfInScene, -1)), high: inScene(plus(at, halfInScene)), edge };
   selectNext();
-  if (!(await edit("add", null, values))) awaiting = null;
+  const added = await edited("add", null, values);
+  if (!added) awaiting = null;
+  return added;
 }
-$("add-sphere").addEventListener("click", () => addShape("sphere"));
-$("add-box").addEventListener("click", () => addShape("box"));
+$("add-sphere").addEventListener("click", () => change(addShape("sphere")));
+$("add-box").addEventListener("click", () => change(addShape("box")));
 
 /* ---- what the page tells ------------------------------------------------------------------------------------------ */
 

@@ -6,10 +6,11 @@ let state = null; // what all tabs share, as the server tells it
 const $ = (id) => document.getElementById(id);
 
 // Says something in the place of its source, where it stays until that has something else to say, or it is closed:
-// "error" of what is asked for, "view-error" of pictures, "place-error" of where frames lie, "notes" of what is opened,
-// "kept" of paintings.
-function complain(text, source = "error") {
+// "error" of what is asked for, "cluster-error" of the address of a cluster, "view-error" of pictures, "place-error" of
+// where frames lie, "notice" of what the studio could not show, "notes" of what is opened, "kept" of paintings.
+function complain(text, source = "error", path = "") {
   const shown = $(source);
+  shown.dataset.path = path;
   if (!shown.firstChild) {
     const close = element("button", "×", { title: "close" });
     close.addEventListener("click", () => { shown.hidden = true; });
@@ -26,23 +27,39 @@ async function answered(response) {
   throw new Error(text);
 }
 
-const underway = new Set(); // changes that have not been answered yet
+const underway = new Set(); // changes that are not over yet: promises, never broken, of whether they have been made
 
-function post(path, values) {
-  const asked = posted(path, values);
-  underway.add(asked);
-  asked.finally(() => underway.delete(asked));
-  return asked;
+// Counts a change with all its steps as under way until it is over.
+function change(made) {
+  underway.add(made);
+  made.finally(() => underway.delete(made));
+  return made;
 }
 
-async function posted(path, values) {
+function post(path, values) {
+  return change(posted(path, values));
+}
+
+async function posted(path, values, source = "error") {
+  return sent(path, { headers: { "Content-Type": "application/json" }, body: JSON.stringify(values) }, source);
+}
+
+let refusals = 0, refusalsBefore = 0; // of changes: so far, and until a button or key was pressed last
+
+for (const press of ["pointerdown", "keydown"]) document.addEventListener(press, () => { refusalsBefore = refusals; }, true);
+
+// Whether what has been sent is done. If not, why is said until it is closed, or the like is done that was asked for later:
+// neither what was asked for at the same time nor what is done next hides it.
+async function sent(path, what, source = "error") {
+  const before = refusals;
   try {
-    const headers = { "Content-Type": "application/json" };
-    await answered(await fetch(path, { method: "POST", headers, body: JSON.stringify(values) }));
-    complain("");
+    await answered(await fetch(path, { method: "POST", ...what }));
+    const said = $(source).dataset.path;
+    if (refusals === before && (!said || said === path.split("?")[0])) complain("", source);
     return true;
   } catch (error) {
-    complain(error.message);
+    if (source === "error") refusals += 1;
+    complain(error.message, source, path.split("?")[0]);
     return false;
   }
 }

@@ -14,6 +14,7 @@ function showSameFrame(before) {
 }
 
 function told(next) {
+  if (!next.opened && shownKey) { location.reload(); return; } // what was shown is gone, and its input too
   const shownParts = (of) => JSON.stringify([of.knobs, of.opened, of.masks]);
   const before = state;
   state = next;
@@ -43,16 +44,28 @@ function told(next) {
   }
   if (state.notice !== shownNotice) {
     shownNotice = state.notice;
-    if (shownNotice) complain(shownNotice);
+    complain(shownNotice, "notice");
   }
   document.dispatchEvent(new Event("told"));
 }
 
+let events = null;
+
+// A browser has six connections to the studio, for all its tabs: those that nobody sees leave theirs to the others.
+function followNews() {
+  if (document.visibilityState === "hidden") {
+    if (events) events.close();
+  } else if (!events || events.readyState === EventSource.CLOSED) {
+    events = new EventSource("events");
+    events.onmessage = (event) => { $("lost").hidden = true; told(JSON.parse(event.data)); };
+    events.onerror = () => { $("lost").hidden = false; };
+  }
+}
+document.addEventListener("visibilitychange", followNews);
+
 // Once all scripts are there.
 document.addEventListener("DOMContentLoaded", () => {
-  const events = new EventSource("events");
-  events.onmessage = (event) => { $("lost").hidden = true; told(JSON.parse(event.data)); };
-  events.onerror = () => { $("lost").hidden = false; };
+  followNews();
   list("");
   find();
 });

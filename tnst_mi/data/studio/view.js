@@ -48,6 +48,12 @@ async function picture(side, coarse, lit) {
   return createImageBitmap(await response.blob());
 }
 
+// Of which try or render the picture is, if it is of one.
+function shownWork() {
+  const job = state.work.find((one) => one.id === state.opened.work);
+  return job ? ` · ${job.title}: ${job.of}` : "";
+}
+
 // Asks for a picture, one at a time: what moves in the meantime is in the next one.
 function look(moving = true) {
   if (moving) { movedAt = performance.now(); pass = 0; }
@@ -80,7 +86,7 @@ async function update() {
       const [d, h, w] = state.opened.shape;
       const total = Math.round(performance.now() - begun);
       $("status").textContent = `${w}×${h}×${d} cells · ${total} ms` + (lit ? ` · pass ${pass} of ${LIT_PASSES}` : "")
-        + (isStylized() ? "" : " · this frame as it is: it was not in the try");
+        + shownWork() + (isStylized() ? "" : " · this frame as it is: it was not in the try");
       draw();
     } catch (error) {
       complain(error.message, "view-error");

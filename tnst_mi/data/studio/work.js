@@ -7,26 +7,67 @@ const chosenJobs = new Set(); // of this tab, kept when the other tries are dele
 
 const JOB_ACTIONS = { pause: "pause", resume: "resume", open: "open", finish: "render this", delete: "delete" };
 
-// Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again.
+// Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again. What
+// has been set and is refused keeps it from being done. Whether it is done.
 async function once(button, event, action) {
-  if (event.detail > 1 || button.dataset.busy === "yes") return;
+  if (event.detail > 1 || button.dataset.busy === "yes") return false;
   button.dataset.busy = "yes";
   button.disabled = true;
   try {
-    await allIsSet();
-    await post("work", action);
+    return (await allIsSet()) && (!usesCluster(action) || (await clusterIsThere())) && (await post("work", action));
   } finally {
+    refusalsBefore = refusals; // which keep nothing back that is asked for once more
     delete button.dataset.busy;
     button.disabled = false;
     showRecipe();
   }
 }
 
-// Delete tries or renders, after a question; running ones are stopped first.
+/* ---- the cluster -------------------------------------------------------------------------------------------- */
+
+let clusterAsked = Promise.resolve(true); // whether the address in the field has been accepted
+let clusterTyped = null; // the address in the field, while it is checked and when it has been refused
+
+function usesCluster({ action, id }) {
+  return action === "render" || action === "finish" || (action === "resume" && id.startsWith("renders/"));
+}
+
+function askCluster() {
+  clusterTyped = $("cluster").value;
+  clusterAsked = askClusterAfter(clusterAsked, clusterTyped);
+}
+
+async function askClusterAfter(before, typed) {
+  await before;
+  const accepted = await posted("cluster", { address: typed }, "cluster-error");
+  if (clusterTyped !== typed) return accepted; // another one has been typed, which counts
+  $("cluster").classList.toggle("wrong", !accepted);
+  if (accepted) clusterTyped = null;
+  return accepted;
+}
+
+// Whether renders are done where the field says. What has been refused is asked for again: a scheduler may answer by now.
+async function clusterIsThere() {
+  if ($("cluster").classList.contains("wrong")) askCluster();
+  let asked = null, there = false;
+  while (asked !== clusterAsked) {
+    asked = clusterAsked;
+    there = await asked;
+  }
+  return there;
+}
+
+function showCluster() {
+  if (clusterTyped === null && document.activeElement !== $("cluster")) $("cluster").value = state.cluster;
+}
+
+/* ---- deleting ----------------------------------------------------------------------------------------------- */
+
+// Delete tries or renders, after a question; running ones are stopped first, which may take a while: nothing waits for it.
 function deleteJobs(ids, question) {
   const running = state.work.some((job) => ids.includes(job.id) && job.status === "running");
   const stopped = !running ? "" : ids.length === 1 ? " It is stopped first." : " Those that run are stopped first.";
-  if (ids.length && window.confirm(`${question}${stopped} This cannot be undone.`)) post("work", { action: "delete", ids });
+  if (ids.length && window.confirm(`${question}${stopped} This cannot be undone.`)) posted("work", { action: "delete", ids });
 }
 
 function jobPicture(id, query) {
@@ -69,17 +110,19 @@ function jobCard(job) {
   actions.finish.title = `The whole recipe${job.alone ? ", of this frame" : ""}, from here to the end; nothing is computed twice`;
   buttons.insertBefore(branch, actions.delete);
   const of = new URLSearchParams({ id: job.id });
+  const links = element("span", undefined, { className: "links" });
   for (const [name, path] of [["recipe.toml", "work/recipe"], ["log", "work/log"]]) {
-    buttons.append(element("a", name, { href: `${path}?${of}`, target: "_blank", rel: "noopener" }));
+    links.append(element("a", name, { href: `${path}?${of}`, target: "_blank", rel: "noopener" }));
   }
   const dashboard = element("a", "dashboard", { target: "_blank", rel: "noopener noreferrer", hidden: true, title: "Dask's own page on its cluster" });
-  buttons.append(dashboard);
+  links.append(dashboard);
+  buttons.append(links);
   card.append(head, bar, image, graph, line, told, buttons, states);
   return { card, choose, status, bar, image, graph, line, told, actions, branch, states, dashboard, picture: "", shown: "", offered: "" };
 }
 
-function showJob(shown, job) {
-  shown.card.className = `job ${job.status}`;
+function showJob(shown, job, isShown) {
+  shown.card.className = `job ${job.status}${isShown ? " shown" : ""}`;
   shown.card.dataset.id = job.id;
   const share = job.total ? Math.min(1, job.done / job.total) : 0;
   shown.status.textContent = job.status + (job.status === "done" || !job.total ? "" : ` · ${Math.floor(100 * share)} %`);
@@ -114,8 +157,8 @@ function showStates(shown, job) {
     const query = kept.octave === null ? { of: job.picture } : { octave: kept.octave };
     if (kept.picture) tile.append(element("img", undefined, { src: jobPicture(job.id, query), alt: "", loading: "lazy" }));
     tile.append(kept.title);
-    tile.addEventListener("click", async () => {
-      if (await post("work", { action: "branch", id: job.id, octave: kept.octave })) shown.states.hidden = true;
+    tile.addEventListener("click", async (event) => {
+      if (await once(tile, event, { action: "branch", id: job.id, octave: kept.octave })) shown.states.hidden = true;
     });
     return tile;
   }));
@@ -146,10 +189,11 @@ function showJobs() {
   const cards = [];
   for (const job of state.work) {
     if (!jobs.has(job.id)) jobs.set(job.id, jobCard(job));
-    const shown = jobs.get(job.id), now = JSON.stringify(job);
+    const isShown = Boolean(state.opened) && state.opened.work === job.id;
+    const shown = jobs.get(job.id), now = JSON.stringify([job, isShown]);
     if (now !== shown.shown) {
       shown.shown = now;
-      showJob(shown, job);
+      showJob(shown, job, isShown);
     }
     cards.push(shown.card);
   }
@@ -180,23 +224,23 @@ function showStart() {
   const kept = job && job.states.find((one) => one.octave === start.octave);
   $("start").hidden = !job;
   $("start-text").textContent = job ? `goes on from ${job.title}, ${kept ? kept.title : "a state that is gone"}` : "";
+  $("restricted").hidden = Boolean(job) || state.frames === null;
+  $("restricted-text").textContent = `frames ${state.frames} only`;
   $("alone").hidden = Boolean(job) || !state.opened || !state.opened.of_several;
-  if (document.activeElement !== $("cluster")) $("cluster").value = state.cluster;
+  showCluster();
 }
 
 document.addEventListener("DOMContentLoaded", () => {
   $("try").addEventListener("click", (event) => {
     const only = !$("alone").hidden && $("only").checked;
-    once($("try"), event, { action: "try", alone: only ? state.opened.numbers[frameIndex()] : null });
+    once($("try"), event, { action: "try", alone: only ? frameIndex() : null });
   });
   $("render").addEventListener("click", (event) => once($("render"), event, { action: "render" }));
   $("anew").addEventListener("click", () => post("work", { action: "anew" }));
+  $("all-frames").addEventListener("click", () => post("work", { action: "all-frames" }));
   $("clear").addEventListener("click", () => {
     const others = otherTries();
     deleteJobs(others, `Delete ${others.length === 1 ? "the other try" : `the ${others.length} other tries`}, all but the chosen?`);
   });
-  $("cluster").addEventListener("change", async () => {
-    const accepted = await post("cluster", { address: $("cluster").value });
-    $("cluster").classList.toggle("wrong", !accepted);
-  });
+  $("cluster").addEventListener("change", askCluster);
 });

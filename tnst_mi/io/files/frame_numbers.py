@@ -26,6 +26,9 @@ from fractions import Fraction
 #: Number of a frame: whole, or that of a sub-frame, a float.
 Number = int | float
 
+#: Its digits at most, as many as the name of a file can have.
+DIGITS = 255
+
 _SEPARATORS = "._- "
 _VERSION = re.compile(rf"[{re.escape(_SEPARATORS)}][vV]$")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,24 +61,38 @@ KNOBS = (
 _KNOBS = {knob.key: knob for knob in KNOBS}
 
 
-@dataclass
 class StudioSettings:
     """A recipe, and what has been set since.
 
-    Attributes:
+    It is checked when something is set, and not when it is read: a file that it names may go meanwhile, and what is
+    left must be shown, and can be removed. What is new is looked for; what a run needs of files, `require_files`.
+
+    Args:
         base: the recipe of what is opened, or the defaults.
-        values: the keys that were set, with their values.
+        values: the keys that were set, with their values; paths are absolute.
         parts: what the parts of masks are called.
+
+    Attributes:
+        base, values, parts: likewise.
+        recipe: the recipe as it is set.
     """
 
-    base: Recipe = field(default_factory=Recipe)
-    values: dict[str, Any] = field(default_factory=dict)
-    parts: PartIds = field(default_factory=PartIds)
+    def __init__(
+        self, base: Recipe | None = None, values: Mapping[str, Any] | None = None, parts: PartIds | None = None
+    ) -> None:
+        self._base, self.values = base or Recipe(), dict(values or {})
+        self.parts = parts or PartIds()
+        self.recipe = _over(self._base, self.values)
 
     @property
-    def recipe(self) -> Recipe:
-        """The recipe as it is set."""
-        return self._with(self.values)
+    def base(self) -> Recipe:
+        """The recipe of what is opened, or the defaults."""
+        return self._base
+
+    @base.setter
+    def base(self, base: Recipe) -> None:
+        self.recipe = _over(base, self.values)
+        self._base = base
 
     def set(self, key: str, value: object) -> None:
         """Set a key of a slider, or take what was set back if the value is None.
@@ -93,8 +107,12 @@ class StudioSettings:
         values = {name: old for name, old in self.values.items() if name != key}
         if value is not None:
             values[key] = value
-        self._with(values)
-        self.values = values
+        self._take(values)
+
+    def take_all_frames(self) -> None:
+        """Let the recipe be of all frames of an input."""
+        if self.recipe.frames is not None:
+            self._take(self.values | {"frames": None})
 
     def goals(self, key: str) -> list[str]:
         """The goals of a key, as the page knows them.
@@ -112,11 +130,12 @@ class StudioSettings:
         Raises:
             InputError: the key names no goals, or does not allow it.
         """
-        before = self.goals(key)
-        after = [name for name in before if name != goal] if goal in before else [*before, goal]
-        values = self.values | {key: after}
-        self._with(values)
-        self.values = values
+        there, goals = self.goals(key), getattr(self.recipe, key)
+        if goal in there:
+            goals = tuple(path for path, name in zip(goals, there, strict=True) if name != goal)
+        else:
+            goals += getattr(Recipe().updated({key: [goal]}, "studio: ", Path.cwd()), key)
+        self._take(self.values | {key: goals})
 
     def edited(self, edit: MaskEdit) -> StudioSettings:
         """These settings after an edit of a mask.
@@ -124,12 +143,20 @@ class StudioSettings:
         Raises:
             InputError: there is no such mask, or the recipe does not allow what becomes of it.
         """
-        recipe = self.recipe
-        edit = self.parts.located(edit, recipe)
-        values = self.values | edit.applied(recipe)
-        settings = StudioSettings(self.base, values, self.parts.after(edit, recipe))
-        settings._with(settings.values)
-        return settings
+        edit = self.parts.located(edit, self.recipe)
+        values = self.values | edit.applied(self.recipe)
+        return StudioSettings(self.base, values, self.parts.after(edit, self.recipe))
+
+    def require_files(self) -> None:
+        """Check that all files are there that the recipe names.
+
+        Raises:
+            InputError: one is not.
+        """
+        try:
+            self.recipe.located(Path.cwd())
+        except InputError as error:
+            raise InputError(f"{error}; bring it back, or remove the goal or the region that needs it") from None
 
     def described(self) -> dict[str, Any]:
         """What the page shows: sliders with their help, goals, and the keys that have others."""
@@ -152,7 +179,15 @@ class StudioSettings:
             "goals": goals,
             "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)],
             "masks": masks_described(recipe, self.parts),
+            "frames": recipe.frames,
         }
 
-    def _with(self, values: Mapping[str, Any]) -> Recipe:
-        return self.base.updated(values, "studio: ", Path.cwd())
+    def _take(self, values: dict[str, Any]) -> None:
+        self.recipe = _over(self.base, values)
+        self.values = values
+
+
+def _over(base: Recipe, values: Mapping[str, Any]) -> Recipe:
+    """A recipe with values of keys in place of its own; whether their files are there is not asked."""
+    given = {name: dict(base.keyframes[name]) if name in base.keyframes else getattr(base, name) for name in base.given}
+    return Recipe(**{**given, **values})

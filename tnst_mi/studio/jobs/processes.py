@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -112,15 +112,17 @@ class RunProcess:
     Args:
         folder: of the run.
         record: what is known of it.
+        require_own: checks that the folder is still the studio's, before its record is written there.
 
     Attributes:
         folder, record: likewise.
         trouble: why the record could not be written the last time; None if it was.
     """
 
-    def __init__(self, folder: Path, record: WorkRecord) -> None:
-        self.folder, self.record = folder, record
+    def __init__(self, folder: Path, record: WorkRecord, require_own: Callable[[], None] = lambda: None) -> None:
+        self.folder, self.record, self._require_own = folder, record, require_own
         self.trouble: str | None = None
+        self._seen_running = False
         self._child: subprocess.Popen[bytes] | None = None
         #: One thread may begin a run while another looks at it.
         self._beginning = threading.Lock()
@@ -195,6 +197,7 @@ class RunProcess:
             if self.trouble is not None:
                 self._note()  # what could not be written may be possible by now
             if self._runs():
+                self._seen_running = True
                 return RUNNING
         if self._recorded_status() == DONE:
             return DONE
@@ -216,7 +219,8 @@ class RunProcess:
         code = self.record.code
         if code is None:
             # Of a process that an earlier studio has begun the code is not known.
-            how = "ended while no studio looked on, as when the machine was restarted"
+            seen = "ended; its exit code is not known"
+            how = seen if self._seen_running else "ended while no studio looked on, as when the machine was restarted"
         elif code < 0:
             how = f"killed by {_signal_name(-code)}"
         else:
@@ -251,11 +255,15 @@ class RunProcess:
     def _note(self, **changes: Any) -> None:
         """Change the record, and write it; what keeps it from being written is `trouble`, and does not end the run."""
         self.record = replace(self.record, **changes)
+        file = self.folder.with_suffix(".json")
         try:
-            self.record.write(self.folder.with_suffix(".json"))
+            self._require_own()
+            self.record.write(file)
             self.trouble = None
+        except InputError as error:
+            self.trouble = str(error).removeprefix("studio: ")
         except OSError as error:
-            self.trouble = one_line(f"{self.folder.with_suffix('.json')} cannot be written ({error.strerror or error})")
+            self.trouble = one_line(f"{file} cannot be written ({error.strerror or error})")
 
 
 def _signal_name(number: int) -> str:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.errors import InputError
+from tnst_mi.errors import InputError, MissingFileError
 from tnst_mi.machine.terminal import displayable, duration, one_line
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.run.folder import DAMAGE
@@ -48,8 +48,8 @@ class StudioWork:
     def __init__(self, name: str, process: RunProcess) -> None:
         self.name, self.process = name, process
         self.live = LiveRun(process.folder, process.recipe_file, process.record.shape)
-        self.goals, self.asked_at = _goals(process.recipe_file), _written_at(process.recipe_file)
-        self.subject = _subject(process)
+        self.goals, self.subject, self.asked_at = "", "", _written_at(process.recipe_file)
+        self._named = False
         self.status = INTERRUPTED
         self._described: dict[str, Any] = {}
         self.update()
@@ -59,6 +59,9 @@ class StudioWork:
         before = self._described
         try:
             self.status = self.process.status()
+            if not self._named:
+                self.goals, self.subject = _goals(self.process.recipe_file), _subject(self.process)
+                self._named = True
             self.live.update()
             self._described = self._now()
         except Exception as error:  # others must not suffer from what is wrong with this one, which may be anything
@@ -221,6 +224,8 @@ def _goals(recipe_file: Path) -> str:
     """The goals of a recipe in a few words."""
     try:
         recipe = plain_recipe(recipe_file)
+    except MissingFileError:
+        return "a recipe of which a file is gone"
     except InputError:
         return "a damaged recipe"
     names = [Path(shipped_name(name)).stem for name in recipe.style]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
@@ -31,14 +33,17 @@ class Workshop:
     Args:
         out: the folder of the studio, which need not exist.
         changed: called when something has changed; from other threads too.
+        require_own: checks that the folder is still this studio's, before something is written there.
 
     Raises:
         InputError: nothing can be written there.
     """
 
-    def __init__(self, out: Path, changed: Callable[[], None]) -> None:
+    def __init__(self, out: Path, changed: Callable[[], None], require_own: Callable[[], None] = lambda: None) -> None:
         require_writable(out, remedy=None)
-        self._out, self._changed = out.absolute(), changed
+        self._out, self._changed, self._require_own = out.absolute(), changed, require_own
+        #: How many deletions are under way of what has these names.
+        self._going: Counter[str] = Counter()
         self._lock, self._busy, self._ended = threading.RLock(), threading.Event(), threading.Event()
         for kind in (TRIES, RENDERS):
             finish_removals(self._out / kind)
@@ -74,7 +79,10 @@ class Workshop:
             str(source.absolute()), shape, alone=alone is not None, frames=recipe.frames, cluster=cluster
         )
         recipe = recipe if alone is None else replace(recipe, frames=str(alone))
-        return self._begin(kind, record, replace(recipe, quality=DRAFT if kind == TRIES else FINAL))
+        with self._lock:
+            name = self._begun(kind, record, replace(recipe, quality=DRAFT if kind == TRIES else FINAL))
+        self._announce()
+        return name
 
     def go_on(
         self, kind: str, name: str, octave: int | None, recipe: Recipe | None = None, cluster: str | None = None
@@ -92,18 +100,18 @@ class Workshop:
             cluster: address of the one that does it; None for a process of this machine.
 
         Raises:
-            InputError: there is no such state.
+            InputError: there is no such state, or it is being deleted.
         """
-        work = self.work(name)
-        folder, reached = work.kept(octave)
-        earlier = plain_recipe(work.process.recipe_file)
-        recipe = earlier if recipe is None else replace(recipe, frames=earlier.frames)
-        recipe = replace(recipe, quality=quality_beyond(recipe, *reached) if kind == TRIES else FINAL)
-        of_earlier = work.process.record
-        record = WorkRecord(
-            of_earlier.source, of_earlier.shape, str(folder), of_earlier.alone, of_earlier.frames, cluster
-        )
-        return self._begin(kind, record, recipe)
+        with self._lock:  # until it is noted what this goes on from, which is then not deleted
+            work = self.staying(name)
+            folder, reached = work.kept(octave)
+            earlier = plain_recipe(work.process.recipe_file)
+            recipe = earlier if recipe is None else replace(recipe, frames=earlier.frames)
+            recipe = replace(recipe, quality=quality_beyond(recipe, *reached) if kind == TRIES else FINAL)
+            record = _following(work.process.record, folder, cluster)
+            begun = self._begun(kind, record, recipe)
+        self._announce()
+        return begun
 
     def pause(self, name: str) -> None:
         """Ask a run to end after the iteration under way."""
@@ -118,10 +126,11 @@ class Workshop:
             cluster: address of the one that goes on with a render; None for where it was done until now.
 
         Raises:
-            InputError: there is no such run, or it runs, or is done.
+            InputError: there is no such run, or it runs, or is done, or is being deleted.
         """
         with self._lock:
-            work = self.work(name)
+            work = self.staying(name)
+            self._require_own()
             work.update()
             if work.status not in (PAUSED, INTERRUPTED, FAILED):
                 raise InputError(f"studio: {name} is {work.status}: nothing is to be resumed")
@@ -129,8 +138,7 @@ class Workshop:
                 work.process.record = replace(work.process.record, cluster=cluster)
             work.process.start()
             work.update()
-        self._busy.set()
-        self._changed()
+        self._announce()
 
     def delete(self, names: Collection[str]) -> None:
         """Stop tries or renders if they run, and remove them; what is gone already is left alone.
@@ -143,8 +151,12 @@ class Workshop:
             if not ID.fullmatch(name):
                 raise InputError(one_line(f"studio: {name!r}: no such try or render"))
         with self._lock:
+            self._require_own()
             self._require_unneeded(names)
             works = [work for name, work in self._works.items() if name in names]
+            # From now on nothing begins from them.
+            going = [work.name for work in works]
+            self._going.update(going)
             for work in works:
                 work.process.pause()
         try:
@@ -153,8 +165,10 @@ class Workshop:
                 work.process.wait(_PATIENCE)
                 work.process.kill()
                 work.process.wait(_PATIENCE)
-                self._remove(work)
+                self._remove(work, names)
         finally:
+            with self._lock:
+                self._going.subtract(going)
             self._changed()
 
     def work(self, name: str) -> StudioWork:
@@ -167,6 +181,22 @@ class Workshop:
             if name not in self._works:
                 raise InputError(one_line(f"studio: {name!r}: no such try or render"))
             return self._works[name]
+
+    def staying(self, name: str) -> StudioWork:
+        """The work of a name, which is not being deleted.
+
+        Raises:
+            InputError: there is none, or it is.
+        """
+        with self._lock:
+            if self._going[name] > 0:
+                raise InputError(f"studio: {name} is being deleted; choose another one")
+            return self.work(name)
+
+    def in_folder(self, folder: Path) -> str | None:
+        """The name of the work that has a folder; None if none has it."""
+        with self._lock:
+            return next((name for name, work in self._works.items() if _is_same(work.process.folder, folder)), None)
 
     def holds(self, name: str) -> bool:
         """Whether there is a work of a name."""
@@ -191,28 +221,34 @@ class Workshop:
                 work.process.wait(_PATIENCE)
         return [work.name for work in running]
 
-    def _begin(self, kind: str, record: WorkRecord, recipe: Recipe) -> str:
+    def _begun(self, kind: str, record: WorkRecord, recipe: Recipe) -> str:
+        """Begin a try or a render, while the lock is held; returns its name."""
         if not any(getattr(recipe, key) for key in (*GOAL_KEYS, *OTHER_GOALS)):
             raise InputError("studio: nothing to stylize towards; choose a motif on the left")
-        with self._lock:
-            make_folder(self._out / kind)
-            name = f"{kind}/{claimed_number(self._out / kind):04d}"
-            process = RunProcess(self._out / name, record)
-            with written_whole(process.recipe_file) as temporary:
-                temporary.write_text(replace(recipe, keep_octaves=True).to_toml(), "utf-8")
-            process.start()
-            self._works[name] = StudioWork(name, process)
-        self._busy.set()
-        self._changed()
+        self._require_own()
+        make_folder(self._out / kind)
+        name = f"{kind}/{claimed_number(self._out / kind):04d}"
+        process = RunProcess(self._out / name, record, self._require_own)
+        with written_whole(process.recipe_file) as temporary:
+            temporary.write_text(replace(recipe, keep_octaves=True).to_toml(), "utf-8")
+        process.start()
+        self._works[name] = StudioWork(name, process)
         return name
 
-    def _remove(self, work: StudioWork) -> None:
-        """Remove what has been stopped, unless another tab was faster."""
+    def _announce(self) -> None:
+        """Look at what has begun, and tell others; never while the lock is held, which those may wait for."""
+        self._busy.set()
+        self._changed()
+
+    def _remove(self, work: StudioWork, names: Collection[str]) -> None:
+        """Remove one of some that have been stopped, unless another tab was faster."""
         with self._lock:
             if self._works.get(work.name) is not work:
                 return
             if work.process.status() == RUNNING:
                 raise InputError(f"studio: {work.name} has been resumed meanwhile; delete it again")
+            self._require_own()
+            self._require_unneeded(names)
             remove(work.process.folder)
             del self._works[work.name]
 
@@ -233,11 +269,14 @@ class Workshop:
         """What earlier studios have begun in this folder; whatever else is there is left alone."""
         found = []
         for file in sorted(file for kind in (TRIES, RENDERS) for file in (self._out / kind).glob("*.toml")):
-            name = file.relative_to(self._out).with_suffix("").as_posix()
-            sound = ID.fullmatch(name) and file.is_file() and is_plain(file)
-            record = WorkRecord.read(file.with_suffix(".json")) if sound else None
-            if record is not None:
-                found.append(StudioWork(name, RunProcess(file.with_suffix(""), record)))
+            try:
+                name = file.relative_to(self._out).with_suffix("").as_posix()
+                sound = ID.fullmatch(name) and file.is_file() and is_plain(file)
+                record = WorkRecord.read(file.with_suffix(".json")) if sound else None
+                if record is not None:
+                    found.append(StudioWork(name, RunProcess(file.with_suffix(""), record, self._require_own)))
+            except Exception as error:  # whatever is wrong with one, the studio shows the others
+                _say(f"{file} is left alone ({type(error).__name__}: {error})")
         return found
 
     def _watch(self) -> None:
@@ -249,6 +288,25 @@ class Workshop:
                 news = [work.update() for work in works]
                 if not any(work.status == RUNNING for work in works):
                     self._busy.clear()
-            if any(news):
-                self._changed()
+            try:
+                if any(news):
+                    self._changed()
+            except Exception as error:  # whatever it is, the next change must be seen
+                _say(f"{type(error).__name__}: {error}")
             self._ended.wait(_INTERVAL)
+
+
+def _say(text: str) -> None:
+    print(one_line(f"tnst-mi: studio: {text}"), file=sys.stderr)
+
+
+def _following(record: WorkRecord, state: Path, cluster: str | None) -> WorkRecord:
+    """The record of a run of the same input that goes on from a state of another one."""
+    return WorkRecord(record.source, record.shape, str(state), record.alone, record.frames, cluster)
+
+
+def _is_same(folder: Path, other: Path) -> bool:
+    try:
+        return folder.samefile(other)
+    except (OSError, ValueError):  # one of them is gone, or has no name that can be
+        return False

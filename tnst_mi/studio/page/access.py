@@ -3,7 +3,8 @@
 The token is in the URL that is printed. It is exchanged for a cookie at once, so that it neither stays in the address
 bar nor goes to other servers. Browsers send the cookie with what pages of this host ask for, and where a link leads to
 the page (SameSite=Lax: a stricter one would be missing where the URL is clicked in a terminal that is a page itself);
-its name has the port in it, since they share cookies between all ports of a host.
+its name has random letters, since they share cookies between all ports of a host: studios of several machines may have
+one port there, and tunnels lead to them from others.
 """
 
 from __future__ import annotations
@@ -16,16 +17,13 @@ from http.cookies import CookieError, SimpleCookie
 class Access:
     """The token of a studio and the rules that follow from it.
 
-    Args:
-        port: that it listens on.
-
     Attributes:
         token: 256 random bits as text for a URL.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self) -> None:
         self.token = secrets.token_urlsafe(32)
-        self._cookie = f"tnst_mi_studio_{port}"
+        self._cookie = f"tnst_mi_studio_{secrets.token_hex(4)}"
 
     def opened_by(self, token: str) -> bool:
         """Whether a token is the right one; the time this takes tells nothing about it."""

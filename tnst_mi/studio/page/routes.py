@@ -52,7 +52,7 @@ class StudioRoutes:
         self._routes: dict[tuple[str, str], Callable[[PageRequest], PageAnswer]] = {
             ("GET", "/events"): self._events,
             ("GET", "/view"): self.view,
-            ("GET", "/arrows"): lambda request: PageAnswer.of_json(session.arrows(request.query)),
+            ("GET", "/arrows"): lambda request: PageAnswer.of_json(session.opened().arrows(request.query)),
             ("GET", "/files"): self._files,
             ("GET", "/motifs"): self._motifs,
             ("GET", "/thumbnail"): self._thumbnail,
@@ -84,8 +84,8 @@ class StudioRoutes:
         return PageAnswer.of_json({"error": "nothing is there"}, 404)
 
     def view(self, request: PageRequest) -> PageAnswer:
-        """A picture of what is opened, as JPEG; see `Session.paint`."""
-        sight, picture = self.session.paint(request.query)
+        """A picture of what is opened, as JPEG; see `Shown.paint`."""
+        sight, picture = self.session.opened().paint(request.query, self.session.recipe())
         body = jpeg(picture, _MOVING if sight.coarse else _STILL)
         return PageAnswer(body, "image/jpeg")
 
@@ -110,6 +110,7 @@ class StudioRoutes:
         return PageAnswer(picture, "image/png", headers={"Cache-Control": "max-age=300"})
 
     def _make_examples(self, request: PageRequest) -> PageAnswer:
+        self.session.require_own()
         goals, weights = request.json().get("goals"), self.session.recipe().weights
         if not isinstance(goals, list):
             raise InputError("studio: goals is missing, or no list")
@@ -117,6 +118,7 @@ class StudioRoutes:
         return PageAnswer.of_json(self._examples.described())
 
     def _upload(self, request: PageRequest) -> PageAnswer:
+        self.session.require_own()
         self.motifs.upload(request.query.get("name", ""), request.body)
         return PageAnswer.of_json({})
 
@@ -139,10 +141,10 @@ class StudioRoutes:
         return PageAnswer.of_json({})
 
     def _place(self, request: PageRequest) -> PageAnswer:
-        return PageAnswer.of_json(self.session.place(request.whole("frame")))
+        return PageAnswer.of_json(self.session.opened().place(request.whole("frame")))
 
     def _share(self, request: PageRequest) -> PageAnswer:
-        share = self.session.share(request.whole("target"), request.whole("frame"))
+        share = self.session.opened().share(self.session.recipe(), request.whole("target"), request.whole("frame"))
         return PageAnswer.of_json({"share": share})
 
     def _mask(self, request: PageRequest) -> PageAnswer:
@@ -154,6 +156,7 @@ class StudioRoutes:
         return PageAnswer.of_json({})
 
     def _painting(self, request: PageRequest) -> PageAnswer:
+        self.session.require_own()
         view = request.number("azimuth"), request.number("elevation")
         self.session.paint_mask(request.body, request.whole("target"), view, request.whole("frame"))
         return PageAnswer.of_json({})

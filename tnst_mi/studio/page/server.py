@@ -85,7 +85,7 @@ class StudioServer(ThreadingHTTPServer):
             raise InputError(
                 one_line(f"studio: cannot listen on {host}, port {port} ({reason}); give another --port or --host")
             ) from None
-        self.access = Access(self.server_port)
+        self.access = Access()
 
     def server_bind(self) -> None:
         """Listen, without looking up the name of this machine, which takes seconds where there is no network."""

@@ -43,11 +43,13 @@ class WorkRoutes:
         values, session = request.json(), self._session
         action = text_in(values, "action")
         if action in _KINDS:
-            session.begin(_KINDS[action], _frame_number(values.get("alone")))
+            session.begin(_KINDS[action], _frame(values.get("alone")))
         elif action == "delete":
             session.delete(_names(values))
         elif action == "anew":
             session.begin_anew()
+        elif action == "all-frames":
+            session.take_all_frames()
         elif action == "branch":
             session.go_on_from(text_in(values, "id"), _octave(values.get("octave")))
         else:
@@ -59,7 +61,7 @@ class WorkRoutes:
             }.get(action)
             if act is None:
                 raise InputError(
-                    "studio: an action is try, render, pause, resume, finish, open, branch, anew or delete"
+                    "studio: an action is try, render, pause, resume, finish, open, branch, anew, all-frames or delete"
                 )
             act(text_in(values, "id"))
         return PageAnswer.of_json({})
@@ -95,10 +97,10 @@ def _content(picture: Path | None, folder: Path) -> bytes:
     raise InputError("studio: there is no picture, or none any more")
 
 
-def _frame_number(value: Any) -> int | float | None:
-    """The number of the frame that is to be tried alone; None for all."""
-    if not isinstance(value, int | float | None) or isinstance(value, bool):
-        raise InputError("studio: alone is the number of a frame, or nothing for all")
+def _frame(value: Any) -> int | None:
+    """The index of the frame that is to be tried alone; None for all."""
+    if not isinstance(value, int | None) or isinstance(value, bool):
+        raise InputError("studio: alone is the index of a frame, from 0, or nothing for all")
     return value
 
 

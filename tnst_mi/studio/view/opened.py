@@ -21,7 +21,7 @@ from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.reopened import Reopened, reopened
 from tnst_mi.run.stored_arrays import StoredArrays
-from tnst_mi.studio.source import among_all_frames
+from tnst_mi.studio.source import among_all_frames, stylized_frames
 
 #: Sides of a frame: as it came, and stylized.
 BEFORE, AFTER = "before", "after"
@@ -141,7 +141,9 @@ def opened(path: Path, all_frames: bool = False) -> Opened:
     """
     results = among_all_frames(reopened(path)) if all_frames else reopened(path)
     record = results.record
-    middle = results.frames[len(results.frames) // 2]
+    # Of frames that the run has not stylized, those of the input, one may be damaged.
+    stylized = stylized_frames(results)
+    middle = results.frames[stylized[len(stylized) // 2]]
     if record is None:
         reference = ReferenceDensity()
         reference.add(middle.density)
