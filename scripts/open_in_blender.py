@@ -136,7 +136,7 @@ def spelled(numbers: Sequence[float]) -> str:
 
 
 def smoke_material(density: str, flame: str | None, colour: str | None) -> bpy.types.Material:
-    """A scattering volume: the grids that give its density, the strength of its light and its colour, by their names."""
+    """A scattering volume; the names are those of the grids of its density, its own light and its colour."""
     material = bpy.data.materials.new("smoke")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
