@@ -60,7 +60,7 @@ def coloured(white: Frame) -> Frame:
 def test_smoke_has_its_colour_where_the_frame_has_it() -> None:
     """The smoke reaches further to the left than to the right of the two middle columns of the picture."""
     frame = coloured(burning())
-    painter = BlenderPainter(frame.density.shape, [FRONT], "thick", (12, 12), 8, 0, None, "tint")
+    painter = BlenderPainter(frame.density.shape, [FRONT], "medium", (12, 12), 8, 0, None, "tint")
     left, right = painter.paint(frame, FRONT, 0)[4:7].reshape(3, 4, 3, 3).mean((0, 2))[1:3]
     assert left[0] > 1.5 * left[2] and right[2] > 1.5 * right[0]
 
