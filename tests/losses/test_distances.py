@@ -368,3 +368,34 @@ def test_a_view_without_smoke_has_no_loss_and_no_derivative(distance: str) -> No
     assert not derivative[1].any() and derivative[0].any() and torch.isfinite(derivative).all()
     others = bound.evaluate(views()[[0, 2]], Guides(None, Guide(opacity[[0, 2]])))[0]
     assert loss.item() == pytest.approx(others.item(), rel=1e-12)
+
+
+def test_weighted_distances_do_not_jump_where_numbers_change_places() -> None:
+    for small in (1e-9, -1e-9):
+        found = [
+            wasserstein([0.5 + sign * small, 0.5, 0.1], [0.0, 0.2, 0.9], weights=[0.6, 0.1, 0.3]) for sign in (-1, 1)
+        ]
+        assert found[0] == pytest.approx(found[1], abs=1e-8)
+
+
+def test_the_derivative_of_weighted_distances_is_that_of_central_differences() -> None:
+    """Of many numbers with weights of any size, some of them 0, at steps in which some change places."""
+    rng = np.random.default_rng(12)
+    target = target_of(random_features(3, 9, 7, seed=1), rng.random((9, 7)))
+    weights = rng.random((1, 20, 20)) ** 8 * (rng.random((1, 20, 20)) > 0.3)
+    loss, guide = sliced_distance(target, 1.0, directions(target, (3,))), Guide(torch.from_numpy(weights))
+    values, along = random_features(3, 20, 20, seed=2) + 0.1, torch.from_numpy(rng.normal(size=(1, 3, 20, 20)))
+    values.requires_grad_()
+    loss(values, guide).sum().backward()
+    assert values.grad is not None
+    slope = float((values.grad * along).sum())
+    with torch.no_grad():
+        for step in (1e-3, 1e-5):
+            ends = [float(loss(values + sign * step * along, guide)) for sign in (1, -1)]
+            assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(slope, rel=2e-3)
+
+
+def test_a_weighted_distance_is_that_of_numbers_that_occur_as_often() -> None:
+    values, repeated = [0.3, -0.2, 1.0], [0.3, 0.3, -0.2, 1.0, 1.0, 1.0]
+    wanted = [0.0, 0.1, 0.2, 0.5, 0.7, 0.9]
+    assert wasserstein(values, wanted, weights=[2, 1, 3]) == pytest.approx(wasserstein(repeated, wanted), rel=1e-12)

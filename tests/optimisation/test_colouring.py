@@ -15,9 +15,10 @@ from PIL import Image
 from tnst_mi.frame import Frame
 from tnst_mi.losses.palette import Palette, _directions
 from tnst_mi.losses.pictures import GreyImage
+from tnst_mi.losses.terms import Semantic
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.colouring import COLOUR, Coloured, colour_step, final_colour, in_gamut
+from tnst_mi.optimisation.colouring import COLOUR, Coloured, Colours, colour_step, final_colour, mean_colour
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
 from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.plan import Plan, plan_of
@@ -158,14 +159,34 @@ def test_steps_are_bounded_and_downhill() -> None:
 def test_colours_stay_display_values() -> None:
     rng = np.random.default_rng(7)
     change = mi.TensorXf(rng.normal(size=(*SHAPE, 3)).astype(np.float32))
-    fields = in_gamut(Fields({"psi": change, COLOUR: change}), start())
+    fields = Coloured(Transport(0.0)).in_gamut(Fields({"psi": change, COLOUR: change}), start())
     colours = START + fields[COLOUR].numpy()
     assert colours.min() >= -1e-7 and colours.max() <= 1 + 1e-7 and fields["psi"] is change
+
+
+def test_a_result_is_between_the_smoke_as_it_was_and_its_colours() -> None:
+    """white + share (start − white) + blend change, where the change is that of the strength; solids stay."""
+    rng = np.random.default_rng(9)
+    change, white = 0.1 * rng.normal(size=(*SHAPE, 3)).astype(np.float32), np.ones((*SHAPE, 3), np.float32)
     solid = np.zeros(SHAPE, bool)
     solid[2:4] = True
-    final = final_colour(start().numpy(), change, 0.5, solid)
-    np.testing.assert_array_equal(final[2:4], start().numpy()[2:4])
-    np.testing.assert_allclose(final[4:], np.clip(START + 0.5 * change.numpy()[4:], 0, 1), atol=1e-6)
+    final = final_colour(white, start().numpy(), mi.TensorXf(change), 0.4 * 0.5, 0.5, solid)
+    np.testing.assert_array_equal(final[2:4], white[2:4])
+    expected = np.clip(1 + 0.2 * (START - 1) + 0.5 * change, 0, 1)
+    np.testing.assert_allclose(final[4:], expected[4:], atol=1e-6)
+
+
+def test_colours_of_the_input_move_with_the_smoke() -> None:
+    """By the transport of the density, channel by channel; the mean of pictures stays where it is."""
+    rng, plain = np.random.default_rng(10), Transport(0.0, trace="flow")
+    psi = mi.TensorXf(3 * rng.normal(size=(*SHAPE, 3)).astype(np.float32))
+    own = 0.2 + 0.6 * rng.random((*SHAPE, 3)).astype(np.float32)
+    fields = Fields({"psi": psi, COLOUR: dr.zeros(mi.TensorXf, (*SHAPE, 3))})
+    moved = Coloured(plain, moves=True).colour(fields, mi.TensorXf(own), 1.0).numpy()
+    for channel in range(3):
+        alone = plain.density(Fields(psi=psi), mi.TensorXf(np.ascontiguousarray(own[..., channel])), 1.0).numpy()
+        np.testing.assert_allclose(moved[..., channel], np.clip(alone, 0, 1), atol=1e-6)
+    np.testing.assert_array_equal(Coloured(plain).colour(fields, mi.TensorXf(own), 1.0).numpy(), own)
 
 
 def test_what_moves_the_smoke_does_so_as_without_colours() -> None:
@@ -182,9 +203,32 @@ def test_what_moves_the_smoke_does_so_as_without_colours() -> None:
     assert dr.all(coloured.within(fields, 0.3, 1.0)[COLOUR].array == psi.array)
 
 
+def test_white_smoke_begins_with_the_means_of_the_targets_in_their_regions() -> None:
+    means = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    colours, frame = Colours(frozenset(), "Cd", (means,)), Frame(smoke(), name="f")
+    upper, lower = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)
+    upper[:, :4], lower[:, 4:8] = 1, 1
+    upper[:, 4], lower[:, 4] = 0.25, 0.25
+    found = colours.start(0, frame, (upper, lower))
+    np.testing.assert_allclose(found[:, 0], np.broadcast_to([1, 0, 0], found[:, 0].shape), atol=1e-6)
+    np.testing.assert_allclose(found[:, 6], np.broadcast_to([0, 0, 1], found[:, 6].shape), atol=1e-6)
+    np.testing.assert_array_equal(found[:, 8:], np.ones_like(found[:, 8:]))
+    # A quarter of both: white but for a quarter, which is half of each.
+    np.testing.assert_allclose(found[:, 4], np.broadcast_to([0.875, 0.75, 0.875], found[:, 4].shape), atol=1e-6)
+
+
+def test_a_start_without_a_grid_is_the_mean_of_the_part_of_the_picture_that_is_used() -> None:
+    rgb = np.zeros((10, 40, 3), np.float32)
+    rgb[..., 2], rgb[:, 15:25] = 1, (1, 0, 0)
+    wide = Palette(GreyImage("wide", rgb.mean(-1), rgb=rgb))
+    np.testing.assert_allclose(mean_colour(wide, [0.0], (8, 8)), [1, 0, 0], atol=2e-2)
+    assert mean_colour(Semantic("conv2/3x3", (1,)), [1.0], (8, 8)) == (1.0, 1.0, 1.0)
+
+
 def test_a_start_without_a_grid_is_the_mean_of_the_pictures(network: GoogLeNet, picture: str) -> None:
     plan, _, _ = setting(network, picture)
     pixels = np.asarray(Image.open(picture), float) / 255
+    used = pixels[:, round(12 - 12 * SHAPE[2] / SHAPE[1]) : round(12 + 12 * SHAPE[2] / SHAPE[1])].mean((0, 1))
     assert plan.colours is not None
     colours = plan.colours.start(0, Frame(smoke(), name="f"))
-    np.testing.assert_allclose(colours, np.broadcast_to(pixels.mean((0, 1)), colours.shape), atol=1e-6)
+    np.testing.assert_allclose(colours, np.broadcast_to(used, colours.shape), atol=2e-2)

@@ -122,3 +122,68 @@ def test_colours_that_cannot_be_taken_are_refused_before_the_work(
     with pytest.raises(InputError, match=message):
         tnst_mi.stylize(moving_smoke(1), Recipe(**(keys | more)), tmp_path / "out", progress=False)
     assert optimiser.calls == [] and not (tmp_path / "out").exists()
+
+
+def test_smoke_takes_its_own_colour_along(keys: dict) -> None:
+    (frame,) = moving_smoke(1)
+    right = np.broadcast_to((np.arange(SHAPE[2]) >= SHAPE[2] // 2)[:, None], (*SHAPE, 3))
+    given = dataclasses.replace(frame, grids={"Cd": np.where(right, np.float32([0.8, 0.4, 0.1]), np.float32(0.05))})
+    result = tnst_mi.stylize(
+        [given], Recipe(**(keys | {"eta": 0.05, "iterations": 6}), colour_eta=1e-6), progress=False
+    )
+    found, before = srgb(result.grids[0]["Cd"]), srgb(given.grids["Cd"])
+    assert (np.abs(found - before).max(-1) > 0.05).mean() > 0.05
+    for channel in range(3):
+        own = np.ascontiguousarray(before[..., channel])
+        moved = tnst_mi.advect(own, result.velocities[0], trace="flow")
+        np.testing.assert_allclose(found[..., channel], np.clip(moved, 0, 1), atol=1e-3)
+
+
+def test_frames_without_smoke_do_not_weaken_the_colours_of_their_neighbours(keys: dict) -> None:
+    empty, smoke, behind = moving_smoke(3)
+    nothing = np.zeros(SHAPE, np.float32)
+    frames = [dataclasses.replace(empty, density=nothing), smoke, dataclasses.replace(behind, density=nothing)]
+    changes = {}
+    for window in (1, 3):
+        recipe = Recipe(**(keys | {"octaves": 1, "window": window, "style_weight": 0.0}))
+        colour = srgb(tnst_mi.stylize(frames, recipe, progress=False).grids[1]["Cd"])
+        mean = np.array([127.5, 64, 32]) / 255
+        changes[window] = np.abs(colour - mean)[smoke.density > 0.5 * smoke.density.max()].mean()
+    assert changes[3] == pytest.approx(changes[1], rel=0.1)
+
+
+def test_frames_may_call_their_colours_differently(keys: dict) -> None:
+    first, second = moving_smoke(2)
+    colour = np.full((*SHAPE, 3), 0.25, np.float32)
+    frames = [
+        dataclasses.replace(first, grids={"Cd": colour}),
+        dataclasses.replace(second, grids={"color": 2 * colour}),
+    ]
+    result = tnst_mi.stylize(frames, Recipe(**keys, strength=0.0), progress=False)
+    assert [sorted(grids) for grids in result.grids] == [["Cd", "velocity"], ["Cd", "velocity"]]
+    np.testing.assert_allclose(result.grids[1]["Cd"], 2 * colour, atol=1e-6)
+
+
+def test_a_frame_whose_colours_are_no_colours_is_refused_before_the_work(
+    keys: dict, optimiser: FakeOptimiser, tmp_path: Path
+) -> None:
+    first, second = moving_smoke(2)
+    frames = [
+        dataclasses.replace(first, grids={"Cd": np.ones((*SHAPE, 3), np.float32)}),
+        dataclasses.replace(second, grids={"Cd": np.ones(SHAPE, np.float32)}),
+    ]
+    for colour in ("style", "keep"):
+        with pytest.raises(InputError, match=f"{second.name}: grid 'Cd' has shape .*, expected colours"):
+            tnst_mi.stylize(frames, Recipe(**(keys | {"colour": colour})), tmp_path / "out", progress=False)
+    assert optimiser.calls == [] and not (tmp_path / "out").exists()
+
+
+def test_smoke_outside_a_mask_stays_white_and_a_palette_may_be_of_one_colour(keys: dict, tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), (255, 0, 0), np.uint8)).save(tmp_path / "red.png")
+    np.savez(tmp_path / "mask.npz", density=np.where(np.arange(SHAPE[2]) < SHAPE[2] // 2, 1, 0) * np.ones(SHAPE))
+    recipe = Recipe(
+        **(keys | {"style": (str(tmp_path / "red.png"),)}), style_weight=0.0, mask=str(tmp_path / "mask.npz")
+    )
+    colour = tnst_mi.stylize(moving_smoke(1), recipe, progress=False).grids[0]["Cd"]
+    np.testing.assert_array_equal(colour[..., SHAPE[2] // 2 + 3 :, :], 1)
+    np.testing.assert_allclose(colour[..., :2, :], np.broadcast_to([1, 0, 0], colour[..., :2, :].shape), atol=0.05)

@@ -83,7 +83,7 @@ class BoundObjective:
         self._sigma = sigma
         self._weights = dict(zip(names, weights, strict=True))
         self._terms = dict(zip(names, terms, strict=True))
-        #: What `saved_bytes` has been found to be, once for all copies: it depends on neither weights nor scales.
+        #: What `saved_bytes` has been found to be, once for all copies.
         self._measured: list[int] = []
         #: The recorded evaluation for each shape of images, likewise; None if none is to be recorded.
         self._recorded: dict[torch.Size, RecordedEvaluation] | None = {} if record else None
@@ -213,9 +213,8 @@ class BoundObjective:
         """What density and colours follow, and what the colours alone follow; None where there is no such term."""
         if not self.of_colour:
             return self, None
-        of_all, of_colour = (
-            [name for name in self.names if self._terms[name].of_colour == alone] for alone in (False, True)
-        )
+        of_colour = [name for name in self.names if self._terms[name].of_colour]
+        of_all = [name for name in self.names if name not in of_colour]
         return self._part(of_all) if of_all else None, self._part(of_colour)
 
     def _part(self, names: list[str]) -> BoundObjective:
@@ -223,7 +222,7 @@ class BoundObjective:
         other = copy.copy(self)
         other.names, other._terms = names, {name: self._terms[name] for name in names}
         other._layers = list(dict.fromkeys(layer for term in other._terms.values() for layer in term.layers))
-        if all(layer == PIXELS for layer in other._layers):
+        if other._layers == [PIXELS]:
             # There is no network in it, whose many kernels are worth recording.
             other._recorded = None
         return other
@@ -274,7 +273,8 @@ class BoundObjective:
                 loss = term.loss(features, guide)
                 by_view[name] = loss if guide is None else guide.seen * loss
             if self._sigma:
-                sigma = as_rgb(images).mean(1).flatten(1).sum(1) if images.ndim == 4 else images.flatten(1).sum(1)
+                # Of smoke in colour it is not differentiated: that would be lowered by blackening the colours.
+                sigma = images.flatten(1).sum(1) if images.ndim == 3 else images.detach().mean(3).flatten(1).sum(1)
                 by_view = {name: sigma * loss for name, loss in by_view.items()}
             return {name: loss.sum() for name, loss in by_view.items()}, images
 

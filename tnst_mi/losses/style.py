@@ -96,7 +96,8 @@ class Style(Term):
         where = f"where it is used (its centre, with the aspect {width}:{height})"
         _require_opaque(picture.alpha, picture.name, where)
         # The picture itself is judged, since in images of a few pixels any is flat.
-        if self.picture.flat(height, width):
+        # In colour it may be a palette of one colour, and have its structure in colours alone.
+        if not self.colour and self.picture.flat(height, width):
             raise InputError(
                 f"{picture.name}: one grey all over {where}, which is no style; use a picture with structure there"
             )

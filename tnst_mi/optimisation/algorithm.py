@@ -13,7 +13,6 @@ from typing import Protocol, TypeVar
 
 from tnst_mi.frame import Frame
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.optimisation.colouring import in_gamut
 from tnst_mi.optimisation.gradient import OctaveProblem
 from tnst_mi.optimisation.items.device_store import DeviceStore
 from tnst_mi.optimisation.items.own_step import OwnStep
@@ -88,7 +87,7 @@ def step_along(gradients: Sequence[Fields], plan: Plan, now: Current, h: float) 
     """η · mask · N(g), summed over the targets: the step to subtract from a frame's fields; gradients are consumed."""
     frame, inputs, levels = now.frame, now.inputs, now.frame.recipe.pyramid_levels
     steps = (
-        frame.colour_step(gradient, region, share)
+        frame.colour_step(gradient, mask if plan.averages_smoke else region, share)
         | frame.parameterisation.step(gradient, mask, frame.eta * share, plan.rows, h, levels)
         for gradient, mask, region, share in zip(
             gradients, inputs.target_masks(), inputs.target_regions(), frame.shares, strict=True
@@ -101,7 +100,7 @@ def fields_after(plan: Plan, now: Current, items: Items) -> Fields:
     """A frame's fields after the iteration whose own steps have been found."""
     fields = now.fields - window_average(plan, now, items)
     fields = now.frame.within_reach(fields, items.octave.cell_size, now.inputs.allowed)
-    return fields if now.inputs.colour is None else in_gamut(fields, now.inputs.colour)
+    return now.frame.in_gamut(fields, now.inputs.colour)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:

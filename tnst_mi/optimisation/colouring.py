@@ -1,7 +1,8 @@
 """Colours that are optimised together with what moves the smoke: a change of the display values in every cell.
 
-A colour belongs to a place in the stylized smoke, not to the smoke that is moved there: c = start + change, in [0, 1].
-Steps of a sequence are transported and averaged over its window like those of potentials.
+c = start + change, in [0, 1]. The change belongs to a place in the stylized smoke. The start is the mean colour of the
+pictures, or the colour that the input has, which moves with the smoke. Steps of a sequence are transported and averaged
+over its window like those of potentials.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.losses.objective import Objective
 from tnst_mi.losses.palette import Palette
 from tnst_mi.losses.style import Style
-from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Pullback
-from tnst_mi.rendering.smoke_colour import colours_of
+from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Pullback, Transport
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of
 
 #: The name of the field.
 COLOUR = "colour"
@@ -37,10 +38,12 @@ class Coloured(Parameterisation):
 
     Args:
         of_density: how the density depends on its fields.
+        moves: whether the colours with which it begins move with the smoke.
     """
 
-    def __init__(self, of_density: Parameterisation) -> None:
+    def __init__(self, of_density: Parameterisation, moves: bool = False) -> None:
         self._of_density = of_density
+        self._moves = moves and isinstance(of_density, Transport)
         self.channels = {**of_density.channels, COLOUR: 3}
         self.largest_derivative = of_density.largest_derivative
 
@@ -69,6 +72,24 @@ class Coloured(Parameterisation):
     def density_with_pullback(self, fields: Fields, density: mi.TensorXf, h: float) -> tuple[mi.TensorXf, Pullback]:
         """The stylized density, and the pull-back of its derivatives onto the fields without the colour."""
         return self._of_density.density_with_pullback(_of_density(fields), density, h)
+
+    def colour(self, fields: Fields, start: mi.TensorXf, h: float) -> mi.TensorXf:
+        """The colours (D, H, W, 3), display values, for those with which the smoke begins; not differentiable."""
+        with dr.suspend_grad():
+            if not self._moves:
+                return start + fields[COLOUR]
+            channels = dr.unravel(mi.Vector3f, start.array)
+            moved = [self.density(fields, mi.TensorXf(one, tuple(start.shape[:3])), h).array for one in channels]
+            change = dr.unravel(mi.Vector3f, fields[COLOUR].array)
+            return mi.TensorXf(dr.ravel(dr.clip(mi.Vector3f(*moved) + change, 0, 1)), tuple(start.shape))
+
+    def in_gamut(self, fields: Fields, start: mi.TensorXf) -> Fields:
+        """The fields, with a change of the colour that leaves none of the display values outside of [0, 1].
+
+        Where the start moves, it is not more than the whole range.
+        """
+        low, high = (mi.Float(-1), mi.Float(1)) if self._moves else (-start.array, 1 - start.array)
+        return Fields({**fields, COLOUR: mi.TensorXf(dr.clip(fields[COLOUR].array, low, high), tuple(start.shape))})
 
     def unit_step(self, rows: int, h: float) -> float:
         """Change of the density's fields where η · mask · N(g) is 1."""
@@ -105,41 +126,73 @@ def _of_density(fields: Fields) -> Fields:
     return Fields({name: field for name, field in fields.items() if name != COLOUR})
 
 
-def in_gamut(fields: Fields, start: mi.TensorXf) -> Fields:
-    """The fields, with a change of the colour that leaves none of the display values outside of [0, 1]."""
-    change = dr.clip(fields[COLOUR].array, -start.array, 1 - start.array)
-    return Fields({**fields, COLOUR: mi.TensorXf(change, tuple(start.shape))})
-
-
 @dataclass(frozen=True)
 class Colours:
     """The colours with which a run begins.
 
     Attributes:
-        grid: the name of the grid of the input that has them; None if it has none, or is not to be used.
-        means: for each frame, the mean colour (3,) of its style pictures, display values, where there is no such grid.
+        names: of the grids of frames that have some, of which the usual one counts; none if there is none.
+        written: of the grid of the results.
+        means: for each frame, and in it for each target, the mean (3,) of its style pictures, display values, with
+            which smoke in its region begins that has no colours.
     """
 
-    grid: str | None
-    means: tuple[tuple[float, float, float], ...]
+    names: frozenset[str]
+    written: str
+    means: tuple[tuple[tuple[float, float, float], ...], ...]
 
-    def start(self, frame: int, source: Frame) -> np.ndarray:
-        """The colours (D, H, W, 3) of a frame, display values in [0, 1]."""
-        if self.grid is not None and self.grid in source.grids:
-            return np.clip(srgb(colours_of(source.grids, self.grid, source.name)), 0, 1)
-        return np.broadcast_to(np.array(self.means[frame], np.float32), (*source.density.shape, 3))
+    def grid(self, source: Frame) -> str | None:
+        """The name of the grid that has the colours of a frame; None if it has none."""
+        return colour_name(name for name in source.grids if name in self.names)
+
+    def unstylized(self, source: Frame) -> np.ndarray:
+        """The colours (D, H, W, 3) of a frame, display values in [0, 1]: white, unless it has some."""
+        if (name := self.grid(source)) is None:
+            return np.ones((*source.density.shape, 3), np.float32)
+        return np.clip(srgb(colours_of(source.grids, name, source.name)), 0, 1)
+
+    def start(self, frame: int, source: Frame, masks: Sequence[np.ndarray | None] = ()) -> np.ndarray:
+        """Those with which a frame begins, likewise: white smoke has the means of the targets in their regions.
+
+        Args:
+            frame: its index.
+            source: the frame.
+            masks: of the targets, (D, H, W) in [0, 1], None for everywhere; none at all if all are.
+        """
+        own = self.unstylized(source)
+        if self.grid(source) is not None:
+            return own
+        means = np.array(self.means[frame], np.float32)
+        if not any(mask is not None for mask in masks):
+            return np.broadcast_to(means.mean(0), own.shape)
+        shares = np.stack([np.ones(own.shape[:3], np.float32) if mask is None else mask for mask in masks])
+        inside = shares.max(0)[..., None]
+        total = np.maximum(shares.sum(0), np.finfo(np.float32).tiny)
+        return (1 - inside) * own + inside * np.einsum("tzyx,tc->zyxc", shares / total, means)
 
 
-def mean_colour(objectives: Sequence[Objective], weights: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """The mean colour of the style pictures of all targets, display values, by the weights of their terms."""
+def mean_colour(
+    objective: Objective, weights: Sequence[float] | None, size: tuple[int, int]
+) -> tuple[float, float, float]:
+    """The mean colour of the style pictures of a target, display values; white if it has none.
+
+    Args:
+        objective: of the target.
+        weights: of its terms, by which its pictures count; all alike if none has one.
+        size: rows and columns of the images, to which pictures are cropped.
+    """
+    of_each = np.ones(len(objective.weighted_terms)) if weights is None else np.array(weights)
     pairs = [
-        (weight, term.picture.mean_colour)
-        for objective, of_terms in zip(objectives, weights, strict=True)
-        for weight, (_, term) in zip(of_terms, objective.weighted_terms, strict=True)
+        (weight, term.picture.fitted(*size).mean_colour)
+        for weight, (_, term) in zip(of_each, objective.weighted_terms, strict=True)
         if isinstance(term, Style | Palette)
     ]
-    means, of_each = np.array([mean for _, mean in pairs], np.float64), np.array([weight for weight, _ in pairs])
-    red, green, blue = (of_each @ means / of_each.sum()).tolist()
+    if not pairs:
+        return 1.0, 1.0, 1.0
+    shares, means = np.array([weight for weight, _ in pairs]), np.array([mean for _, mean in pairs], np.float64)
+    if not shares.any():
+        shares = np.ones(len(pairs))
+    red, green, blue = (shares @ means / shares.sum()).tolist()
     return red, green, blue
 
 
@@ -148,7 +201,19 @@ def on_octave(colours: np.ndarray, octave: Octave) -> mi.TensorXf:
     return resample_velocity(mi.TensorXf(np.ascontiguousarray(colours)), 1.0, octave.shape, octave.cell_size)
 
 
-def final_colour(start: np.ndarray, change: mi.TensorXf, blend: float, solid: np.ndarray | None) -> np.ndarray:
-    """The colours (D, H, W, 3) of a result, display values in [0, 1]: those of solids stay as they were."""
-    changed = np.clip(start + (change * opaque(blend)).numpy(), 0, 1)
-    return changed if solid is None else np.where(solid[..., None], start, changed)
+def final_colour(
+    unstylized: np.ndarray, start: np.ndarray, change: mi.TensorXf, share: float, blend: float, solid: np.ndarray | None
+) -> np.ndarray:
+    """The colours (D, H, W, 3) of a result, display values in [0, 1]: those of solids stay as they were.
+
+    Args:
+        unstylized: the colours of the smoke, moved.
+        start: those with which it began, moved too.
+        change: of these, times the strength of the result.
+        share: the strength times `blend`.
+        blend: share of the stylized smoke in the result.
+        solid: (D, H, W) bool; None without.
+    """
+    begun = unstylized + np.float32(share) * (start - unstylized)
+    changed = np.clip(begun + (change * opaque(blend)).numpy(), 0, 1)
+    return changed if solid is None else np.where(solid[..., None], unstylized, changed)

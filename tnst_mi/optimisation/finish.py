@@ -11,11 +11,12 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.frame import Frame
+from tnst_mi.geometry.other_grids import OtherGrid
 from tnst_mi.optimisation.colouring import COLOUR, final_colour
 from tnst_mi.optimisation.items.state import Items
 from tnst_mi.optimisation.movement import Movement
 from tnst_mi.optimisation.parameterisation import Fields, Parameterisation, Transport, times
-from tnst_mi.optimisation.plan import FramePlan
+from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.regions.octave_masks import border_of
 
@@ -61,13 +62,27 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
         )
     phi, psi = (fields[name].numpy() if name in fields else None for name in ("phi", "psi"))
     result = Stylized(density, velocity, (phi, psi), movement=movement)
-    if items.plan.colours is not None:
-        start = items.plan.colours.start(frame.index, source)
-        result.colour = final_colour(start, fields[COLOUR], frame.recipe.blend, source.obstacle)
+    if COLOUR in fields:
+        result.colour = _coloured(items.plan, frame, source, fields[COLOUR], movement)
     begun = items.level > 0 or items.iterations_done(frame) > 0
     if begun and not any(dr.any(field.array != 0) for field in fields.values()):
         result.note = f"{source.name}: left unchanged, since {_why_unchanged(items, frame, source)}"
     return result
+
+
+def _coloured(
+    plan: Plan, frame: FramePlan, source: Frame, change: mi.TensorXf, movement: Movement | None
+) -> np.ndarray | None:
+    """The colours of a result, display values; `change` is that of the full grid, times the strength."""
+    if plan.colours is None:
+        return None
+    masks = () if plan.regions is None else plan.regions.masks(frame.index, source)
+    unstylized, start = plan.colours.unstylized(source), plan.colours.start(frame.index, source, masks)
+    if plan.colours.grid(source) is not None and movement is not None:
+        # Both are the colours that the smoke has, which move with it.
+        unstylized = start = movement.carried(OtherGrid(unstylized))
+    recipe = frame.recipe
+    return final_colour(unstylized, start, change, recipe.strength * recipe.blend, recipe.blend, source.obstacle)
 
 
 def _within_regions(fields: Fields, items: Items, frame: FramePlan, source: Frame) -> Fields:

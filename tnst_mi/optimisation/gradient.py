@@ -104,7 +104,7 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        colour = _colour(fields, start)
+        colour = frame.coloured(fields, start, self.octave.cell_size)
         dr.enable_grad(colour)
         views = self._views(frame, seed)
         images = self._rendered(seen, views, frame, seed, colour)
@@ -158,7 +158,8 @@ class OctaveProblem:
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             views = self._views(frame, seed)
-            images = self._rendered(stylized, views, frame, seed, _colour(fields, start)).torch().clone()
+            colour = frame.coloured(fields, start, self.octave.cell_size)
+            images = self._rendered(stylized, views, frame, seed, colour).torch().clone()
             of_targets = self._guides(stylized, regions, views, frame)
         return {
             self.term_name(target, name): found
@@ -257,11 +258,6 @@ def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:
         for objective in plan.objectives
     )
     return OctaveProblem(octave, losses)
-
-
-def _colour(fields: Fields, start: mi.TensorXf | None) -> mi.TensorXf | None:
-    """The colours of the fields, which change those that the smoke begins with; None for grey smoke."""
-    return None if start is None else dr.detach(start + fields[COLOUR])
 
 
 def _total(values: Sequence[torch.Tensor], shares: Sequence[float]) -> torch.Tensor:

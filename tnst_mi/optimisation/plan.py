@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,6 +73,18 @@ class FramePlan:
             return Fields()
         size = self.recipe.colour_eta * self.step_scale * share
         return Fields({COLOUR: colour_step(of_colour, region, size, self.recipe.colour_smoothness)})
+
+    def coloured(self, fields: Fields, start: mi.TensorXf | None, h: float) -> mi.TensorXf | None:
+        """The colours of the fields of an octave, for those that the frame begins with; None if there are none."""
+        if start is None or not isinstance(self.parameterisation, Coloured):
+            return None
+        return dr.detach(self.parameterisation.colour(fields, start, h))
+
+    def in_gamut(self, fields: Fields, start: mi.TensorXf | None) -> Fields:
+        """The fields, with colours that are some."""
+        if start is None or not isinstance(self.parameterisation, Coloured):
+            return fields
+        return self.parameterisation.in_gamut(fields, start)
 
     @property
     def still(self) -> bool:
@@ -174,6 +186,11 @@ class Plan:
         return self.recipe.window if len(self.frames) > 1 else 1
 
     @property
+    def averages_smoke(self) -> bool:
+        """Whether a window's average is that over smoke."""
+        return self.window > 1 and self.recipe.window_average == "smoke"
+
+    @property
     def averages_gradients(self) -> bool:
         """Whether a window averages gradients, of which a step is then made, rather than steps (paper Alg. 1)."""
         return self.window > 1 and self.recipe.step_order == "align_first"
@@ -209,7 +226,8 @@ def plan_of(
     density_scale: float = 1.0,
     objective: Objective | None = None,
     regions: Regions | None = None,
-    colour_grid: str | None = None,
+    colour_names: Collection[str] = (),
+    colour_written: str = "Cd",
 ) -> Plan:
     """Plan a sequence.
 
@@ -224,7 +242,8 @@ def plan_of(
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
         regions: the masks of its targets, see `regions_of`.
-        colour_grid: where colours are optimised, the grid of the frames that has those with which they begin.
+        colour_names: where colours are optimised, the grids of the frames that have those with which they begin.
+        colour_written: the grid in which they are written.
 
     Raises:
         InputError: the recipe's window cannot be averaged as it says, its keys of the transport do not belong together,
@@ -244,7 +263,7 @@ def plan_of(
             at_frame,
             float(scale > 0) if recipe.sigma == "loss" else scale,
             exposure,
-            _parameterisation(at_frame, max(lams) > 0, min(lams) < 1),
+            _parameterisation(at_frame, max(lams) > 0, min(lams) < 1, bool(colour_names)),
             None if objective is not None else tuple(_weights(target, number) for target in targets),
             in_cells(recipe.reach, shape[1]),
             in_cells(recipe.keep_silhouette, shape[1]),
@@ -257,13 +276,20 @@ def plan_of(
     objectives = (objective,) if objective is not None else tuple(objective_of(target.recipe) for target in targets)
     colours = None
     if recipe.colour == "style":
-        means = (mean_colour(objectives, frame.weights or [[1.0] * len(objectives[0].names)]) for frame in frames)
-        colours = Colours(colour_grid, tuple(means))
+        size, unweighted = full_level(recipe, shape).size, (None,) * len(objectives)
+        means = tuple(
+            tuple(mean_colour(*pair, size) for pair in zip(objectives, frame.weights or unweighted, strict=True))
+            for frame in frames
+        )
+        colours = Colours(frozenset(colour_names), colour_written, means)
     return Plan(recipe, frames, shape, density_scale, objectives, regions, colours=colours)
 
 
-def _parameterisation(recipe: Recipe, scalar: bool, vector: bool) -> Parameterisation:
-    """That of the recipe of a frame; `scalar`, `vector`: whether frames of the sequence have a Φ and a Ψ."""
+def _parameterisation(recipe: Recipe, scalar: bool, vector: bool, coloured: bool) -> Parameterisation:
+    """That of the recipe of a frame.
+
+    `scalar`, `vector`, `coloured`: whether frames of the sequence have a Φ, a Ψ, and colours of their own.
+    """
     if recipe.parameterisation == "density":
         of_density: Parameterisation = DensityOffset()
     else:
@@ -272,7 +298,7 @@ def _parameterisation(recipe: Recipe, scalar: bool, vector: bool) -> Parameteris
         )
     if recipe.colour != "style":
         return of_density
-    return Coloured(of_density)
+    return Coloured(of_density, coloured)
 
 
 def _weights(target: Target, number: int | float | None) -> tuple[float, ...]:

@@ -47,6 +47,7 @@ class Stylized:
         state: from which another run can go on; None for a frame that is left unchanged.
         movement: what moves the frame's other grids likewise; None where nothing moves.
         colour: that of the stylized smoke, (D, H, W, 3) float32 display values in [0, 1]; None if it was not optimised.
+        colour_grid: the name of the grid in which it is written.
     """
 
     density: np.ndarray
@@ -63,3 +64,4 @@ class Stylized:
     state: State | None = None
     movement: Movement | None = None
     colour: np.ndarray | None = None
+    colour_grid: str | None = None

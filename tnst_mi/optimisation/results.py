@@ -43,10 +43,12 @@ def result_of(
     # Memory blocks of the iterations are no longer needed.
     release_memory()
     result = stylized_frame(items, frame, source)
-    start = None
+    colour = None
     if plan.colours is not None:
-        start = plan.colours.start(frame.index, source)
-        result.colour = start if result.colour is None else result.colour
+        colour, result.colour_grid = plan.colours.unstylized(source), plan.colours.written
+        # What has not changed is as it was in every bit, where it was in colour.
+        if result.colour is None and plan.colours.grid(source) != result.colour_grid:
+            result.colour = colour
     if items is not None and not frame.still and items.iterations_done(frame) >= 0:
         fields = {name: field.numpy() for name, field in items.fields(frame).items()}
         result.state = State(items.level, items.iterations_done(frame), fields, dict(scales))
@@ -59,7 +61,7 @@ def result_of(
     if problem is not None and items is not None and (items.level > 0 or items.iterations_done(frame) > 0):
         before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
         regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
-        result.loss_before, result.terms_before = problem.judge(frame, before, regions, start)
+        result.loss_before, result.terms_before = problem.judge(frame, before, regions, colour)
         result.loss_after, result.terms_after = problem.judge(frame, after, regions, result.colour)
     return result
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
+from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.items.store import MemoryStore
@@ -53,6 +54,17 @@ def optimise(
     (alone,) = brightness([frame], [at_frame], levels_seen(recipe, shape), density_scale)
     scales, exposures = [step_scale * alone.step_scale], [alone.exposure if exposure is None else exposure]
     regions = regions_of(recipe, [frame], [frame.number])
-    plan = plan_of(recipe, [frame.name], [frame.number], scales, exposures, shape, density_scale, objective, regions)
+    plan = plan_of(
+        recipe,
+        [frame.name],
+        [frame.number],
+        scales,
+        exposures,
+        shape,
+        density_scale,
+        objective,
+        regions,
+        [name for name in frame.grids if is_colour(name)],
+    )
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

@@ -43,7 +43,8 @@ def require_colour_driven(recipe: Recipe) -> None:
             "colour = 'style' takes the colours of a style picture, and there is none; expected --style PICTURE, or "
             "colour = 'off' or 'keep'"
         )
-    if recipe.colour_weight == 0 and recipe.style_weight == 0:
+    never = recipe.style_weight == 0 and "style_weight" not in recipe.keyframes and not recipe.target
+    if recipe.colour_weight == 0 and never:
         raise InputError(
             "colour = 'style' with style_weight = 0 and colour_weight = 0: nothing of the pictures counts; expected "
             "one of them above 0"

@@ -83,7 +83,7 @@ def main_view(
     """Render a density (D, H, W) from the centre of the camera ranges, unexposed; see `stills`.
 
     Returns:
-        (rows, columns), or with a colour (D, H, W, 3), linear RGB, (rows, columns, 3) by emission–absorption.
+        (rows, columns), or with a colour (D, H, W, 3), of any scale, (rows, columns, 3) by emission–absorption.
     """
     if colour is None:
         return stills(density, [recipe.main_view], recipe, size)[0]

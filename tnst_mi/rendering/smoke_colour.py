@@ -63,7 +63,8 @@ def shown_colours(
 ) -> np.ndarray | None:
     """The colours of a grid, (D, H, W, 3), as the pictures of a run show them: display values, of which white is 1.
 
-    The light that smoke gives has no curve in these pictures, so that its colour alone has it. None without a name;
+    The light that smoke gives has no curve in these pictures, so that its colour alone has it. No colour is negative.
+    None without a name;
     frames that lack the grid are white, on `cells` (D, H, W).
 
     Args:
@@ -81,7 +82,7 @@ def shown_colours(
     if name not in grids:
         return np.ones((*cells, 3), np.float32)
     if hottest is None:
-        return srgb(colours_of(grids, name, frame))
+        return srgb(np.maximum(colours_of(grids, name, frame), 0))
     if grids[name].ndim != 3:
         raise InputError(f"{frame}: grid {quoted(name)} has shape {grids[name].shape}, expected a temperature")
     return srgb(glow_colours(grids[name].astype(np.float32), hottest))

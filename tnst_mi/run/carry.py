@@ -68,14 +68,14 @@ def chosen(carry: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if carry == "all" or name in _listed(carry)]
 
 
-def written_colour(names: Iterable[str]) -> str:
-    """The name of the grid in which optimised colours are written: that of the colours that the smoke had, or Cd."""
-    return colour_name(names) or "Cd"
-
-
 def with_colour(names: Sequence[str], colour: str | None) -> list[str]:
-    """Some names, and that of the grid of optimised colours, if there is one."""
-    return list(names) if colour is None or colour in names else [*names, colour]
+    """Some names, and that of the grid of optimised colours, if there is one, in the place of the colours that they are
+    made from.
+    """
+    if colour is None:
+        return list(names)
+    own = colour_name(names)
+    return [*(name for name in names if name not in (own, colour)), colour]
 
 
 def require_there(carry: str, names: Iterable[str]) -> None:
@@ -119,7 +119,7 @@ def carried(
             changed raises InputError.
     """
     names, movement = chosen(carry, movable(frame)), stylized.movement
-    own_colour = None if stylized.colour is None else written_colour(names)
+    own_colour = None if stylized.colour is None else stylized.colour_grid
     names = with_colour(names, own_colour)
     if suffix is not None:
         names = held(frame.name, suffix, names)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import held
-from tnst_mi.machine.terminal import quoted
+from tnst_mi.machine.terminal import quoted, some_of
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.fire import temperature_in_words
 from tnst_mi.rendering.smoke_colour import colour_name, colours_of, require_colour
-from tnst_mi.run.carry import chosen, with_colour, written_colour
+from tnst_mi.run.carry import chosen, with_colour
 from tnst_mi.run.measure import Measure
+
+_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -21,14 +23,14 @@ class ColourGrids:
     """Names of grids of colour.
 
     Attributes:
-        begins_with: of the input's colours, with which optimised ones begin; None if these begin with the pictures'
+        begins_with: of the input's colours, with which optimised ones begin; none if these begin with the pictures'
             mean, or none are optimised.
         written: of the grid in which optimised colours are written; None if none are.
         temperature: of the grid whose temperatures are shown as colours, and the largest of all frames; None if
             none are.
     """
 
-    begins_with: str | None = None
+    begins_with: tuple[str, ...] = ()
     written: str | None = None
     temperature: tuple[str, float] | None = None
 
@@ -40,29 +42,21 @@ class ColourGrids:
                 f"note: colour: {temperature_in_words(*self.temperature)}, in the colours of black bodies; a grid Cd "
                 "would be shown in its place, and colour = 'off' shows grey smoke"
             ]
-        if self.begins_with is None:
+        if not self.begins_with:
             return []
+        names = some_of([quoted(name) for name in self.begins_with], _SHOWN)
         return [
-            f"note: colours begin with those of grid {quoted(self.begins_with)}; with a carry that leaves it out, they "
-            "begin with the mean of the pictures"
+            f"note: colours begin with those of grid {names}, which move with the smoke and are cut to [0, 1]; with a "
+            "carry that leaves it out, they begin with the mean of the pictures"
         ]
 
     def carried(self, recipe: Recipe, measures: Sequence[Measure], suffix: str) -> list[str]:
-        """The names of all grids that results have beside the density.
-
-        Raises:
-            InputError: files of this suffix do not hold the optimised colours.
-        """
-        found: dict[str, None] = {}
-        for measure in measures:
-            names = held(measure.name, suffix, with_colour(chosen(recipe.carry, measure.movable), self.written))
-            if self.written is not None and self.written not in names:
-                raise InputError(
-                    f"{measure.name}: colour = 'style' writes a grid {quoted(self.written)}, which {suffix} files do "
-                    "not hold; expected --format npz or vdb"
-                )
-            found |= dict.fromkeys(names)
-        return list(found)
+        """The names of all grids that results have beside the density."""
+        each = (
+            held(measure.name, suffix, with_colour(chosen(recipe.carry, measure.movable), self.written))
+            for measure in measures
+        )
+        return list(dict.fromkeys(itertools.chain.from_iterable(each)))
 
 
 def shown_temperature(recipe: Recipe, measures: Sequence[Measure]) -> tuple[str, float] | None:
@@ -90,9 +84,11 @@ def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[F
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     carried = chosen(recipe.carry, movable)
     name = require_colour(carried, movable) if recipe.colour == "keep" else colour_name(carried)
-    if name is not None:
-        first = next(i for i, measure in enumerate(measures) if name in measure.movable)
-        colours_of(frames[first].grids, name, measures[first].name)
-    if recipe.colour == "keep":
-        return ColourGrids()
-    return ColourGrids(name, written_colour(carried))
+    names: dict[str, None] = {}
+    for index, measure in enumerate(measures):
+        own = colour_name(chosen(recipe.carry, measure.movable))
+        names |= {} if own is None else {own: None}
+        if own is not None and own not in measure.vectors:
+            # Raises: it is read again for the message alone.
+            colours_of(frames[index].grids, own, measure.name)
+    return ColourGrids() if recipe.colour == "keep" else ColourGrids(tuple(names), name or "Cd")

@@ -41,6 +41,7 @@ class Measure:
         movable: the names of all that can move with the smoke.
         others: the SHA-256 of its other grids that do, by name.
         placement: where it lies in its scene, without what results keep of its file.
+        vectors: the names of those that have three components.
         hottest: the largest value of each of its other grids that has temperatures, if it is above 0, by name.
     """
 
@@ -54,6 +55,7 @@ class Measure:
     others: Mapping[str, str] = field(default_factory=dict)
     placement: Placement | None = None
     hottest: Mapping[str, float] = field(default_factory=dict)
+    vectors: tuple[str, ...] = ()
 
     @property
     def identity(self) -> str:
@@ -78,15 +80,28 @@ def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure
     for frame in checked_shapes(frames):
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        others, hottest = {}, {}
+        others, hottest, vectors = {}, {}, []
         for name, values in read_chosen(frame, carry):
             others[name] = grid_digest(values)
+            vectors += [name] if values.ndim == 4 else []
             if values.ndim == 3 and is_temperature(name) and 0 < (largest := float(values.max())) < math.inf:
                 hottest[name] = largest
         place = None if frame.placement is None else replace(frame.placement, own=None, source=None)
         names, digest = tuple(movable(frame)), frame_digest(frame)
         measures.append(
-            Measure(frame.name, frame.number, frame.mass, densest, digest, moves, names, others, place, hottest)
+            Measure(
+                frame.name,
+                frame.number,
+                frame.mass,
+                densest,
+                digest,
+                moves,
+                names,
+                others,
+                place,
+                hottest,
+                tuple(vectors),
+            )
         )
     counts = Counter(measure.name for measure in measures)
     for name in counts:

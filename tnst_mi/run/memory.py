@@ -95,6 +95,8 @@ class Need:
         of_grids = self._of_iterations(costs) * math.prod(finest.shape)
         if finest.shape != self.shape:
             of_grids += (costs.result_cell + costs.volume_cell * recipe.conservative) * math.prod(self.shape)
+        # Whatever the octaves, the colours of a result: start, change, display and linear values, on the frames' grid.
+        of_grids += costs.colour_cell * (recipe.colour == "style") * math.prod(self.shape)
         at_once, saved, pixels = 0, self.saved, math.prod(finest.size)
         if torch_device().type != "cpu":
             at_once = recipe.views
@@ -113,7 +115,7 @@ class Need:
         if recipe.transport == "flow":
             by_cell += costs.flow_cell + costs.volume_cell * recipe.conservative
         if recipe.parameterisation == "density":
-            by_cell = costs.density_cell
+            by_cell = costs.density_cell + 3 * costs.transport_component * (recipe.colour == "style")
         if recipe.window > 1:
             by_cell += costs.window_cell + costs.window_component * components
         targets = targets_of(recipe)
@@ -137,14 +139,15 @@ def working_bytes(shape: tuple[int, int, int], count: int, recipe: Recipe, state
 
     Per cell: the density (4 bytes) and the mask (2) of a frame, the masks of its regions (2 each, and 2 for their
     support), its fields (4 per component); with a window also the velocity (6), the gain (2), the step (2 per
-    component, 4 if it is a gradient) and the change (2); as results a density (4) and a velocity (12), assuming no
-    compression; and with `states`, the fields once more, for a run that goes on from there. Coarser octaves add less
-    than a quarter, which leaves room for an obstacle.
+    component, 4 if it is a gradient) and the change (2); as results a density (4) and a velocity (12), and where
+    colours are optimised, those with which they begin (12) and those of results (12), assuming no compression; and with
+    `states`, the fields once more, for a run that goes on from there. Coarser octaves add less than a quarter, which
+    leaves room for an obstacle.
     """
-    components = recipe.components
+    components, of_colour = recipe.components, 24 * (recipe.colour == "style")
     step = components * (4 if recipe.step_order == "align_first" else 2)
     masks = sum(bool(target.mask) for target in targets_of(recipe))
-    by_cell = 6 + 2 * (masks + (masks > 0)) + 4 * components + 16 + (10 + step if recipe.window > 1 else 0)
+    by_cell = 6 + 2 * (masks + (masks > 0)) + 4 * components + 16 + (10 + step if recipe.window > 1 else 0) + of_colour
     by_cell += 4 * components * states
     return int(1.25 * math.prod(shape) * count * by_cell)
 

@@ -264,7 +264,8 @@ def prepare(
         shape,
         density_scale,
         regions=regions,
-        colour_grid=colours.begins_with,
+        colour_names=colours.begins_with,
+        colour_written=colours.written or "Cd",
     )
     plan, record = going_on(plan, record, start_from, earlier)
     said = [

@@ -109,7 +109,7 @@ def octave_inputs(
         mask = mi.TensorXf(mask.array * allowed.array / dr.max(allowed.array), mask.shape)
     arrays["mask"] = mi.TensorXf16(mask)
     if plan.colours is not None:
-        arrays[COLOUR] = on_octave(plan.colours.start(frame.index, source), octave)
+        arrays[COLOUR] = on_octave(plan.colours.start(frame.index, source, regions), octave)
     if plan.window > 1 and frame.index + 1 < len(plan.frames):
         if source.velocity is None:
             raise InputError(f"{frame.name}: has no velocity, which a window of {plan.window} frames needs")

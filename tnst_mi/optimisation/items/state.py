@@ -30,7 +30,7 @@ from tnst_mi.optimisation.items.own_step import Launched, Outcome, OwnStep
 from tnst_mi.optimisation.items.store import DamagedItemError
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.optimisation.temporal.alignment import averaging_gain, still_fields, transported_sums
+from tnst_mi.optimisation.temporal.alignment import averaging_gain, still_fields, transported_sums, unmasked
 from tnst_mi.optimisation.temporal.window import reading_order, window_of
 
 _GROUPS = ("inputs", "fields", "gain", "step")
@@ -205,9 +205,9 @@ class Items:
         """
         frame, following = now.frame, now.done + 1
         names, weights = list(frame.parameterisation.channels), self.plan.window_weights
-        window = window_of(frame.index, len(self.plan.frames), self.plan.window)
-        present = sum(weights[abs(i - frame.index)] for i in window)
         if self.plan.recipe.window_average == "plain":
+            window = window_of(frame.index, len(self.plan.frames), self.plan.window)
+            present = sum(weights[abs(i - frame.index)] for i in window)
             sums = Fields(self.windowed_sums(frame, "step", following, names, weights / present))
             # Gradients are masked later, when a step is made of their average.
             return sums if self.plan.averages_gradients else self._inside(frame, sums)
@@ -215,8 +215,7 @@ class Items:
         gain = self._store.read(self._group("gain"), frame.index, ["gain"], 0)["gain"]
         average = Fields({name: times(gain, total) for name, total in sums.items() if name != COLOUR})
         if COLOUR in sums:
-            # Steps of colours have no mask of the smoke.
-            average |= self._inside(frame, Fields({COLOUR: sums[COLOUR]}).times(1 / present))
+            average[COLOUR] = times(unmasked(gain, now.inputs.mask), sums[COLOUR])
         return average
 
     def windowed_sums(

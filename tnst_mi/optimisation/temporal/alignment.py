@@ -25,6 +25,9 @@ from tnst_mi.fields.kernels import opaque
 #: Below this share of smoke an average over smoke is meaningless, and the frame's own mask is practically 0.
 _LEAST_SHARE = 1e-6
 
+#: Mask below which there is no smoke of which there could be an average.
+_LEAST_MASK = 1e-4
+
 
 def transported_sums(
     own: dict[str, mi.TensorXf],
@@ -91,3 +94,14 @@ def averaging_gain(mask: mi.TensorXf, transported_mask: mi.TensorXf, own_weight:
     share = dr.maximum(transported_mask.array, mask.array * opaque(own_weight))
     gain = dr.select(mask.array > 0, mask.array / dr.maximum(share, opaque(_LEAST_SHARE)), mi.Float(0))
     return mi.TensorXf(gain, tuple(mask.shape))
+
+
+def unmasked(gain: mi.TensorXf, mask: mi.TensorXf) -> mi.TensorXf:
+    """The gain for an average over smoke that is not masked itself: 1 / Σ_i ω_i T_i^t(m_i), 0 where there is no smoke.
+
+    Args:
+        gain: see `averaging_gain`.
+        mask: m_t, (D, H, W) in [0, 1].
+    """
+    share = gain.array / dr.maximum(mask.array, opaque(_LEAST_MASK))
+    return mi.TensorXf(dr.select(mask.array > _LEAST_MASK, share, mi.Float(0)), tuple(gain.shape))
