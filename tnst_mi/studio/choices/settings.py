@@ -109,6 +109,15 @@ class StudioSettings:
             values[key] = value
         self._take(values)
 
+    def free(self) -> dict[str, Any]:
+        """What has been set of sliders that may differ from what is gone on from."""
+        return {key: value for key, value in self.values.items() if key in _KNOBS and key in FREE}
+
+    def cleared(self) -> StudioSettings:
+        """These settings without goals and masks."""
+        without = {key: getattr(Recipe(), key) for key in (*GOAL_KEYS, *OTHER_GOALS, "mask")}
+        return StudioSettings(self.base, self.values | without)
+
     def take_all_frames(self) -> None:
         """Let the recipe be of all frames of an input."""
         if self.recipe.frames is not None:
