@@ -4,16 +4,19 @@
 
 Of each folder of a run with colour = "style", by frame: the sliced Wasserstein distance in RGB, inside the smoke, of
 pictures from views that no iteration saw to the style's picture, before and after: of white smoke, of smoke that has
-the picture's mean everywhere, and of the result. And of a sequence the flicker of the change of its colours beside that
-of its density, both times the density so that only smoke counts (docs/sequences.md says what flicker is).
+the picture's mean everywhere, and of the result. And of a sequence the flicker of what its colours change, times the
+density, so that only smoke counts, beside that of its density (docs/sequences.md says what flicker is).
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +24,10 @@ import tnst_mi
 from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.losses.pictures import read_image
-from tnst_mi.rendering.smoke_colour import colour_name
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of
 from tnst_mi.run.flicker import flicker
-from tnst_mi.run.resuming import recipe_of_run
+from tnst_mi.run.reopened import reopened
 
 #: Degrees beyond the ranges of a recipe, from which no iteration looks.
 _OUTSIDE = 0.25
@@ -45,62 +49,82 @@ def distance(pixels: np.ndarray, weights: np.ndarray, picture: np.ndarray) -> fl
     return float(np.sqrt(square / _DIRECTIONS))
 
 
-def measured(run: Path) -> str:
-    """The lines of a table about a run, and one about its flicker."""
-    result = tnst_mi.Result.open(run)
-    recipe, record = recipe_of_run(run).located(run), result.run
-    if recipe.colour != "style":
-        raise InputError(f"{run}: its colour is {recipe.colour!r}; expected a run with colour = 'style'")
-    azimuths = _beyond(recipe.azimuth)
-    views = [(azimuth, elevation) for azimuth in azimuths for elevation in _beyond(recipe.elevation)]
+@dataclass(frozen=True)
+class Shown:
+    """How the pictures of a frame are made, and the colours of its style (Q, 3).
+
+    Attributes:
+        recipe: of the frame.
+        record: of it in run.json.
+        unit: factor of its density.
+        views: (azimuth, elevation) from which no iteration looked.
+        target: display values of the style's picture.
+    """
+
+    recipe: Recipe
+    record: Mapping[str, Any]
+    unit: float
+    views: Sequence[tuple[float, float]]
+    target: np.ndarray
+
+    def distance(self, density: np.ndarray, colour: np.ndarray) -> float:
+        """The distance of the pictures of a density (D, H, W) in colours (D, H, W, 3) to the style."""
+        gamma, quadrature = self.record["gamma"], self.recipe.quadrature
+        smoke = density * np.float32(self.unit)
+        colours, opacities = [], []
+        for view in self.views:
+            image = tnst_mi.render(smoke, view, gamma=gamma, quadrature=quadrature, colour=colour)
+            colours.append(self.record["exposure"] * np.asarray(image).reshape(-1, 3))
+            opacities.append(gamma * np.asarray(tnst_mi.render(smoke, view, gamma=gamma, quadrature="exact")).ravel())
+        return distance(np.concatenate(colours), np.concatenate(opacities).astype(np.float64), self.target)
+
+
+def measured(folder: Path) -> str:
+    """The lines of the table about a run.
+
+    Raises:
+        InputError: it is none with such colours, or its input is not there any more.
+    """
+    run = reopened(folder)
+    if run.record is None or run.recipe is None or run.recipe.colour != "style" or run.inputs is None:
+        raise InputError(f"{folder}: expected a run with colour = 'style' whose input is still there")
+    recipe = run.recipe.located(folder)
+    picture = read_image(recipe.style[0])
+    views = [(azimuth, elevation) for azimuth in _beyond(recipe.azimuth) for elevation in _beyond(recipe.elevation)]
     lines, changes = [], []
-    for index, frame in enumerate(result.frames):
-        at, of_frame = recipe.at(frame.number), record["frames"][index]
-        density = result.densities[index]
-        name = colour_name(result.grids[index])
-        assert name is not None
-        colour = srgb(result.grids[index][name])
-        rows, columns = density.shape[1:]
-        picture = read_image(recipe.style[0])
-        target = picture.fitted(rows, columns).colours.reshape(-1, 3)
-        mean = np.broadcast_to(picture.mean_colour, colour.shape)
-
-        def of(smoke: np.ndarray, tint: np.ndarray) -> float:
-            scaled = (smoke * np.float32(record["density_scale"])).astype(np.float32)
-            shown = [
-                tnst_mi.render(scaled, view, gamma=of_frame["gamma"], quadrature=at.quadrature, colour=tint)
-                for view in views
-            ]
-            opacity = [
-                np.clip(of_frame["gamma"] * tnst_mi.render(scaled, view, gamma=of_frame["gamma"], quadrature="exact"), 0, 1)
-                for view in views
-            ]
-            pixels = of_frame["exposure"] * np.concatenate([np.asarray(image).reshape(-1, 3) for image in shown])
-            return distance(pixels, np.concatenate([np.asarray(o).ravel() for o in opacity]).astype(float), target)
-
-        white, begun, after = (
-            of(frame.density, np.ones_like(colour)),
-            of(frame.density, np.ascontiguousarray(mean)),
-            of(density, colour),
-        )
+    for name, source, result in zip(run.names, run.inputs, run.frames, strict=True):
+        target = picture.fitted(*source.density.shape[1:]).colours.reshape(-1, 3)
+        record = run.recorded(name)
+        shown = Shown(recipe.at(source.number), record, run.record["density_scale"], views, target)
+        grid = colour_name(result.grids)
+        colour = srgb(colours_of(result.grids, grid or "Cd", name))
+        mean = np.ascontiguousarray(np.broadcast_to(picture.mean_colour, colour.shape))
+        white = shown.distance(source.density, np.ones_like(colour))
+        begun, after = shown.distance(source.density, mean), shown.distance(result.density, colour)
         lines.append(
-            f"| {run.name} | {frame.name} | {white:.3f} | {begun:.3f} | {after:.3f} | {after / white:.2f} | "
+            f"| {folder.name} | {name} | {white:.3f} | {begun:.3f} | {after:.3f} | {after / white:.2f} | "
             f"{after / begun:.2f} |"
         )
-        inside = np.clip(density / max(float(density.max()), 1e-30) * 4, 0, 1)[..., None]
-        changes.append(((colour - mean) * inside, density - frame.density, frame.velocity))
-    flickers = [
-        (
-            np.mean([flicker(c[..., i].copy(), after[..., i].copy(), u) or 0.0 for i in range(3)]),
-            flicker(d, d_after, u) or 0.0,
-        )
-        for (c, d, u), (after, d_after, _) in zip(changes, changes[1:], strict=False)
+        light = (colour - mean) * result.density[..., None]
+        changes.append((light, result.density - source.density, source.velocity))
+    pairs = [
+        (_of_vectors(light, light_next, u), flicker(change, change_next, u) or 0.0)
+        for (light, change, u), (light_next, change_next, _) in itertools.pairwise(changes)
         if u is not None
     ]
-    if flickers:
-        of_colour, of_density = np.mean(flickers, axis=0)
-        lines.append(f"| {run.name} | flicker of colours {of_colour:.3f}, of the density {of_density:.3f} | | | | | |")
+    if pairs:
+        of_colour, of_density = np.mean(pairs, axis=0)
+        lines.append(f"\n{folder.name}: flicker of colours {of_colour:.3f}, of the density {of_density:.3f}")
     return "\n".join(lines)
+
+
+def _of_vectors(change: np.ndarray, following: np.ndarray, velocity: np.ndarray) -> float:
+    """The flicker of changes (D, H, W, 3): of all components together."""
+    shares = [np.square(following[..., i], dtype=np.float64).sum() for i in range(3)]
+    squares = [
+        (flicker(change[..., i].copy(), following[..., i].copy(), velocity) or 0.0) ** 2 * shares[i] for i in range(3)
+    ]
+    return float(np.sqrt(sum(squares) / sum(shares)))
 
 
 def _beyond(bounds: tuple[float, float]) -> tuple[float, float]:

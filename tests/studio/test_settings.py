@@ -173,6 +173,23 @@ def test_the_latest_recipe_outlives_the_studio(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().err.count("is not kept") == 1
 
 
+@pytest.mark.parametrize(
+    ("recipe", "keys"),
+    [
+        (Recipe(), set()),
+        (Recipe(preset="paper", lam=0.5), {"preset", "lam"}),
+        (Recipe(gamma={1: 0.1, 9: 0.9}, style=("net",)), {"gamma", "style"}),
+        (Recipe(style={1: ["net"], 5: ["cells"]}, lam={1: 0.0, 9: 1.0}), {"style", "lam"}),
+        (Recipe(mask={"shape": "sphere", "centre": [1, 2, 3], "radius": 3}, steps=3), {"mask", "steps"}),
+    ],
+)
+def test_of_the_latest_recipe_what_was_given_counts_as_set(tmp_path: Path, recipe: Recipe, keys: set[str]) -> None:
+    LatestRecipe(tmp_path).keep(recipe)
+    latest = LatestRecipe(tmp_path)
+    assert set(latest.values) == keys
+    assert StudioSettings(values=latest.values).recipe == latest.recipe
+
+
 def test_a_studio_begins_with_what_was_set_last(tmp_path: Path) -> None:
     (tmp_path / "root").mkdir()
     for expected in ([], ["net"]):
