@@ -83,7 +83,7 @@ def require_network(of: str, recorded: str | None, weights: str | None, remedy: 
         raise InputError(
             one_line(
                 f"studio: {of} is of the network {recorded}, and this would be done by {name}; start the studio with "
-                f"--weights and the file of the former, or {remedy}"
+                f"the former as its --weights, or {remedy}"
             )
         )
     return name
