@@ -70,7 +70,7 @@ class Page:
     def view(self) -> np.ndarray:
         """The picture of the smoke, in [0, 1], without its edges, where there is text."""
         picture = Image.open(io.BytesIO(self.page.locator("#view").screenshot())).convert("L")
-        return np.asarray(picture)[26:-40] / 255
+        return np.asarray(picture)[5:-40] / 255
 
     def settled(self) -> np.ndarray:
         """The picture once it is the one that is wanted."""

@@ -101,9 +101,17 @@ def test_a_try_goes_on_from_a_kept_state_to_the_bits_of_the_command(studio: Stud
     command = ["stylize", "--from", str(tries / "0001" / "octaves" / "1"), "--recipe", str(tries / "0002.toml")]
     assert main([*command, "--out", str(tmp_path / "again")]) == 0
     assert results(tmp_path / "again") == results(tries / "0002") != results(tries / "0001")
-    # From its end, where a draft has nothing left to do, a try is a preview.
+    assert branched["line"].endswith(", network bvlc")
+    # From its end, where a draft has nothing left to do, a try is a preview. What may differ stays as it was set.
+    studio.post("/work", action="anew")
+    studio.post("/work", action="open", id="tries/0002")
+    for key, value in (("strength", 0.5), ("motif_size", 0.5), ("views", 1)):
+        studio.post("/set", key=key, value=value)
     studio.post("/work", action="branch", id="tries/0002", octave=None)
     assert studio.session.recipe().eta == 0.01
+    assert (studio.session.recipe().strength, studio.session.recipe().motif_size) == (0.5, "auto")
+    said = "Goals, regions and settings are those of try 2; strength stays as it was set before."
+    assert studio.session.state()["remark"] == {"text": said, "clears": False}
     studio.post("/work", action="try")
     assert set(ended(studio, "tries/0003")["octaves"]) == {2}
     record = json.loads((tries / "0003" / "run.json").read_text())["from"]

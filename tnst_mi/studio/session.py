@@ -236,9 +236,8 @@ class Session:
             with self._news.lock:
                 self._take_over(recipe, work.process.record)
         with self._news.lock:
-            for key, value in free.items():
-                self.settings.set(key, value)
-            self.start, self.remark = (name, octave), taken_over(title_of(name), list(free))
+            kept = self.settings.set_again(free)
+            self.start, self.remark = (name, octave), taken_over(title_of(name), kept)
             self._changed()
 
     def begin_anew(self) -> None:

@@ -138,8 +138,8 @@ function draw() {
       pen.textAlign = align;
       pen.strokeStyle = "#000a";
       pen.lineWidth = 3;
-      pen.strokeText(text, wipe * width + at, 18);
-      pen.fillText(text, wipe * width + at, 18);
+      pen.strokeText(text, wipe * width + at, height - 12);
+      pen.fillText(text, wipe * width + at, height - 12);
     }
     pen.lineWidth = 1;
   }

@@ -113,6 +113,12 @@ class StudioSettings:
         """What has been set of sliders that may differ from what is gone on from."""
         return {key: value for key, value in self.values.items() if key in _KNOBS and key in FREE}
 
+    def set_again(self, values: Mapping[str, Any]) -> list[str]:
+        """Set what was set before of keys that have other values now; returns these keys."""
+        changed = {key: value for key, value in values.items() if getattr(self.recipe, key) != value}
+        self._take(self.values | changed)
+        return list(changed)
+
     def cleared(self) -> StudioSettings:
         """These settings without goals and masks."""
         without = {key: getattr(Recipe(), key) for key in (*GOAL_KEYS, *OTHER_GOALS, "mask")}

@@ -205,6 +205,8 @@ class StudioWork:
                 parts.append(f"about {duration(self.live.left)} left")
         elif self.status == RUNNING:
             parts.append("begins")
+        if (network := self.process.record.network) is not None:
+            parts.append(f"network {network.split()[0]}")
         return ", ".join(parts)
 
 
