@@ -6,7 +6,8 @@ A PATH is a VDB file or a folder of them. For every file: the box in the world, 
 around the surface that Blender makes of the smoke; its grids, their types and the transforms from cells to the world.
 Ends with exit code 1 if Blender cannot read one of them. With --render, the first file of every path is drawn, seen
 from the front (along +Y), side by side and at the same scale, each in the box that all of them fill together: smoke
-that has moved, turned or grown between two folders shows at once.
+that has moved, turned or grown between two folders shows at once. A grid Cd (or color, colour) of three components
+colours it.
 
 Lit smoke and fire as they will be seen are what `tnst-mi show --blender` draws; this draws where it is.
 
@@ -42,7 +43,9 @@ SAMPLES = 16
 DENSITIES = ("density", "density_noise")
 #: The grid of the fire, likewise; it shines where there is one.
 FLAMES = ("flame", "flame_noise")
-#: What it sends out, where it says 1.
+#: The grid of the smoke's colours, likewise.
+COLOURS = ("Cd", "color", "colour")
+#: What the fire sends out, where it says 1.
 BRIGHTNESS = 2.0
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -132,8 +135,8 @@ def spelled(numbers: Sequence[float]) -> str:
     return "(" + ", ".join(f"{number:.4g}" for number in numbers) + ")"
 
 
-def smoke_material(density: str, flame: str | None) -> bpy.types.Material:
-    """A scattering volume whose density is the grid of a name, and which shines as that of another says."""
+def smoke_material(density: str, flame: str | None, colour: str | None) -> bpy.types.Material:
+    """A scattering volume; the names are those of the grids of its density, its own light and its colour."""
     material = bpy.data.materials.new("smoke")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -149,6 +152,7 @@ def smoke_material(density: str, flame: str | None) -> bpy.types.Material:
     links.new(scaled.outputs[0], shader.inputs["Density"])
     shader.inputs["Density Attribute"].default_value = ""
     shader.inputs["Color"].default_value = (0.9, 0.9, 0.9, 1.0)
+    shader.inputs["Color Attribute"].default_value = colour or ""
     if flame is not None:
         fire = nodes.new("ShaderNodeAttribute")
         fire.attribute_name = flame
@@ -184,7 +188,8 @@ def render(volumes: Sequence[bpy.types.Object], out: Path) -> None:
     width, height = 1.15 * (high[0] - low[0]), 1.1 * (high[2] - low[2])
     for index, volume in enumerate(volumes):
         smoke = grid_of(volume, DENSITIES) or DENSITIES[0]
-        volume.data.materials.append(smoke_material(smoke, grid_of(volume, FLAMES)))
+        flame, colour = (grid_of(volume, names) for names in (FLAMES, COLOURS))
+        volume.data.materials.append(smoke_material(smoke, flame, colour))
         volume.location.x += index * width
         add_frame((low[0] + index * width, *low[1:]), (high[0] + index * width, *high[1:]))
     scene = bpy.context.scene

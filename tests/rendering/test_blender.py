@@ -17,7 +17,7 @@ from tnst_mi.rendering.pictures import PathTracedPainter
 
 needs_blender = pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")
 
-SIZE, VIEW = (48, 48), (40.0, 12.0)
+SIZE, VIEW, FRONT = (48, 48), (40.0, 12.0), (0.0, 0.0)
 
 
 def burning() -> Frame:
@@ -47,6 +47,38 @@ def test_blender_and_mitsuba_show_the_same() -> None:
     np.testing.assert_allclose(blocks(theirs), blocks(ours), rtol=0.15)
     # There is something to see: the fire is red, in the lower left from the front.
     assert blocks(ours)[..., 0].max() > 2 * np.median(blocks(ours)[..., 0])
+
+
+def coloured(white: Frame) -> Frame:
+    """The same smoke, red on the left and blue on the right, in whole numbers."""
+    colour = np.zeros((*white.density.shape, 3), np.uint8)
+    colour[:, :, :9, 0] = colour[:, :, 9:, 2] = 255
+    return Frame(white.density, grids={"tint": colour})
+
+
+@needs_blender
+def test_smoke_has_its_colour_where_the_frame_has_it() -> None:
+    """The smoke reaches further to the left than to the right of the two middle columns of the picture."""
+    frame = coloured(burning())
+    painter = BlenderPainter(frame.density.shape, [FRONT], "medium", (12, 12), 8, 0, None, "tint")
+    left, right = painter.paint(frame, FRONT, 0)[4:7].reshape(3, 4, 3, 3).mean((0, 2))[1:3]
+    assert left[0] > 1.5 * left[2] and right[2] > 1.5 * right[0]
+
+
+@needs_blender
+def test_colours_are_those_of_mitsuba() -> None:
+    """Another frame of the sequence, which lacks the grid, is white in both."""
+    white = burning()
+    frame = coloured(white)
+    theirs = BlenderPainter(frame.density.shape, [FRONT], "medium", SIZE, 128, 0, None, "tint")
+    ours = PathTracedPainter(
+        [frame, white], [FRONT], "medium", "volpath", SIZE, 128, 0, denoise=False, fire=None, colour="tint"
+    )
+    for shown in (frame, white):
+        pictures = [painter.paint(shown, FRONT, 0) for painter in (theirs, ours)]
+        blocks = [picture.reshape(6, 8, 6, 8, 3).mean((1, 3)) for picture in pictures]
+        np.testing.assert_allclose(blocks[0], blocks[1], rtol=0.12, atol=0.005)
+        np.testing.assert_allclose(blocks[0].mean((0, 1)), blocks[1].mean((0, 1)), rtol=0.03)
 
 
 def test_the_time_of_a_picture_grows_with_its_samples_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import smoke_box
 from tnst_mi.frame import Frame
 from tnst_mi.rendering import fire
-from tnst_mi.rendering.fire import Fire, black_body, find_fire
+from tnst_mi.rendering.fire import Fire, black_body, find_fire, glow_colours
 from tnst_mi.rendering.fire_light import FireLight
 from tnst_mi.rendering.looks import extinction
 from tnst_mi.rendering.studio import Smoke, Studio
@@ -174,6 +174,30 @@ def test_flames_are_proportional_and_redder_where_they_are_faint() -> None:
     np.testing.assert_allclose(emission[:, 0], fire.BRIGHTNESS * values[0, 0], rtol=2e-3, atol=1e-6)
     green = emission[1:, 1] / emission[1:, 0]
     assert (np.diff(green) > 0).all()
+
+
+@pytest.mark.parametrize(
+    "kelvin, x, y",
+    [(2856, 0.4476, 0.4074), (4000, 0.3805, 0.3768), (5000, 0.3451, 0.3516), (6500, 0.3135, 0.3237)],
+)
+def test_smoke_has_the_hues_of_the_planckian_locus(kelvin: float, x: float, y: float) -> None:
+    """CIE 1931 chromaticities; the primaries and the white of sRGB are those of IEC 61966-2-1."""
+    colour = glow_colours(np.float32([[kelvin]]), 9000.0)[0, 0].astype(float)
+    xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]] @ colour
+    np.testing.assert_allclose(xyz[:2] / xyz.sum(), [x, y], atol=0.004)
+    assert colour.max() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_hues_of_temperatures_with_and_without_a_unit() -> None:
+    """Without one, 0 is 20 °C and the largest is 2200 K; colder than 1000 K is as at 1000 K, without blue."""
+    kelvin = np.array([-5.0, 293.0, 1000.0, 1246.5, 2200.0])
+    in_kelvin = glow_colours(kelvin, 2200.0)
+    np.testing.assert_array_equal(in_kelvin[:2], in_kelvin[[2, 2]])
+    assert in_kelvin[0, 0] == pytest.approx(1.0) and in_kelvin[0, 1] < 0.1 and in_kelvin[0, 2] == 0.0
+    assert (np.diff(in_kelvin[2:, 1]) > 0.02).all()
+    np.testing.assert_allclose(glow_colours(np.array([0.0, 1.5, 3.0]), 3.0), in_kelvin[[1, 3, 4]], atol=1e-6)
+    # The largest of all frames decides, and not what one of them has.
+    assert glow_colours(np.array([100.0]), 150.0)[0, 1] > glow_colours(np.array([100.0]), 2200.0)[0, 1] + 0.05
 
 
 # --- Which grid burns -------------------------------------------------------------------------------------

@@ -20,7 +20,11 @@ from tnst_mi.io.pictures.exr import read_exr
 from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.notebook.main_views import shown_results
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.fire import glow_colours
 from tnst_mi.rendering.smoke_colour import colour_name, colours_of
+from tnst_mi.run.colour import shown_temperature
+from tnst_mi.run.measure import measured
+from tnst_mi.run.prepare import prepare
 
 __all__ = ["optimiser"]
 
@@ -102,20 +106,61 @@ def test_a_notebook_shows_a_result_in_memory_in_the_same_colours(weights: str, t
             np.testing.assert_allclose(picture, same, rtol=0, atol=1e-6)
 
 
+def test_temperatures_are_shown_in_the_colours_of_black_bodies(weights: str, tmp_path: Path) -> None:
+    """Without a unit, the hottest of all frames says what they mean; in memory and in a notebook it is the same."""
+    up = np.broadcast_to(np.linspace(0, 1, SHAPE[1], dtype=np.float32)[:, None], SHAPE)
+    frames = [dataclasses.replace(f, grids={"heat": (2 + i) * up}) for i, f in enumerate(moving_smoke(2))]
+    recipe = Recipe(**GOAL, weights=weights, colour="keep")
+    result = tnst_mi.stylize(frames, recipe, tmp_path / "out", progress=False)
+    assert result.run["temperature"] == ["heat", 3.0]
+    assert any("heat as a temperature, up to 3, taken as 2200 K" in line for line in prepare(frames, recipe).reading)
+    before, after = (frames[0].density, frames[0].grids), (result.densities[1], result.grids[1])
+    for index, (density, grids) in enumerate((before, after)):
+        image = pictures(tmp_path / "out", frames[index].name)[index]
+        expected = result.run["frames"][index]["exposure"] * tnst_mi.render(
+            density * np.float32(result.run["density_scale"]),
+            result.run["main_view"],
+            result.recipe.at(frames[index].number).extinction,
+            result.recipe.quadrature,
+            size=image.shape[:2],
+            colour=srgb(glow_colours(grids["heat"], 3.0)),
+        )
+        np.testing.assert_allclose(image, expected, rtol=0, atol=1e-5)
+        assert image[..., 0].max() > 2 * image[..., 2].max()
+    given = tnst_mi.stylize(frames, recipe, progress=False)
+    for one, other in zip(shown_results(result, [0])[0].pictures, shown_results(given, [0])[0].pictures, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+
+
+def test_colours_come_before_temperatures() -> None:
+    """In the frames that lack them too."""
+    cold, warm = moving_smoke(2)
+    frames = [
+        dataclasses.replace(cold, grids={"heat": cold.density + 1}),
+        dataclasses.replace(warm, grids={"Cd": np.ones((*SHAPE, 3), np.float32)}),
+    ]
+    recipe = Recipe(colour="keep")
+    assert shown_temperature(recipe, measured(frames, "all")[0]) is None
+    assert shown_temperature(recipe, measured(frames[:1], "all")[0]) == ("heat", float(cold.density.max()) + 1)
+    assert shown_temperature(Recipe(), measured(frames[:1], "all")[0]) is None
+
+
 @pytest.mark.parametrize(
     ("grids", "keys", "message"),
     [
-        ({}, {}, "no grid of colours, such as Cd or color, beside the density, those found are: 'heat'"),
-        ({"Cd": np.ones((*SHAPE, 3), np.float32)}, {"carry": "heat"}, "'Cd' is left out by carry; add it there"),
+        ({}, {}, "no grid of colours, .* nor of temperatures above 0 .*, those beside the density are: 'fuel'"),
+        ({"heat": -np.ones(SHAPE, np.float32)}, {}, "no grid of colours, .* nor of temperatures above 0"),
+        ({"heat": np.ones(SHAPE, np.float32)}, {"carry": "fuel"}, "nor of temperatures above 0 moves with the smoke"),
+        ({"Cd": np.ones((*SHAPE, 3), np.float32)}, {"carry": "fuel"}, "'Cd' is left out by carry; add it there"),
         ({"Cd": np.ones(SHAPE, np.float32)}, {}, "s_005: grid 'Cd' has shape .*, expected colours"),
         ({"Cd": np.ones((*SHAPE, 3), np.float32)}, {"integrator": "prbvolpath"}, "which shows grey smoke; expected"),
     ],
-    ids=["no colour", "left behind", "scalar", "path traced"],
+    ids=["no colour", "cold", "left behind temperature", "left behind", "scalar", "path traced"],
 )
 def test_colours_that_cannot_be_kept_are_refused_before_the_work(
     grids: dict, keys: dict, message: str, optimiser: FakeOptimiser, tmp_path: Path
 ) -> None:
-    frames = [dataclasses.replace(f, grids=grids | {"heat": f.density}) for f in moving_smoke(2)]
+    frames = [dataclasses.replace(f, grids=grids | {"fuel": f.density}) for f in moving_smoke(2)]
     recipe = Recipe(style=("spirals",), colour="keep", **keys)
     with pytest.raises(InputError, match=message):
         tnst_mi.stylize(frames, recipe, tmp_path / "out", progress=False)

@@ -93,8 +93,6 @@ def run(arguments: ShowArguments) -> int:
         require_blender()
         if studio.denoise:
             raise InputError("--denoise: is of OptiX, which denoises pictures of Mitsuba; leave it out with --blender")
-        if studio.colour is not None:
-            raise InputError("--colour: is of pictures of Mitsuba, smoke is white in Blender; leave it out there")
     parts = [reopened(path) for path in arguments.files]
     chosen = _chosen(parts, selection.frame_range)
     count = len(chosen)
@@ -110,7 +108,7 @@ def run(arguments: ShowArguments) -> int:
         shots = shots_of_turn(count, views[0], turntable)
     exhibits = replace(exhibits, factor=unit.factor)
     fire = find_fire(exhibits, studio.fire)
-    colour = None if arguments.blender else find_colour(exhibits, studio.colour)
+    colour = find_colour(exhibits, studio.colour)
     unit.note()
     say([] if fire is None else [fire.in_words])
     say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
@@ -238,7 +236,7 @@ def _painter(
     """What renders the panels."""
     if arguments.blender:
         shape = exhibits.frame(0, 0).density.shape
-        return BlenderPainter(shape, views, look, size, samples, seed, fire)
+        return BlenderPainter(shape, views, look, size, samples, seed, fire, colour)
     denoise = arguments.studio.denoise
     painter = PathTracedPainter(exhibits, views, look, "volpath", size, samples, seed, denoise, fire, colour)
     if arguments.studio.denoise and not painter.denoised:

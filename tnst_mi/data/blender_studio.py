@@ -35,7 +35,10 @@ def nodes_of(material: bpy.types.Material) -> tuple[bpy.types.NodeTree, bpy.type
 
 
 def smoke_material(extinction: float, albedo: float) -> bpy.types.Material:
-    """Scatters and absorbs by the grid density, and shines with the grid emission_color, where there is one."""
+    """Scatters and absorbs by the grid density, and shines with the grid emission_color, where there is one.
+
+    A grid Cd, where there is one, multiplies the albedo.
+    """
     material = bpy.data.materials.new("smoke")
     tree, output = nodes_of(material)
     density, colour = (tree.nodes.new("ShaderNodeAttribute") for _ in range(2))
@@ -46,6 +49,7 @@ def smoke_material(extinction: float, albedo: float) -> bpy.types.Material:
     shader = tree.nodes.new("ShaderNodeVolumePrincipled")
     shader.inputs["Density Attribute"].default_value = ""
     shader.inputs["Color"].default_value = (albedo, albedo, albedo, 1.0)
+    shader.inputs["Color Attribute"].default_value = "Cd"
     shader.inputs["Emission Strength"].default_value = 1.0
     tree.links.new(density.outputs["Fac"], scaled.inputs[0])
     tree.links.new(scaled.outputs[0], shader.inputs["Density"])

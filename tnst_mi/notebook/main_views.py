@@ -16,7 +16,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.driving import main_view, stills
 from tnst_mi.rendering.exposure import exposure_for
 from tnst_mi.rendering.levels import by_cell, full_level
-from tnst_mi.rendering.smoke_colour import colour_name, shown_colours
+from tnst_mi.rendering.smoke_colour import shown_colours, shown_grid
 from tnst_mi.run.api import Result
 from tnst_mi.run.inputs import reference_density
 from tnst_mi.run.record import mass_change
@@ -80,7 +80,9 @@ def _before_and_after(result: Result, index: int) -> tuple[np.ndarray, np.ndarra
     recipe = replace(recipe, shots=() if shot is None else (tuple(shot),))
     size = full_level(result.recipe, frame.density.shape).size
     densities = frame.density, result.densities[index]
-    name = colour_name(result.grids[index]) if recipe.colour != "off" else None
+    name, hottest = None, None
+    if recipe.colour != "off":
+        name, hottest = shown_grid(tuple(result.grids[index]), result.run.get("temperature"))
     with own_variant():
         if name is None:
             first, last = (
@@ -89,7 +91,12 @@ def _before_and_after(result: Result, index: int) -> tuple[np.ndarray, np.ndarra
             )
         else:
             first, last = (
-                main_view(scaled(density, factor), recipe, size, shown_colours(grids, name, frame.name, density.shape))
+                main_view(
+                    scaled(density, factor),
+                    recipe,
+                    size,
+                    shown_colours(grids, name, frame.name, density.shape, hottest),
+                )
                 for density, grids in zip(densities, (frame.grids, result.grids[index]), strict=True)
             )
     return record["exposure"] * first, record["exposure"] * last

@@ -15,7 +15,8 @@ class Colouring:
     colour: Annotated[str, Choice(("off", "style", "keep"))] = "off"
     """Colour of the smoke: off shows it in grey; style gives it the colours of the style pictures, which the network
     sees in colour then, and writes them as Cd; keep shows it in the colour that moves with it, the grid Cd, color or
-    the like of the input, while the network sees grey (docs/colour.md)."""
+    the like of the input, or else its temperature as the hue of a black body, while the network sees grey
+    (docs/colour.md)."""
     colour_weight: Annotated[float, Number(low=0.0)] = 1.0
     """With colour = style, the weight of the pictures' palettes, which colours alone follow, beside that of their
     strokes, style_weight, 0 or more. With style_weight = 0 the smoke takes on a palette without strokes."""

@@ -25,9 +25,11 @@ from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.png import srgb
 from tnst_mi.io.sequence import save_frame
 from tnst_mi.machine.blender import require_blender, run_in_blender
+from tnst_mi.rendering.albedo import albedo_of
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.fire import Fire
 from tnst_mi.rendering.looks import extinction, look_file
+from tnst_mi.rendering.smoke_colour import colours_of
 from tnst_mi.rendering.studio_camera import field_of_view, ground_height, stand
 from tnst_mi.resources import DATA, scene_file
 
@@ -51,6 +53,7 @@ class BlenderPainter:
         size: (width, height) in pixels.
         samples: paths per pixel.
         fire: what burns in the frames, if anything.
+        colour: the name of the grid that colours them, if any.
 
     Raises:
         InputError: Blender is not installed.
@@ -63,6 +66,7 @@ class BlenderPainter:
     samples: int
     seed: int
     fire: Fire | None
+    colour: str | None = None
 
     def __post_init__(self) -> None:
         """Look for Blender."""
@@ -111,12 +115,14 @@ class BlenderPainter:
             return read_linear(folder / "picture.exr", math.prod(self.size)), seconds
 
     def _write(self, file: Path, frame: Frame) -> None:
-        """Write the smoke and the emission of a frame, its longest edge as 1 and its centre as the origin."""
+        """Write the smoke, emission and colour of a frame, its longest edge as 1 and its centre as the origin."""
         d, h, w = self.shape
         cell = 1 / max(self.shape)
         # Cycles takes the place of a voxel, which is its centre, as that of its lowest corner.
         corner = tuple(-n / 2 * cell for n in (w, d, h))
         grids = {} if self.fire is None else {"emission_color": self.fire.emission(frame)}
+        if self.colour is not None and self.colour in frame.grids:
+            grids["Cd"] = albedo_of(colours_of(frame.grids, self.colour, frame.name), 1.0)
         save_frame(
             file, Frame(frame.density, placement=Placement(cell, (corner[0], corner[1], corner[2])), grids=grids)
         )

@@ -3,6 +3,8 @@
 A flame f, from 0 to its largest value over all frames, emits f times a warm colour, deep red where it is faint. A
 temperature emits as a black body: in kelvin if it reaches 200, else it is taken as 20 °C at 0 and 2200 K at its largest
 value. Both are relative: the brightest place of all frames emits `BRIGHTNESS` in its strongest colour.
+
+Temperatures also colour smoke that does not burn, with the hue of that light and not its strength: `glow_colours`.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ _TEMPERATURE = {"temperature", "temp", "heat"}
 _KELVIN = 200.0
 #: Below, a body does not glow visibly (Draper point).
 _GLOWS = 798.0
+#: Of black bodies that are as cold or colder, smoke has this one's hue: theirs are redder than sRGB.
+_COLDEST = 1000.0
 #: Of a temperature without a unit, at 0 and at its largest value, in kelvin.
 _AMBIENT, _HOTTEST = 293.0, 2200.0
 #: Black bodies of the colours of the faintest and the strongest flame, in kelvin.
@@ -61,9 +65,7 @@ class Fire:
         """Which grid was taken as what."""
         if not self.temperature:
             return f"fire: grid {self.grid} as a flame, up to {self.largest:.4g}"
-        if self.largest >= _KELVIN:
-            return f"fire: grid {self.grid} as a temperature, up to {self.largest:.4g} K"
-        return f"fire: grid {self.grid} as a temperature, up to {self.largest:.4g}, taken as {_HOTTEST:g} K"
+        return f"fire: {temperature_in_words(self.grid, self.largest)}"
 
     def emission(self, frame: Frame) -> np.ndarray:
         """The emission of a frame, linear RGB radiance per longest edge of the grid, (D, H, W, 3) float32.
@@ -87,8 +89,7 @@ class Fire:
 
     def _temperature_ramp(self, share: np.ndarray) -> np.ndarray:
         """Emission relative to the strongest, of shares of the largest value, (N, 3)."""
-        kelvin = share * self.largest if self.largest >= _KELVIN else _AMBIENT + share * (_HOTTEST - _AMBIENT)
-        glow = black_body(np.maximum(kelvin, 1.0))
+        glow = black_body(np.maximum(_kelvin(share, self.largest), 1.0))
         return glow / glow[-1].max()
 
 
@@ -113,8 +114,7 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
     for frame in frames:
         names |= dict.fromkeys(frame.grids)
         for name in frame.grids:
-            flame, temperature = (bool(words & set(plain_name(name).split())) for words in (_FLAME, _TEMPERATURE))
-            wanted = name == choice if choice is not None else flame or temperature
+            wanted = name == choice if choice is not None else _says(name, _FLAME | _TEMPERATURE)
             if not wanted or (choice is None and frame.grids[name].ndim != 3):
                 continue
             values = _scalar(frame, name)
@@ -123,7 +123,7 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
                 largest, boxes = float(values.max()), [box]
                 if name in found:
                     largest, boxes = max(largest, found[name].largest), [box, found[name].occupied]
-                found[name] = Fire(name, temperature and not flame, largest, hull(boxes))
+                found[name] = Fire(name, is_temperature(name), largest, hull(boxes))
     if choice is not None and choice not in names:
         others = f"expected one of {listed(list(names))}, or none" if names else "there is none beside the density"
         raise InputError(f"--fire {choice}: no frame has such a grid; {others}")
@@ -131,6 +131,39 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
         raise InputError(f"--fire {choice}: is not above 0 anywhere, so nothing burns; give another grid, or none")
     burning = [fire for fire in found.values() if not fire.temperature or choice is not None or fire.largest >= _GLOWS]
     return min(burning, key=lambda fire: fire.temperature, default=None)
+
+
+def is_temperature(name: str) -> bool:
+    """Whether the name of a grid says that its values are temperatures.
+
+    Example:
+        >>> from tnst_mi.rendering.fire import is_temperature
+        >>> is_temperature("temperature"), is_temperature("heat_01"), is_temperature("flame_heat")
+        (True, True, False)
+    """
+    return _says(name, _TEMPERATURE) and not _says(name, _FLAME)
+
+
+def temperature_in_words(grid: str, largest: float) -> str:
+    """What a grid of temperatures up to the largest of all frames is taken as."""
+    unit = " K" if largest >= _KELVIN else f", taken as {_HOTTEST:g} K"
+    return f"grid {grid} as a temperature, up to {largest:.4g}{unit}"
+
+
+def glow_colours(temperature: np.ndarray, largest: float) -> np.ndarray:
+    """The hues of black bodies, linear sRGB of which the strongest is 1, (…, 3) float32.
+
+    Args:
+        temperature: in kelvin, or without a unit.
+        largest: of all frames, above 0; it says which.
+    """
+    kelvin = _kelvin(np.clip(temperature, 0.0, largest) / largest, largest)
+    # The hue changes about evenly with the reciprocal of the temperature.
+    reciprocal = np.linspace(1 / max(_COLDEST, float(_kelvin(np.ones(1), largest)[0])), 1 / _COLDEST, _COLOURS)
+    glow = black_body(1 / reciprocal)
+    glow /= glow.max(axis=1, keepdims=True)
+    place = 1 / np.maximum(kelvin, _COLDEST)
+    return np.stack([np.interp(place, reciprocal, channel) for channel in glow.T], axis=-1).astype(np.float32)
 
 
 def black_body(kelvin: np.ndarray) -> np.ndarray:
@@ -142,6 +175,11 @@ def black_body(kelvin: np.ndarray) -> np.ndarray:
     wavelengths = np.arange(380.0, 781.0, 5.0)
     planck = wavelengths**-5.0 * 1e15 / np.expm1(np.minimum(_C2 / (wavelengths * kelvin[:, None]), 700.0))
     return np.maximum(planck @ _observer(wavelengths) @ _SRGB.T, 0.0)
+
+
+def _kelvin(share: np.ndarray, largest: float) -> np.ndarray:
+    """Temperatures in kelvin, of shares of the largest of all frames."""
+    return share * largest if largest >= _KELVIN else _AMBIENT + share * (_HOTTEST - _AMBIENT)
 
 
 def _observer(wavelengths: np.ndarray) -> np.ndarray:
@@ -167,6 +205,10 @@ def flame_colours(count: int) -> Sequence[Sequence[float]]:
     """Colours of a flame from faint to strong, linear sRGB with 1 as the strongest, for renderers with ramps."""
     glow = black_body(np.linspace(_FAINT, _STRONG, count))
     return (glow / glow.max(axis=1, keepdims=True)).tolist()
+
+
+def _says(name: str, words: set[str]) -> bool:
+    return not words.isdisjoint(plain_name(name).split())
 
 
 def _scalar(frame: Frame, name: str) -> np.ndarray:

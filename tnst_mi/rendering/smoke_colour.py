@@ -1,8 +1,11 @@
-"""The colour of a frame's smoke: which of the grids beside its density that is, and its values as linear RGB."""
+"""The colour of a frame's smoke: which of the grids beside its density that is, and its values as linear RGB.
+
+Where there are no colours, temperatures may stand in for them, with those of black bodies.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
 from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.machine.terminal import quoted, some_of
+from tnst_mi.rendering.fire import glow_colours
 
 #: Names that say enough by themselves, in order of preference: Houdini's, and Blender's.
 _USUAL = ("cd", "color", "colour")
@@ -51,18 +55,48 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
 
 
 def shown_colours(
-    grids: Mapping[str, np.ndarray], name: str | None, frame: str, cells: tuple[int, ...]
+    grids: Mapping[str, np.ndarray],
+    name: str | None,
+    frame: str,
+    cells: tuple[int, ...],
+    hottest: float | None = None,
 ) -> np.ndarray | None:
-    """A grid of colours, (D, H, W, 3), as the pictures of a run show them: display values, of which white is 1.
+    """The colours of a grid, (D, H, W, 3), as the pictures of a run show them: display values, of which white is 1.
 
     The light that smoke gives has no curve in these pictures, so that its colour alone has it. None without a name;
-    frames that lack the grid are white, on `cells` (D, H, W). Errors are those of `colours_of`.
+    frames that lack the grid are white, on `cells` (D, H, W).
+
+    Args:
+        grids: of a frame, by name.
+        name: of the grid.
+        frame: name of the frame, for messages.
+        cells: of the frame.
+        hottest: where the grid has temperatures, the largest of all frames; None for colours.
+
+    Raises:
+        InputError: it has no colours, and no temperatures either.
     """
     if name is None:
         return None
     if name not in grids:
         return np.ones((*cells, 3), np.float32)
-    return srgb(colours_of(grids, name, frame))
+    if hottest is None:
+        return srgb(colours_of(grids, name, frame))
+    if grids[name].ndim != 3:
+        raise InputError(f"{frame}: grid {quoted(name)} has shape {grids[name].shape}, expected a temperature")
+    return srgb(glow_colours(grids[name].astype(np.float32), hottest))
+
+
+def shown_grid(names: Sequence[str], temperature: tuple[str, float] | None) -> tuple[str | None, float | None]:
+    """The grid of a frame that colours it in pictures of a run, None for grey ones, and `hottest` of `shown_colours`.
+
+    Args:
+        names: of the grids that move with the smoke of the frame.
+        temperature: the grid whose temperatures are shown in all frames, and their largest; None for colours.
+    """
+    if temperature is None:
+        return colour_name(names), None
+    return temperature if temperature[0] in names else (None, None)
 
 
 def find_colour(frames: Iterable[Frame], choice: str | None) -> str | None:
@@ -108,6 +142,6 @@ def require_colour(carried: Iterable[str], there: Iterable[str]) -> str:
         raise InputError(f"colour = 'keep': the smoke's colour {quoted(left)} is left out by carry; add it there")
     among = some_of([quoted(one) for one in known], _SHOWN) or "none"
     raise InputError(
-        f"colour = 'keep': no grid of colours, such as Cd or color, beside the density, those found are: {among}; "
-        "expected colour = 'off'"
+        "colour = 'keep': no grid of colours, such as Cd or color, nor of temperatures above 0 moves with the smoke, "
+        f"those beside the density are: {among}; expected colour = 'off'"
     )

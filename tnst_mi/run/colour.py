@@ -10,6 +10,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.formats import held
 from tnst_mi.machine.terminal import quoted
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.fire import temperature_in_words
 from tnst_mi.rendering.smoke_colour import colour_name, colours_of, require_colour
 from tnst_mi.run.carry import chosen, with_colour, written_colour
 from tnst_mi.run.measure import Measure
@@ -23,14 +24,22 @@ class ColourGrids:
         begins_with: of the input's colours, with which optimised ones begin; None if these begin with the pictures'
             mean, or none are optimised.
         written: of the grid in which optimised colours are written; None if none are.
+        temperature: of the grid whose temperatures are shown as colours, and the largest of all frames; None if
+            none are.
     """
 
     begins_with: str | None = None
     written: str | None = None
+    temperature: tuple[str, float] | None = None
 
     @property
     def notes(self) -> list[str]:
         """What is to be said of them."""
+        if self.temperature is not None:
+            return [
+                f"note: colour: {temperature_in_words(*self.temperature)}, in the colours of black bodies; a grid Cd "
+                "would be shown in its place, and colour = 'off' shows grey smoke"
+            ]
         if self.begins_with is None:
             return []
         return [
@@ -56,6 +65,18 @@ class ColourGrids:
         return list(found)
 
 
+def shown_temperature(recipe: Recipe, measures: Sequence[Measure]) -> tuple[str, float] | None:
+    """The grid whose temperatures are shown as colours, and the largest of them in all frames.
+
+    None if the recipe does not keep colours, or a frame has some.
+    """
+    if recipe.colour != "keep" or any(colour_name(measure.movable) is not None for measure in measures):
+        return None
+    hottest = [entry for measure in measures for entry in measure.hottest.items()]
+    name = next((name for name, _ in hottest), None)
+    return None if name is None else (name, max(largest for other, largest in hottest if other == name))
+
+
 def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[Frame]) -> ColourGrids:
     """The grids of colour of a run.
 
@@ -64,6 +85,8 @@ def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[F
     """
     if recipe.colour == "off":
         return ColourGrids()
+    if (temperature := shown_temperature(recipe, measures)) is not None:
+        return ColourGrids(temperature=temperature)
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     carried = chosen(recipe.carry, movable)
     name = require_colour(carried, movable) if recipe.colour == "keep" else colour_name(carried)

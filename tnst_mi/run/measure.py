@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from tnst_mi.network.download import file_hash
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, mask_files, targets_of
 from tnst_mi.rendering.cameras.shots import ShotView
+from tnst_mi.rendering.fire import is_temperature
 from tnst_mi.run.carry import movable, read_chosen
 from tnst_mi.run.folder import DAMAGE, ELSEWHERE, is_file_name
 from tnst_mi.run.inputs import frame_digest, grid_digest
@@ -39,6 +41,7 @@ class Measure:
         movable: the names of all that can move with the smoke.
         others: the SHA-256 of its other grids that do, by name.
         placement: where it lies in its scene, without what results keep of its file.
+        hottest: the largest value of each of its other grids that has temperatures, if it is above 0, by name.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Measure:
     movable: tuple[str, ...] = ()
     others: Mapping[str, str] = field(default_factory=dict)
     placement: Placement | None = None
+    hottest: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def identity(self) -> str:
@@ -74,10 +78,16 @@ def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure
     for frame in checked_shapes(frames):
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        others = {name: grid_digest(values) for name, values in read_chosen(frame, carry)}
+        others, hottest = {}, {}
+        for name, values in read_chosen(frame, carry):
+            others[name] = grid_digest(values)
+            if values.ndim == 3 and is_temperature(name) and 0 < (largest := float(values.max())) < math.inf:
+                hottest[name] = largest
         place = None if frame.placement is None else replace(frame.placement, own=None, source=None)
         names, digest = tuple(movable(frame)), frame_digest(frame)
-        measures.append(Measure(frame.name, frame.number, frame.mass, densest, digest, moves, names, others, place))
+        measures.append(
+            Measure(frame.name, frame.number, frame.mass, densest, digest, moves, names, others, place, hottest)
+        )
     counts = Counter(measure.name for measure in measures)
     for name in counts:
         if not is_file_name(name):

@@ -239,6 +239,7 @@ def prepare(
         "files": file_digests(recipe),
         "reference_density": reference.value,
         "density_scale": density_scale,
+        **({} if colours.temperature is None else {"temperature": list(colours.temperature)}),
         # Frames of different γ have exposures of their own, which are with the frames.
         "carried": colours.carried(recipe, measures, suffix),
         "exposure": exposures[0] if len(set(exposures)) == 1 else None,

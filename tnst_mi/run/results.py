@@ -10,8 +10,9 @@ from tnst_mi.fields.density_unit import scaled
 from tnst_mi.frame import Frame
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.rendering.driving import main_view
-from tnst_mi.rendering.smoke_colour import colour_name, shown_colours
+from tnst_mi.rendering.smoke_colour import shown_colours, shown_grid
 from tnst_mi.run.carry import carried
+from tnst_mi.run.colour import shown_temperature
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.record import frame_record
 from tnst_mi.run.work import Work
@@ -41,14 +42,16 @@ def write_results(
     recipe, exposure, history = plan.recipe, plan.exposure, stylized.history
     carry = carried(source, stylized, work.recipe.carry, work.suffix, work.measures[index].others)
     record = frame_record(source, plan, stylized) | {"carried": list(carry.names)}
-    name = colour_name(carry.names) if recipe.colour != "off" else None
+    name, hottest = None, None
+    if recipe.colour != "off":
+        name, hottest = shown_grid(carry.names, shown_temperature(recipe, work.measures))
     before, after = (
         exposure
         * main_view(
             scaled(density, work.plan.density_scale),
             recipe,
             work.plan.full.size,
-            shown_colours(grids, name, source.name, density.shape),
+            shown_colours(grids, name, source.name, density.shape, hottest),
         )
         for density, grids in ((source.density, source.grids), (stylized.density, carry.grids))
     )
