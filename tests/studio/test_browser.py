@@ -112,9 +112,8 @@ def browser() -> Iterator[Any]:
 @contextmanager
 def studio_url(root: Path, out: Path, weights: Path) -> Iterator[str]:
     """The URL that the command prints; it ends as Ctrl-C would end it."""
-    environment = os.environ | {"TNST_MI_WEIGHTS": str(weights)}
-    command = [sys.executable, "-m", "tnst_mi", "studio", str(root), "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    command = [sys.executable, "-m", "tnst_mi", "studio", str(root), "--out", str(out), "--weights", str(weights)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
             word, url = process.stdout.readline().split()
@@ -664,6 +663,7 @@ def test_cards_do_not_slip_under_a_second_click_and_new_ones_are_seen(
     views = page.locator(".knob", has=page.locator("#knob-views"))
     views.locator(".key").click()
     expect(views.locator("p")).to_be_in_viewport(ratio=0.9)
+    shown.photographed("13_help")
     page.context.close()
 
 
@@ -684,6 +684,7 @@ def test_news_is_of_what_is_there(smoke: Studio, tmp_path: Path, opened: Callabl
     page.locator("#files button[data-path=more]").click()
     page.locator("#all").click()
     page.locator("#remark", has_text="The goals and regions that were set stay.").wait_for()
+    shown.photographed("11_stays")
     page.locator("#remark .clear").click()
     page.locator("#goals .goal").first.wait_for(state="detached")
     page.locator("#remark").wait_for(state="hidden")
@@ -692,6 +693,7 @@ def test_news_is_of_what_is_there(smoke: Studio, tmp_path: Path, opened: Callabl
     expect(page.locator("#network")).to_have_text("of the network bvlc")
     page.locator("#find").fill("zzz")
     page.locator("#motifs", has_text="nothing is called 'zzz'; a picture can be searched for too").wait_for()
+    shown.photographed("12_not_found")
     page.context.close()
 
 
