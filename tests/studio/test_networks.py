@@ -98,6 +98,21 @@ def test_what_was_begun_by_another_network_is_not_gone_on_with(
         assert studio.session.workshop.work("tries/0002").process.record.network == work.process.record.network
 
 
+def test_channels_are_those_of_the_network_that_is_told(
+    smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the network that ships with the package, which runs take for channels only if their recipe names it."""
+    monkeypatch.setenv("TNST_MI_WEIGHTS", PATTERNS)
+    session = Session(Places(smoke.parent), tmp_path / "out")
+    session.open(smoke)
+    session.toggle("tag", "spiral")
+    assert session.recipe().weights is None
+    session.toggle("semantic", "inception_4b/pool_proj:6")
+    assert session.recipe().weights == PATTERNS and session.state()["network"]["flavour"] == PATTERNS
+    prepare(smoke, session.recipe(), tmp_path / "run")
+    session.end()
+
+
 def test_weights_that_cannot_be_used_are_told_until_they_can(tmp_path: Path, weights: Path) -> None:
     told, file = NetworksTold(), tmp_path / "later.safetensors"
     missing = told.of(str(file))

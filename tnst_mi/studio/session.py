@@ -126,7 +126,7 @@ class Session:
         """Add or remove a goal; see `StudioSettings.toggle`."""
         with self._news.lock:
             self.require_anew()
-            self.settings.toggle(key, goal)
+            self.settings.toggle(key, goal, self._networks.of(self.settings.recipe.weights)["flavour"])
             self._changed()
 
     def clear(self) -> None:
