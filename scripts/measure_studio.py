@@ -43,6 +43,9 @@ MOVING, STILL = (400, 560), (900, 1260)
 #: What smoke is as thick as.
 LOOKS = ("network", "thin", "medium", "thick")
 
+#: The goal of tries.
+STYLE = "spirals"
+
 #: Pictures of a turn.
 TURN = 60
 
@@ -158,7 +161,7 @@ def measured(frame: Path, minutes: float) -> dict[str, Any]:
         found["moving"] = client.turn(MOVING, coarse=1)
         found["moving, perspective"] = client.turn(MOVING, coarse=1, perspective=1)
         found["still"] = client.turn(STILL)
-        client.post("/goal", key="style", goal="spirals")
+        client.post("/goal", key="style", goal=STYLE)
         client.post("/work", action="try", alone=0)
         client.until("running", least_done=3)
         found["moving, tried"] = client.turn(MOVING, coarse=1)
@@ -200,6 +203,8 @@ def session(client: Client, minutes: float) -> list[tuple[float, float]]:
             rounds += 1
             if now >= UPLOAD_EVERY * uploads:
                 client.drop("/upload", f"picture {uploads}.png", noise(uploads))
+                client.post("/clear")  # it is chosen, and tries would take longer and longer
+                client.post("/goal", key="style", goal=STYLE)
                 client.drop("/alike", f"picture {uploads}.png", noise(uploads))
                 uploads += 1
             if now >= TRY_EVERY * tries:

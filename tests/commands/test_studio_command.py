@@ -33,6 +33,8 @@ def test_what_cannot_be_served_is_refused(run: Run, smoke: Path) -> None:
         (["--variant", "scalar_rgb"], "variant"),
         (["--out", smoke / "f_07.npz" / "x"], "cannot be written to"),
         (["--token", "x"], "unexpected '--token'"),
+        (["--weights", smoke / "none"], "no such file or folder; expected GoogLeNet weights, or patterns"),
+        (["--weights", next(smoke.glob("*.npz"))], "weights"),
     ):
         refused(run, smoke.parent, ["studio", smoke, "--out", smoke.parent / "out", *flags], message)
     refused(run, smoke.parent, ["studio", smoke / "none" / "none.npz"], "no such file or folder")

@@ -198,9 +198,9 @@ def test_an_uploaded_picture_becomes_a_style(studio: Studio) -> None:
     assert thumbnail.status == 200 and thumbnail.headers["Content-Type"] == "image/png"
     with Image.open(io.BytesIO(thumbnail.body)) as opened:
         assert opened.size == (96, 96)
-    assert studio.post("/goal", key="style", goal=motif["goal"]).status == 200
     assert studio.session.recipe().style == (motif["goal"],)
-    studio.post("/goal", key="style", goal=motif["goal"])
+    assert studio.post("/goal", key="style", goal=motif["goal"]).status == 200
+    assert studio.session.recipe().style == ()
 
 
 @pytest.mark.parametrize(

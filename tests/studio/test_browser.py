@@ -112,9 +112,8 @@ def browser() -> Iterator[Any]:
 @contextmanager
 def studio_url(root: Path, out: Path, weights: Path) -> Iterator[str]:
     """The URL that the command prints; it ends as Ctrl-C would end it."""
-    environment = os.environ | {"TNST_MI_WEIGHTS": str(weights)}
-    command = [sys.executable, "-m", "tnst_mi", "studio", str(root), "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    command = [sys.executable, "-m", "tnst_mi", "studio", str(root), "--out", str(out), "--weights", str(weights)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
             word, url = process.stdout.readline().split()
@@ -197,7 +196,7 @@ def test_look_choose_try_and_compare(root: Path, tmp_path: Path, weights: Path, 
         Image.fromarray(np.random.default_rng(1).integers(0, 255, (40, 60), np.uint8)).save(tmp_path / "my fire.jpg")
         page.locator("#find").fill("")
         page.locator("#picture").set_input_files(tmp_path / "my fire.jpg")
-        page.locator("#motifs [data-key=style]", has_text="my_fire").click()
+        page.locator("#motifs [data-key=style].on", has_text="my_fire").wait_for()
         page.locator("#goals .goal", has_text="style my_fire").locator("button").click()
         # A try, whose loss falls while one looks on.
         page.locator("#try").click()
@@ -417,6 +416,18 @@ def test_regions_are_shaped_and_painted_in_the_view(
             page.locator(".part").nth(count - 1).wait_for(state="detached")
         page.locator(".job button[data-action=open]").click()
         page.locator(".part[data-form=image]").wait_for()
+        # Results are seen as they are; a part that is chosen is shown with its handles, until they are compared again.
+        shows = page.locator("#masks-shown")
+        expect(shows).not_to_be_checked()
+        clear = shown.settled()
+        page.locator(".part[data-form=box] .head button").first.click()
+        expect(shows).to_be_checked()
+        assert (np.abs(shown.settled() - clear) > 0.1).sum() > 500
+        assert {name for name, _ in json.loads(drawing.get_attribute("data-handles"))} >= {"low x", "high x", "centre"}
+        page.locator("#mode-after").click()
+        expect(shows).not_to_be_checked()
+        page.locator("#mode-wipe").click()
+        assert np.abs(shown.settled() - clear).max() < 0.02
         other.page.locator(".part").nth(2).wait_for()
         shown.settled()
         shown.photographed("9_reopened")
@@ -600,6 +611,62 @@ def test_what_is_set_by_keys_outlasts_news(smoke: Studio, opened: Callable[[str]
     page.context.close()
 
 
+def test_cards_do_not_slip_under_a_second_click_and_new_ones_are_seen(
+    smoke: Studio, tmp_path: Path, opened: Callable[[str], Page]
+) -> None:
+    for number in range(1, 8):
+        smoke.post("/work", action="try")
+        smoke.session.workshop.work(f"tries/{number:04d}").process.wait(30)
+    shown = opened(address(smoke))
+    page = shown.page
+    page.locator(".job.failed").nth(6).wait_for()
+    page.locator("#work").evaluate("(list) => { list.scrollTop = list.scrollHeight; }")
+    page.locator("#try").click()
+    new = page.locator(".job[data-id='tries/0008']")
+    new.wait_for()
+    expect(new).to_be_in_viewport(ratio=0.9)
+    # A button that has come to lie under the pointer is not pressed at once, but a little later.
+    asked = []
+    page.on("dialog", lambda dialog: asked.append(dialog.message) or dialog.dismiss())
+    box = new.locator("[data-action=delete]").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def pressed(moved: int) -> None:
+        page.mouse.move(x, y + moved, steps=2)
+        if moved:
+            page.evaluate(
+                """(by) => {
+                    const above = Object.assign(document.createElement("div"), { className: "above" });
+                    above.style.height = `${by}px`;
+                    $("work").before(above);
+                }""",
+                moved,
+            )
+        page.mouse.down()
+        page.mouse.up()
+
+    pressed(30)
+    assert asked == []
+    page.wait_for_timeout(450)
+    page.mouse.down()
+    page.mouse.up()
+    assert asked == ["Delete try 8? This cannot be undone."]
+    page.evaluate("document.querySelector('.above').remove()")
+    pressed(0)
+    assert len(asked) == 2
+    # Keys have no place.
+    page.keyboard.press("Tab")
+    page.evaluate("cameAt = performance.now() + 1e6")
+    new.locator("[data-action=delete]").press("Enter")
+    assert len(asked) == 3
+    # A help that opens at the edge is read.
+    views = page.locator(".knob", has=page.locator("#knob-views"))
+    views.locator(".key").click()
+    expect(views.locator("p")).to_be_in_viewport(ratio=0.9)
+    shown.photographed("13_help")
+    page.context.close()
+
+
 def test_news_is_of_what_is_there(smoke: Studio, tmp_path: Path, opened: Callable[[str], Page]) -> None:
     smoke.session.notice = "this cannot be shown"
     shown = opened(address(smoke))
@@ -610,9 +677,23 @@ def test_news_is_of_what_is_there(smoke: Studio, tmp_path: Path, opened: Callabl
     assert page.locator("#notice").is_visible()
     smoke.post("/open", path="smoke")
     page.locator("#notice").wait_for(state="hidden")
+    assert page.locator("#remark").is_hidden()
     sequence(tmp_path / "root" / "more")
     page.locator("#files").hover()
-    page.locator("#files button[data-path=more]").wait_for()
+    # What was meant for other smoke stays, and can be taken back.
+    page.locator("#files button[data-path=more]").click()
+    page.locator("#all").click()
+    page.locator("#remark", has_text="The goals and regions that were set stay.").wait_for()
+    shown.photographed("11_stays")
+    page.locator("#remark .clear").click()
+    page.locator("#goals .goal").first.wait_for(state="detached")
+    page.locator("#remark").wait_for(state="hidden")
+    assert mask_tables(smoke.session.recipe()) == [[]] and smoke.session.recipe().views == 1
+    # The network is told, and what has no such name.
+    expect(page.locator("#network")).to_have_text("of the network bvlc")
+    page.locator("#find").fill("zzz")
+    page.locator("#motifs", has_text="nothing is called 'zzz'; a picture can be searched for too").wait_for()
+    shown.photographed("12_not_found")
     page.context.close()
 
 

@@ -11,9 +11,11 @@ from PIL import Image
 from studios import running
 
 from tnst_mi.errors import InputError
-from tnst_mi.network.shipped import PATTERNS
+from tnst_mi.network.class_names import class_names
+from tnst_mi.network.readers import read_weights
+from tnst_mi.network.shipped import PATTERNS, shipped_weights
 from tnst_mi.recipe.recipe import KINDS, Recipe
-from tnst_mi.studio.choices.motifs import MotifBrowser
+from tnst_mi.studio.choices.motifs import Motif, MotifBrowser, _first
 from tnst_mi.studio.choices.settings import KNOBS, StudioSettings
 from tnst_mi.studio.latest import LatestRecipe
 from tnst_mi.studio.places import Places
@@ -132,6 +134,22 @@ def test_styles_tags_and_channels_are_found_by_their_names(browser: MotifBrowser
     conv = [motif["goal"] for motif in browser.found("conv2/3x3:7", PATTERNS)]
     assert sorted(conv) == ["conv2/3x3:7", "conv2/3x3_reduce:7"]
     assert browser.found("\0" * 500, PATTERNS) == []
+
+
+def test_all_names_of_a_class_find_it_and_headings_say_what_is_left_out() -> None:
+    browser = MotifBrowser(Places(Path()), Path("none"))
+    everything = [motif for motif in browser.found("", PATTERNS) if motif["key"] == "tag"]
+    assert len(everything) == 64 and {motif["kind"] for motif in everything} == {"tags"}
+    names = class_names(read_weights(shipped_weights()))
+    synonyms = [
+        (name, tag) for whole, tag in zip(names, browser.tags(PATTERNS), strict=True) for name in whole.split(",")
+    ]
+    assert len(synonyms) > len(names)
+    for name, tag in synonyms:
+        assert tag in [motif["goal"] for motif in browser.found(name.strip(), PATTERNS)], name
+    many = [Motif("tags", "tag", str(number), str(number)) for number in range(70)]
+    assert {motif.kind for motif in _first(64, many)} == {"tags: 64 of 70; search for the others"}
+    assert _first(70, many) == many
 
 
 def test_every_goal_that_is_offered_can_be_chosen(browser: MotifBrowser) -> None:

@@ -86,7 +86,7 @@ def test_the_order_is_that_of_the_scores(shipped: GoogLeNet, browser: MotifBrows
     answer, tags = answers.answer("net.png", body, PATTERNS), browser.tags(PATTERNS)
     scores = dict(zip(tags, answer.means["logits"].tolist(), strict=True))
     listed = found(browser, answers, body, "", "tags")
-    assert listed == sorted(tags, key=lambda tag: -scores[tag])[: len(listed)] and len(listed) == 48
+    assert listed == sorted(tags, key=lambda tag: -scores[tag])[: len(listed)] and len(listed) == 64
     channels = found(browser, answers, body, "", "channels")
     values = [answer.deviations[layer][int(number)] for layer, number in (goal.split(":") for goal in channels)]
     assert values == sorted(values, reverse=True)

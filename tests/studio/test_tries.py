@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -100,9 +101,17 @@ def test_a_try_goes_on_from_a_kept_state_to_the_bits_of_the_command(studio: Stud
     command = ["stylize", "--from", str(tries / "0001" / "octaves" / "1"), "--recipe", str(tries / "0002.toml")]
     assert main([*command, "--out", str(tmp_path / "again")]) == 0
     assert results(tmp_path / "again") == results(tries / "0002") != results(tries / "0001")
-    # From its end, where a draft has nothing left to do, a try is a preview.
+    assert branched["line"].endswith(", network bvlc")
+    # From its end, where a draft has nothing left to do, a try is a preview. What may differ stays as it was set.
+    studio.post("/work", action="anew")
+    studio.post("/work", action="open", id="tries/0002")
+    for key, value in (("strength", 0.5), ("motif_size", 0.5), ("views", 1)):
+        studio.post("/set", key=key, value=value)
     studio.post("/work", action="branch", id="tries/0002", octave=None)
     assert studio.session.recipe().eta == 0.01
+    assert (studio.session.recipe().strength, studio.session.recipe().motif_size) == (0.5, "auto")
+    said = "Goals, regions and settings are those of try 2; strength stays as it was set before."
+    assert studio.session.state()["remark"] == {"text": said, "clears": False}
     studio.post("/work", action="try")
     assert set(ended(studio, "tries/0003")["octaves"]) == {2}
     record = json.loads((tries / "0003" / "run.json").read_text())["from"]
@@ -110,17 +119,32 @@ def test_a_try_goes_on_from_a_kept_state_to_the_bits_of_the_command(studio: Stud
     assert 'quality = "preview"' in (tries / "0003.toml").read_text()
 
 
-def test_what_must_not_differ_is_said_in_the_line_of_the_command(studio: Studio) -> None:
+def test_what_must_not_differ_is_fixed(studio: Studio) -> None:
     studio.post("/work", action="try")
     ended(studio, "tries/0001")
     studio.post("/work", action="branch", id="tries/0001", octave=0)
     free = {knob["key"] for knob in studio.session.state()["knobs"] if knob["free"]}
     assert free == {"strength", "eta", "iterations", "views"}
-    studio.post("/set", key="motif_size", value=0.5)
+    fixed = "goes on from try 1, whose goals, regions and fixed settings stay; the × beside it begins anew"
+    sphere = {"shape": "sphere", "centre": [5, 7, 4], "radius": 3}
+    before = studio.session.recipe()
+    for path, values in (
+        ("/set", {"key": "motif_size", "value": 0.5}),
+        ("/goal", {"key": "style", "goal": "cells"}),
+        ("/mask", {"action": "add", "values": sphere}),
+        ("/clear", {}),
+    ):
+        refused = studio.post(path, **values)
+        assert refused.status == 400 and fixed in refused.error and "--from" not in refused.error
+    assert studio.request("POST", "/upload?name=x.png", b"").status == 400
+    assert studio.session.recipe() == before and not (studio.session.places.root / "pictures").exists()
+    # What only the run can see is said by it, and what cannot be done as it is, is not offered to be resumed.
+    studio.session.settings.base = dataclasses.replace(before, motif_size=0.5)
     studio.post("/work", action="try")
     failed = ended(studio, "tries/0002")
-    assert failed["status"] == "failed"
+    assert failed["status"] == "failed" and failed["actions"] == ["delete"]
     assert "its run had motif_size = 'auto', this one has 0.5" in failed["error"]
+    assert "nothing is to be resumed" in studio.post("/work", action="resume", id="tries/0002").error
     studio.post("/work", action="anew")
     assert studio.session.state()["start"] is None
     for octave in (1, 2, -1, 99, "x", True, 0.5):
@@ -151,8 +175,8 @@ def test_a_running_try_is_stopped_and_deleted_with_all_that_it_has(
     studio.post("/work", action="open", id="tries/0001")
     studio.post("/work", action="branch", id="tries/0001", octave=None)
     studio.session.settings.base = settings(weights, 2000)
-    studio.post("/goal", key="style", goal="net")
     studio.post("/work", action="anew")
+    studio.post("/goal", key="style", goal="net")
     studio.post("/work", action="try")
     waited_for(lambda: works(studio)["tries/0002"]["done"] > 0)
     process = studio.session.workshop.work("tries/0002").process

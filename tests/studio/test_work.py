@@ -156,7 +156,7 @@ def test_what_cannot_be_done_is_told_in_one_line(studio: Studio, place: Path, we
     waited_for(lambda: told(studio)["status"] == "failed")
     assert told(studio)["error"].startswith("exit code 2: tnst-mi: ") and "no such thing" in told(studio)["error"]
     assert told(studio)["losses"] == [] and told(studio)["states"] == []
-    assert told(studio)["actions"] == ["resume", "delete"]
+    assert told(studio)["actions"] == ["delete"]
     assert "has kept no state of its end" in studio.post("/work", action="finish", id="tries/0001").error
     assert "cannot" not in studio.get("/work/log", id="tries/0001").body.decode()
 

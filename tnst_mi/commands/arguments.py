@@ -215,8 +215,8 @@ class StudioArguments(Arguments):
     read and do, to whoever reaches them and has the URL."""
     cluster: ClusterAddress = None
     """Have several processes render, as with stylize --cluster; the page can name another (docs/cluster.md)."""
-    resources: Annotated[Any, tyro.conf.arg(constructor=_VariantFlag)] = field(default_factory=_VariantFlag)
-    """On which device to render."""
+    resources: Annotated[Any, tyro.conf.arg(constructor=_NetworkFlags)] = field(default_factory=_NetworkFlags)
+    """Which network to use, for all that is tried and rendered, and on which device to render."""
 
 
 @dataclass(kw_only=True)

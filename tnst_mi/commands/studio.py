@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.machine.terminal import one_line
+from tnst_mi.network.weights import ENVIRONMENT_VARIABLE, find_weights
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
@@ -36,11 +38,18 @@ def run(arguments: StudioArguments) -> int:
     """Serve the page until Ctrl-C."""
     port = checked("port", arguments.port, Integer(0, 65535))
     first, root = first_and_root(arguments.input)
-    activate(Recipe().updated_by_flags(given(arguments.resources)).variant)
+    recipe = Recipe().updated_by_flags(given(arguments.resources))
+    activate(recipe.variant)
+    if recipe.weights is not None:
+        find_weights(recipe.weights)  # what cannot be used is refused before anything is shown
+        # What is resumed may have been begun without: it takes the same network, or is refused.
+        os.environ[ENVIRONMENT_VARIABLE] = recipe.weights
     out = expanded(arguments.out)
     require_writable(out, remedy=None)
     with alone_in(out) as lock:
-        return _serve(arguments, port, first, root, out, lock)
+        cluster = None if arguments.cluster is None else checked_address(arguments.cluster, None)
+        session = Session(Places(root), out, cluster, lock, recipe.weights)
+        return _serve(arguments, port, first, session, out)
 
 
 @contextmanager
@@ -62,9 +71,7 @@ def alone_in(out: Path) -> Iterator[FolderLock]:
                 out.rmdir()
 
 
-def _serve(arguments: StudioArguments, port: int, first: Path | None, root: Path, out: Path, lock: FolderLock) -> int:
-    cluster = None if arguments.cluster is None else checked_address(arguments.cluster, None)
-    session = Session(Places(root), out, cluster, lock)
+def _serve(arguments: StudioArguments, port: int, first: Path | None, session: Session, out: Path) -> int:
     if first is not None:
         _open(session, first)
     motifs, examples = MotifBrowser(session.places, out), ExampleMaker(out)

@@ -119,8 +119,12 @@ async function usePainting() {
   const where = new URLSearchParams({ target, azimuth, elevation, frame });
   const used = await sent(`painting?${where}`, { body: file });
   $("brush-done").disabled = false;
-  if (!used) awaiting = null;
-  else if (painting && painting.sheet === sheet) endPainting(); // something else may be painted by now
+  if (!used) {
+    awaiting = null;
+  } else {
+    showMasks(true);
+    if (painting && painting.sheet === sheet) endPainting(); // something else may be painted by now
+  }
   return used;
 }
 

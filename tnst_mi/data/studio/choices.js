@@ -85,6 +85,11 @@ function showMotifs() {
     tile.addEventListener("click", () => post("goal", { key: motif.key, goal: motif.goal }));
     tiles.push(tile);
   }
+  const sought = $("find").value.trim();
+  if (!tiles.length) {
+    const instead = finder === byName ? "; a picture can be searched for too" : "";
+    tiles.push(element("h3", `nothing is called '${sought}'${instead}`));
+  }
   $("motifs").replaceChildren(...tiles);
   showExamples();
   markMotifs();

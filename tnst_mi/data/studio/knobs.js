@@ -58,7 +58,10 @@ function knobRow(knob) {
   const ends = knob.logarithmic ? [Math.log10(knob.low), Math.log10(knob.high)] : [knob.low, knob.high];
   [slider.min, slider.max] = ends;
   slider.step = knob.step;
-  name.addEventListener("click", () => { help.hidden = !help.hidden; });
+  name.addEventListener("click", () => {
+    help.hidden = !help.hidden;
+    row.scrollIntoView({ block: "nearest" });
+  });
   const asked = () => Number((knob.logarithmic ? 10 ** slider.value : Number(slider.value)).toPrecision(3));
   slider.addEventListener("input", () => {
     value.textContent = asked();

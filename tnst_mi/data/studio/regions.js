@@ -9,8 +9,17 @@ const parts = () => (state && state.masks[targetIndex()] ? state.masks[targetInd
 const keyed = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
 const frameIndex = () => Number($("frame").value);
 
-// By the part's id: another tab may have changed the list.
+// Whether the mask and the outlines of its parts are drawn over the smoke.
+function showMasks(shown) {
+  const before = alsoAsked.mask;
+  $("masks-shown").checked = shown;
+  showParts();
+  if (alsoAsked.mask !== before) look(); else drawGizmos();
+}
+
+// By the part's id: another tab may have changed the list. What is edited is shown.
 function edited(action, id, values = {}) {
+  if (action !== "remove") showMasks(true);
   return posted("mask", { action, target: targetIndex(), id, values, frame: frameIndex() });
 }
 
@@ -89,7 +98,7 @@ function partRow(part, index) {
   row.dataset.form = part.form;
   const head = element("div", undefined, { className: "head" }), name = element("button", part.title);
   const remove = element("button", "×", { title: "remove" });
-  name.addEventListener("click", () => { asked = part.id; showParts(); drawGizmos(); });
+  name.addEventListener("click", () => { asked = part.id; showMasks(true); });
   remove.addEventListener("click", () => edit("remove", part.id));
   head.append(name, remove);
   row.append(head);
@@ -173,7 +182,7 @@ async function showShare() {
   $("share").classList.toggle("none", !share);
 }
 
-$("masked").addEventListener("change", () => { asked = null; showParts(); look(); });
+$("masked").addEventListener("change", () => { asked = null; showMasks(true); look(); });
 $("masks-shown").addEventListener("change", () => { showParts(); look(); });
 
 // In the middle of what is seen, as deep as the middle of the smoke, and about half as large. Whether it is there.

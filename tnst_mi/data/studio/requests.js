@@ -7,7 +7,8 @@ const $ = (id) => document.getElementById(id);
 
 // Says something in the place of its source, where it stays until that has something else to say, or it is closed:
 // "error" of what is asked for, "cluster-error" of the address of a cluster, "view-error" of pictures, "place-error" of
-// where frames lie, "notice" of what the studio could not show, "notes" of what is opened, "kept" of paintings.
+// where frames lie, "notice" of what the studio could not show, "notes" of what is opened, "kept" of paintings, "remark"
+// of settings that stay.
 function complain(text, source = "error", path = "") {
   const shown = $(source);
   shown.dataset.path = path;

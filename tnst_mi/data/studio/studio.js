@@ -2,7 +2,7 @@
 
 // What all tabs share, as the server tells it, shown by the other scripts.
 
-let shownKey = null, shownShape = null, shownNotice = null;
+let shownKey = null, shownShape = null, shownNotice = null, shownRemark = "null";
 
 // The frame with the number of the one that was shown; where there is none, of a try the first that it has stylized.
 function showSameFrame(before) {
@@ -32,6 +32,8 @@ function told(next) {
     $("name").textContent = state.opened.names[Number($("frame").value)];
     document.title = `${state.opened.title} – tnst-mi studio`;
     if (state.opened.after && mode === "before") mode = "wipe";
+    // What has come out is compared as it is; where regions are, matters to what is still to be tried.
+    showMasks(!state.opened.after);
     shownMode();
     // Results of one input are compared from where one is.
     const shape = JSON.stringify(state.opened.shape);
@@ -46,7 +48,25 @@ function told(next) {
     shownNotice = state.notice;
     complain(shownNotice, "notice");
   }
+  if (JSON.stringify(state.remark) !== shownRemark) {
+    shownRemark = JSON.stringify(state.remark);
+    showRemark();
+  }
+  $("network").textContent = state.network.flavour ? `of the network ${state.network.flavour}` : "no network can be used";
+  $("network").title = `${state.network.file}; tnst-mi studio --weights names another one`;
   document.dispatchEvent(new Event("told"));
+}
+
+// What of the settings has stayed, with a button that takes it away where it was meant for other smoke.
+function showRemark() {
+  const { text, clears } = state.remark || { text: "" };
+  complain(text, "remark");
+  const there = $("remark").querySelector(".clear");
+  if (there) there.remove();
+  if (!clears) return;
+  const clear = element("button", "clear", { className: "clear", title: "Remove all goals and regions" });
+  clear.addEventListener("click", () => post("clear", {}));
+  $("remark").firstChild.after(clear);
 }
 
 let events = null;

@@ -133,6 +133,15 @@ function draw() {
     pen.beginPath();
     pen.arc(wipe * width, height / 2, 7, 0, 2 * Math.PI);
     pen.fill();
+    pen.font = "12px sans-serif";
+    for (const [text, at, align] of [["before", -8, "right"], ["after", 8, "left"]]) {
+      pen.textAlign = align;
+      pen.strokeStyle = "#000a";
+      pen.lineWidth = 3;
+      pen.strokeText(text, wipe * width + at, height - 12);
+      pen.fillText(text, wipe * width + at, height - 12);
+    }
+    pen.lineWidth = 1;
   }
   if ($("look").value === "network" && !$("perspective").checked && $("cut").value === "none") {
     // What the network sees: as many rows and columns as the grid has.
@@ -191,7 +200,12 @@ new ResizeObserver(() => look()).observe($("stage"));
 
 for (const name of MODES) {
   const button = element("button", name, { id: `mode-${name}` });
-  button.addEventListener("click", () => { mode = name; shownMode(); look(); });
+  button.addEventListener("click", () => {
+    mode = name;
+    if (state.opened.after) showMasks(false); // results are compared without what is drawn over them
+    shownMode();
+    look();
+  });
   $("modes").append(button);
 }
 

@@ -7,14 +7,30 @@ const chosenJobs = new Set(); // of this tab, kept when the other tries are dele
 
 const JOB_ACTIONS = { pause: "pause", resume: "resume", open: "open", finish: "render this", delete: "delete" };
 
+const BEGINS = ["try", "render", "finish"];
+
+let knownBefore = null; // names of what was there before something was begun here that is not yet listed
+
+// Scrolls the card of what has been begun here into sight, once it is listed.
+function showNext(known = knownBefore) {
+  const begun = known && state.work.find((job) => !known.has(job.id));
+  knownBefore = begun ? null : known;
+  if (!begun) return;
+  jobs.get(begun.id).card.scrollIntoView({ block: "nearest" });
+  findPointed();
+}
+
 // Does what a button is for, with all that has been set, once: neither a double click nor impatience does it again. What
 // has been set and is refused keeps it from being done. Whether it is done.
 async function once(button, event, action) {
   if (event.detail > 1 || button.dataset.busy === "yes") return false;
   button.dataset.busy = "yes";
   button.disabled = true;
+  const known = new Set(state.work.map((job) => job.id));
   try {
-    return (await allIsSet()) && (!usesCluster(action) || (await clusterIsThere())) && (await post("work", action));
+    const done = (await allIsSet()) && (!usesCluster(action) || (await clusterIsThere())) && (await post("work", action));
+    if (done && BEGINS.includes(action.action)) showNext(known);
+    return done;
   } finally {
     refusalsBefore = refusals; // which keep nothing back that is asked for once more
     delete button.dataset.busy;
@@ -83,7 +99,8 @@ function jobCard(job) {
   choose.setAttribute("aria-label", `choose ${job.title}`);
   choose.addEventListener("change", () => { chosenJobs[choose.checked ? "add" : "delete"](job.id); showChosen(); });
   choose.hidden = !job.id.startsWith("tries/");
-  head.append(choose, element("b", `${job.title}: ${job.of}`, { title: job.of }), status);
+  const by = job.network ? `, by the network ${job.network}` : "";
+  head.append(choose, element("b", `${job.title}: ${job.of}`, { title: `${job.of}${by}` }), status);
   const bar = element("progress", undefined, { max: 1, hidden: true });
   bar.setAttribute("aria-label", "progress");
   const image = element("img", undefined, { alt: "before and after", hidden: true, title: "open" });
@@ -204,6 +221,7 @@ function showJobs() {
     jobs.delete(id); // deleted, here or in another tab
     chosenJobs.delete(id);
   }
+  showNext();
   showChosen();
   showStart();
 }

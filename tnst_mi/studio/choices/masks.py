@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
@@ -90,6 +91,13 @@ class MaskEdit:
         if foreign := [key for key in keys if key not in _KEYS]:
             raise InputError(one_line(f"mask: the page sets no {foreign[0]!r}, expected one of {', '.join(_KEYS)}"))
         return cls(action, target, part, keys, identity)
+
+    def from_frame(self, numbers: Sequence[Number | None], index: int) -> MaskEdit:
+        """The edit, of which what begins to follow the smoke does so from a frame, by its index among these."""
+        number = numbers[index]
+        if self.values.get("follow") is not True or not isinstance(number, int) or len(numbers) < 2:
+            return self
+        return replace(self, values={**self.values, "follow": number})
 
     def applied(self, recipe: Recipe) -> dict[str, Any]:
         """The keys of a recipe that this changes, with their new values, which the recipe has yet to check.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import threading
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -32,7 +32,7 @@ from tnst_mi.studio.places import Places
 from tnst_mi.studio.plain import is_plain
 
 #: What the page shows at a time, at most: of tags, and of layers or channels.
-_TAGS, _CHANNELS = 48, 64
+_TAGS, _CHANNELS = 64, 64
 
 #: Edge of a thumbnail in pixels.
 _EDGE = 96
@@ -74,7 +74,7 @@ class MotifBrowser:
     def __init__(self, places: Places, out: Path) -> None:
         self._places, self._pictures = places, out / "pictures"
         self._made = Places(out / ATLASES)
-        self._tags: dict[str | None, list[str]] = {}
+        self._names: dict[str | None, list[str]] = {}
         self._reading = threading.Lock()
 
     def found(self, text: str, weights: str | None) -> list[dict[str, Any]]:
@@ -89,13 +89,9 @@ class MotifBrowser:
         """
         wanted = text.strip().lower()
         motifs = [motif for motif in self._styles() if wanted in motif.title.lower()]
-        pictures = self._tag_pictures(weights)
-        motifs += [
-            Motif("tags", "tag", tag, tag, pictures.get(number))
-            for number, tag in enumerate(self.tags(weights))
-            if wanted in tag.lower()
-        ][:_TAGS]
-        motifs += list(self._channels(wanted, bool(self.tags(weights))))[:_CHANNELS]
+        tags = len(self.tags(weights))
+        motifs += self._tag_motifs("tags", range(tags), wanted, weights)
+        motifs += _first(_CHANNELS, list(self._channels(wanted, tags > 0)))
         return [asdict(motif) for motif in motifs]
 
     def alike(self, text: str, weights: str | None, answer: PictureAnswer) -> list[dict[str, Any]]:
@@ -115,19 +111,24 @@ class MotifBrowser:
             InputError: the weights cannot be used.
         """
         wanted = text.strip().lower()
-        pictures, tags = self._tag_pictures(weights), self.tags(weights)
-        scores = answer.means[LOGITS][: len(tags)]
-        motifs = [
-            Motif("tags, by score", "tag", tags[number], tags[number], pictures.get(number))
-            for number in np.argsort(-scores, kind="stable").tolist()
-            if wanted in tags[number].lower()
-        ][:_TAGS]
+        scores = answer.means[LOGITS][: len(self.tags(weights))]
+        motifs = self._tag_motifs("tags, by score", np.argsort(-scores, kind="stable").tolist(), wanted, weights)
         in_atlases = list(self._shares(wanted, find_weights(weights).flavour, answer))
         motifs += [motif for _, motif in sorted(in_atlases, key=lambda found: -found[0])][:_CHANNELS]
         seen = {motif.goal for _, motif in in_atlases}
         motifs += [motif for motif in _by_deviation(wanted, answer) if motif.goal not in seen]
         motifs += [motif for motif in self._styles() if wanted in motif.title.lower()]
         return [asdict(motif) for motif in motifs]
+
+    def _tag_motifs(self, kind: str, numbers: Iterable[int], wanted: str, weights: str | None) -> list[Motif]:
+        """The tags of classes by their numbers of which a name has the text in it."""
+        pictures, tags, names = self._tag_pictures(weights), self.tags(weights), self._class_names(weights)
+        found = [
+            Motif(kind, "tag", tags[number], tags[number], pictures.get(number))
+            for number in numbers
+            if wanted in names[number].lower()
+        ]
+        return _first(_TAGS, found)
 
     def _shares(self, wanted: str, flavour: str, answer: PictureAnswer) -> Iterator[tuple[float, Motif]]:
         """Channels of atlases, each with its share."""
@@ -154,14 +155,16 @@ class MotifBrowser:
         Raises:
             InputError: the weights cannot be used.
         """
+        names = self._class_names(weights)
+        first = Counter(name.split(",")[0].strip() for name in names)
+        return [short if first[short := name.split(",")[0].strip()] == 1 else name for name in names]
+
+    def _class_names(self, weights: str | None) -> list[str]:
+        """All names of each class."""
         with self._reading:
-            if weights not in self._tags:
-                names = class_names(read_weights(find_weights(weights).path))
-                first = Counter(name.split(",")[0].strip() for name in names)
-                self._tags[weights] = [
-                    short if first[short := name.split(",")[0].strip()] == 1 else name for name in names
-                ]
-            return self._tags[weights]
+            if weights not in self._names:
+                self._names[weights] = class_names(read_weights(find_weights(weights).path))
+            return self._names[weights]
 
     def _tag_pictures(self, weights: str | None) -> dict[int, str]:
         """URLs of the pictures of an atlas of the class scores of the network, by their numbers."""
@@ -199,8 +202,8 @@ class MotifBrowser:
             raise InputError(one_line(f"{made or atlas!r}: is no picture of an atlas"))
         return _thumbnail(read_image(path))
 
-    def upload(self, name: str, body: bytes) -> None:
-        """Keep an uploaded picture, as what is read of it: grey, with its transparency.
+    def upload(self, name: str, body: bytes) -> str:
+        """Keep an uploaded picture, as what is read of it: grey, with its transparency; returns it as a goal.
 
         Raises:
             InputError: it cannot be read as a picture, or there are too many.
@@ -215,6 +218,7 @@ class MotifBrowser:
             file, number = self._pictures / f"{stem}_{number}.png", number + 1
         with written_whole(file) as temporary:
             temporary.write_bytes(as_png(image.grey, image.alpha))
+        return str(file.resolve())
 
     def require_offered(self, key: str, goal: str, weights: str | None) -> None:
         """Check that a goal is one of those that can be chosen: a style that is listed, a tag, or a channel.
@@ -271,6 +275,15 @@ class MotifBrowser:
                 if inside and self._made.relative(file) is None:
                     yield file.parent
         yield from (file.parent for file in sorted(self._made.root.glob(f"*/{ATLAS}")))
+
+
+def _first(most: int, found: list[Motif]) -> list[Motif]:
+    """The first of some that have a heading in common, which says so if there are more."""
+    if len(found) <= most:
+        return found
+    return [
+        replace(motif, kind=f"{motif.kind}: {most} of {len(found)}; search for the others") for motif in found[:most]
+    ]
 
 
 def _channel_title(layer: str, channel: int, measure: str = "") -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder, written_whole
+from tnst_mi.studio.choices.masks import MaskEdit
 from tnst_mi.studio.choices.uploads import as_png, read_upload
 
 #: Edge of a painting in pixels, and paintings that are kept, at most.
@@ -23,6 +25,25 @@ class Paintings:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder.absolute()
+
+    def added(self, body: bytes, target: int, view: tuple[float, float], edit: Callable[[MaskEdit], None]) -> None:
+        """Add what has been painted over a view of a frame to a mask.
+
+        Args:
+            body: the file of a picture with transparency, of the whole frame of the view; see `keep`.
+            target: index of the target whose mask it is.
+            view: (azimuth, elevation) in degrees.
+            edit: edits masks.
+
+        Raises:
+            InputError: see `keep`, or raised by `edit`; then it is not kept.
+        """
+        file = self.keep(body)
+        try:
+            edit(MaskEdit("add", target, values={"image": str(file), "view": list(view)}))
+        except InputError:
+            file.unlink()
+            raise
 
     def keep(self, body: bytes) -> Path:
         """Keep a painting as a white picture that is as opaque as it was, and return its file.

@@ -9,6 +9,7 @@ from typing import Any
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line
+from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
@@ -109,6 +110,21 @@ class StudioSettings:
             values[key] = value
         self._take(values)
 
+    def free(self) -> dict[str, Any]:
+        """What has been set of sliders that may differ from what is gone on from."""
+        return {key: value for key, value in self.values.items() if key in _KNOBS and key in FREE}
+
+    def set_again(self, values: Mapping[str, Any]) -> list[str]:
+        """Set what was set before of keys that have other values now; returns these keys."""
+        changed = {key: value for key, value in values.items() if getattr(self.recipe, key) != value}
+        self._take(self.values | changed)
+        return list(changed)
+
+    def cleared(self) -> StudioSettings:
+        """These settings without goals and masks."""
+        without = {key: getattr(Recipe(), key) for key in (*GOAL_KEYS, *OTHER_GOALS, "mask")}
+        return StudioSettings(self.base, self.values | without)
+
     def take_all_frames(self) -> None:
         """Let the recipe be of all frames of an input."""
         if self.recipe.frames is not None:
@@ -124,8 +140,14 @@ class StudioSettings:
             raise InputError(one_line(f"studio: no goals {key!r}, expected one of {', '.join(GOAL_KEYS)}"))
         return [shipped_name(name) for name in getattr(self.recipe, key)]
 
-    def toggle(self, key: str, goal: str) -> None:
+    def toggle(self, key: str, goal: str, flavour: str | None = None) -> None:
         """Add a goal, or remove it if it is there.
+
+        Args:
+            key: of the recipe.
+            goal: the value.
+            flavour: of the network among whose channels it is chosen. Runs take the one that ships with the package for
+                channels only if the recipe names it, and so it does from now on.
 
         Raises:
             InputError: the key names no goals, or does not allow it.
@@ -135,7 +157,8 @@ class StudioSettings:
             goals = tuple(path for path, name in zip(goals, there, strict=True) if name != goal)
         else:
             goals += getattr(Recipe().updated({key: [goal]}, "studio: ", Path.cwd()), key)
-        self._take(self.values | {key: goals})
+        meant = {"weights": PATTERNS} if key == "semantic" and flavour == PATTERNS else {}
+        self._take(self.values | {key: goals} | (meant if self.recipe.weights is None else {}))
 
     def edited(self, edit: MaskEdit) -> StudioSettings:
         """These settings after an edit of a mask.

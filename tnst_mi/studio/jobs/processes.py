@@ -62,6 +62,7 @@ class WorkRecord:
         alone: whether it is of the frame alone that was shown, of several.
         frames: the recipe's key without that.
         cluster: the address of the cluster that does it; None for a process of this machine.
+        network: the name of the network that it was begun with; None of runs of earlier versions.
         pid, began: its latest process, by its number and the time when that began; 0 before the first.
         code: exit code of that process; None while it is not known.
         paused: whether the studio has asked it to pause.
@@ -74,6 +75,7 @@ class WorkRecord:
     alone: bool = False
     frames: str | None = None
     cluster: str | None = None
+    network: str | None = None
     pid: int = 0
     began: float = 0.0
     code: int | None = None
@@ -89,7 +91,7 @@ class WorkRecord:
         except DAMAGE:
             return None
         texts = isinstance(record.source, str) and all(
-            isinstance(text, str | None) for text in (record.start_from, record.frames, record.cluster)
+            isinstance(text, str | None) for text in (record.start_from, record.frames, record.cluster, record.network)
         )
         counts = (record.pid, record.log_begin, *record.shape)
         code = record.code is None or (isinstance(record.code, int) and abs(record.code) <= _LARGEST)
@@ -97,6 +99,10 @@ class WorkRecord:
         bounded = all(isinstance(count, int) and 0 <= count <= _LARGEST for count in counts)
         sound = texts and numbers and code and bounded and len(record.shape) == 3 and min(record.shape) > 0
         return record if sound and record.pid <= _LARGEST_PID else None
+
+    def following(self, state: Path, cluster: str | None, network: str) -> WorkRecord:
+        """The record of a run of the same input that goes on from a state of this one."""
+        return WorkRecord(self.source, self.shape, str(state), self.alone, self.frames, cluster, network)
 
     def write(self, path: Path) -> None:
         """Write it."""

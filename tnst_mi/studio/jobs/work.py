@@ -9,10 +9,12 @@ from typing import Any
 from tnst_mi.errors import InputError, MissingFileError
 from tnst_mi.machine.terminal import displayable, duration, one_line
 from tnst_mi.recipe.paths import shipped_name
+from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import DAMAGE
 from tnst_mi.run.kept_octaves import kept_octaves, octave_folder
+from tnst_mi.studio.choices.networks import require_network
 from tnst_mi.studio.jobs.live import LiveRun
-from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, RUNNING, RunProcess
+from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess
 from tnst_mi.studio.plain import is_plain, plain_json, plain_recipe
 
 #: Folders of both kinds of work below that of the studio, and what one of them is called.
@@ -95,6 +97,16 @@ class StudioWork:
         where = "its end" if octave is None else f"octave {octave + 1}"
         raise InputError(f"studio: {self.name} has kept no state of {where}; choose one of those that it shows")
 
+    @property
+    def resumable(self) -> bool:
+        """Whether it can be gone on with: also what has failed on a cluster, which may be done elsewhere."""
+        failed_elsewhere = self.status == FAILED and self.process.record.cluster is not None
+        return self.status in (PAUSED, INTERRUPTED) or failed_elsewhere
+
+    def require_network(self, recipe: Recipe) -> str:
+        """The name of the network with which a recipe goes on from here; see `networks.require_network`."""
+        return require_network(title_of(self.name), self.process.record.network, recipe.weights, "begin anew")
+
     def described(self) -> dict[str, Any]:
         """What the page shows, as it was found by the last `update`."""
         return self._described
@@ -122,6 +134,7 @@ class StudioWork:
             "picture": None if picture is None else _version(picture),
             "states": self._states(),
             "cluster": self.process.record.cluster,
+            "network": self.process.record.network,
             "dashboard": self.process.dashboard() if self.status == RUNNING else None,
             "actions": self._actions(kind),
         }
@@ -131,7 +144,7 @@ class StudioWork:
         shown = {"id": self.name, "title": title_of(self.name), "status": self.status, "goals": self.goals}
         shown |= {"of": self.subject, "alone": self.process.record.alone}
         said = {"line": self.goals, "error": one_line(f"its files are damaged ({type(error).__name__}: {error})")}
-        unknown = dict.fromkeys(("total", "left", "picture", "cluster", "dashboard"))
+        unknown = dict.fromkeys(("total", "left", "picture", "cluster", "network", "dashboard"))
         empty: dict[str, Any] = {"losses": [], "octaves": [], "done": 0, "states": []}
         actions = ["pause", "delete"] if self.status == RUNNING else ["delete"]
         return shown | said | unknown | empty | {"actions": actions}
@@ -166,7 +179,7 @@ class StudioWork:
             return ["pause", "delete"]
         if self.status == DONE:
             return ["open", *(["finish"] if kind == TRIES else []), "delete"]
-        return ["resume", "delete"]
+        return ["resume", "delete"] if self.resumable else ["delete"]
 
     def _origin(self) -> str | None:
         """The title of the try or render that this one has gone on from, if there is one in the same folder."""
@@ -192,6 +205,8 @@ class StudioWork:
                 parts.append(f"about {duration(self.live.left)} left")
         elif self.status == RUNNING:
             parts.append("begins")
+        if (network := self.process.record.network) is not None:
+            parts.append(f"network {network.split()[0]}")
         return ", ".join(parts)
 
 
@@ -258,7 +273,7 @@ def _outcome(folder: Path) -> list[str]:
         run = plain_json(folder / "run.json")
         frames = run["frames"]
         before, after = (sum(float(frame[f"mass_{when}"]) for frame in frames) for when in ("before", "after"))
-        parts = [f"mass {after / before - 1:+.1%}"] if before > 0 else []
+        parts = [f"mass {_change(after / before - 1)}"] if before > 0 else []
         losses = [(frame["loss_before"], frame["loss_after"]) for frame in frames if frame["loss_before"] is not None]
         if losses:
             means = [sum(float(loss) for loss in side) / len(losses) for side in zip(*losses, strict=True)]
@@ -266,3 +281,14 @@ def _outcome(folder: Path) -> list[str]:
         return [*parts, duration(float(run["seconds"]))]
     except DAMAGE:
         return []
+
+
+def _change(by: float) -> str:
+    """A change in percent; without a sign where it rounds to none.
+
+    Example:
+        >>> _change(-0.0001), _change(-0.012)
+        ('0.0%', '-1.2%')
+    """
+    text = f"{by:+.1%}"
+    return text[1:] if text[1:] == "0.0%" else text

@@ -17,8 +17,9 @@ from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.recipe.quality import DRAFT, FINAL, quality_beyond
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.studio.choices.networks import UsedNetwork
 from tnst_mi.studio.choices.settings import GOAL_KEYS, OTHER_GOALS
-from tnst_mi.studio.jobs.processes import DONE, FAILED, INTERRUPTED, PAUSED, RUNNING, RunProcess, WorkRecord
+from tnst_mi.studio.jobs.processes import DONE, RUNNING, RunProcess, WorkRecord
 from tnst_mi.studio.jobs.removal import claimed_number, finish_removals, remove
 from tnst_mi.studio.jobs.work import ID, RENDERS, TRIES, StudioWork
 from tnst_mi.studio.plain import is_plain, plain_recipe
@@ -73,10 +74,15 @@ class Workshop:
             cluster: address of the one that does it; None for a process of this machine.
 
         Raises:
-            InputError: the recipe has no goals.
+            InputError: the recipe has no goals, or its network cannot be used.
         """
         record = WorkRecord(
-            str(source.absolute()), shape, alone=alone is not None, frames=recipe.frames, cluster=cluster
+            str(source.absolute()),
+            shape,
+            alone=alone is not None,
+            frames=recipe.frames,
+            cluster=cluster,
+            network=UsedNetwork.of(recipe.weights).name,
         )
         recipe = recipe if alone is None else replace(recipe, frames=str(alone))
         with self._lock:
@@ -100,15 +106,16 @@ class Workshop:
             cluster: address of the one that does it; None for a process of this machine.
 
         Raises:
-            InputError: there is no such state, or it is being deleted.
+            InputError: there is no such state, or it is being deleted, or the recipe is run with another network.
         """
         with self._lock:  # until it is noted what this goes on from, which is then not deleted
             work = self.staying(name)
             folder, reached = work.kept(octave)
             earlier = plain_recipe(work.process.recipe_file)
             recipe = earlier if recipe is None else replace(recipe, frames=earlier.frames)
+            network = work.require_network(recipe)
             recipe = replace(recipe, quality=quality_beyond(recipe, *reached) if kind == TRIES else FINAL)
-            record = _following(work.process.record, folder, cluster)
+            record = work.process.record.following(folder, cluster, network)
             begun = self._begun(kind, record, recipe)
         self._announce()
         return begun
@@ -126,14 +133,16 @@ class Workshop:
             cluster: address of the one that goes on with a render; None for where it was done until now.
 
         Raises:
-            InputError: there is no such run, or it runs, or is done, or is being deleted.
+            InputError: there is no such run, or it runs, is done, cannot be done as it is, or is being deleted; or it
+                would go on with another network.
         """
         with self._lock:
             work = self.staying(name)
             self._require_own()
             work.update()
-            if work.status not in (PAUSED, INTERRUPTED, FAILED):
+            if not work.resumable:
                 raise InputError(f"studio: {name} is {work.status}: nothing is to be resumed")
+            work.require_network(plain_recipe(work.process.recipe_file))
             if cluster is not None and name.startswith(RENDERS):
                 work.process.record = replace(work.process.record, cluster=cluster)
             work.process.start()
@@ -298,11 +307,6 @@ class Workshop:
 
 def _say(text: str) -> None:
     print(one_line(f"tnst-mi: studio: {text}"), file=sys.stderr)
-
-
-def _following(record: WorkRecord, state: Path, cluster: str | None) -> WorkRecord:
-    """The record of a run of the same input that goes on from a state of another one."""
-    return WorkRecord(record.source, record.shape, str(state), record.alone, record.frames, cluster)
 
 
 def _is_same(folder: Path, other: Path) -> bool:

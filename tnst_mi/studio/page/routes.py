@@ -23,7 +23,7 @@ from tnst_mi.studio.session import Session
 #: The scripts of the page.
 _SCRIPTS = (
     *("requests.js", "view.js", "movement.js", "projection.js", "gizmos.js", "brush.js", "regions.js"),
-    *("choices.js", "alike.js", "examples.js", "knobs.js", "work.js", "studio.js"),
+    *("choices.js", "alike.js", "examples.js", "knobs.js", "pointed.js", "work.js", "studio.js"),
 )
 
 #: The files of the page.
@@ -67,6 +67,7 @@ class StudioRoutes:
             ("POST", "/open"): self._open,
             ("POST", "/set"): self._set,
             ("POST", "/goal"): self._goal,
+            ("POST", "/clear"): self._clear,
             **WorkRoutes(session).routes,
         }
 
@@ -119,7 +120,9 @@ class StudioRoutes:
 
     def _upload(self, request: PageRequest) -> PageAnswer:
         self.session.require_own()
-        self.motifs.upload(request.query.get("name", ""), request.body)
+        self.session.require_anew()
+        goal = self.motifs.upload(request.query.get("name", ""), request.body)
+        self.session.toggle("style", goal)
         return PageAnswer.of_json({})
 
     def _open(self, request: PageRequest) -> PageAnswer:
@@ -138,6 +141,10 @@ class StudioRoutes:
         if goal not in self.session.settings.goals(key):
             self.motifs.require_offered(key, goal, self.session.recipe().weights)
         self.session.toggle(key, goal)
+        return PageAnswer.of_json({})
+
+    def _clear(self, request: PageRequest) -> PageAnswer:
+        self.session.clear()
         return PageAnswer.of_json({})
 
     def _place(self, request: PageRequest) -> PageAnswer:
