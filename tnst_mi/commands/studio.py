@@ -15,6 +15,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import make_folder
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
+from tnst_mi.machine.heap import give_back_large_blocks
 from tnst_mi.machine.lock import FolderLock, locked
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.weights import ENVIRONMENT_VARIABLE, find_weights
@@ -39,6 +40,7 @@ def run(arguments: StudioArguments) -> int:
     port = checked("port", arguments.port, Integer(0, 65535))
     first, root = first_and_root(arguments.input)
     recipe = Recipe().updated_by_flags(given(arguments.resources))
+    give_back_large_blocks()
     activate(recipe.variant)
     if recipe.weights is not None:
         find_weights(recipe.weights)  # what cannot be used is refused before anything is shown
