@@ -242,3 +242,17 @@ def test_a_view_with_a_distance_is_seen_from_there() -> None:
 def test_views_from_too_near_or_below_are_refused(view: tuple[float, float, float], message: str) -> None:
     with pytest.raises(tnst_mi.InputError, match=message):
         studio(block(), view)
+
+
+def test_no_kernel_is_compiled_after_images_of_another_extinction() -> None:
+    """A path tracer's code is that of all media of the process, so no γ may be a part of it."""
+    density, view = block(), (20.0, 10.0)
+    scene = studio(density, view)
+    tnst_mi.render(density, [view], 0.21)
+    scene.render(density, view, 1)
+    tnst_mi.render(density, [view], 0.22)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        scene.render(density, view, 1, seed=9)
+        history = dr.kernel_history([dr.KernelType.JIT])
+    assert history and all(kernel["cache_hit"] and not kernel["cache_disk"] for kernel in history)

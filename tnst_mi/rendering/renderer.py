@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int
@@ -194,11 +195,12 @@ class EmissionAbsorptionRenderer(Renderer):
         if attached:
             dr.enable_grad(σ_t)
         parameters = self._medium.parameters
-        # σ_t = γ d without a copy: the medium's scale is γ.
-        parameters["scale"] = self.gamma
         parameters["sigma_t.data"] = σ_t
         parameters.update()
         self._medium.refresh()
+        # σ_t = γ d without a copy: the medium's scale is γ. Mitsuba's own medium is not told: its scale is part of the
+        # code of every path tracer in this process, which would be compiled anew, and kept, for each γ.
+        self._medium.scale = float(np.float32(self.gamma))
         self._medium.colour = None
         return self._medium.extinction
 
