@@ -203,6 +203,8 @@ def test_smoke_is_lit_in_its_colour_unless_that_is_put_off(run: Run, tmp_path: P
         images[header["colour"]] = channels["RGB"]
         said = [line for line in ran.errors if line.startswith("colour:")]
         assert said == ([] if choice else ["colour: grid Cd times the albedo of the smoke (--colour GRID|none)"])
+    grey = run("render", tmp_path / "f.npz", "--out", tmp_path / "grey")
+    assert "colour: grid 'Cd' is not seen in grey pictures; --look shows it" in grey.errors
     lost = images["none"] - images["Cd"]
     assert lost[..., 2].sum() > 2 * abs(lost[..., 0].sum()) and lost[..., 2].max() > 0.1
 

@@ -187,3 +187,11 @@ def test_smoke_outside_a_mask_stays_white_and_a_palette_may_be_of_one_colour(key
     colour = tnst_mi.stylize(moving_smoke(1), recipe, progress=False).grids[0]["Cd"]
     np.testing.assert_array_equal(colour[..., SHAPE[2] // 2 + 3 :, :], 1)
     np.testing.assert_allclose(colour[..., :2, :], np.broadcast_to([1, 0, 0], colour[..., :2, :].shape), atol=0.05)
+
+
+def test_the_strokes_of_a_grey_picture_make_nothing_colourful(keys: dict, tmp_path: Path) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (24, 24), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "grey.png")
+    recipe = Recipe(**(keys | {"style": (str(tmp_path / "grey.png"),)}), colour_weight=0.0)
+    colour = tnst_mi.stylize(moving_smoke(1), recipe, progress=False).grids[0]["Cd"]
+    assert np.ptp(colour, axis=-1).max() < 1e-5 < 0.01 < np.ptp(colour[..., 0])

@@ -22,7 +22,7 @@ from tnst_mi.io.pictures.video import FRAMES_PER_SECOND, Video, open_video
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.machine.progress_bar import progress_bar
-from tnst_mi.machine.terminal import duration
+from tnst_mi.machine.terminal import duration, quoted
 from tnst_mi.recipe.keys import Integer
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.rendering import pictures
@@ -33,7 +33,7 @@ from tnst_mi.rendering.fire import find_fire
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Attributes, Painter, PathTracedPainter, Shot
 from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
-from tnst_mi.rendering.smoke_colour import find_colour
+from tnst_mi.rendering.smoke_colour import colour_name, find_colour
 from tnst_mi.run.inputs import ScaledFrames, conventions_of
 from tnst_mi.run.readable import Readable
 
@@ -78,6 +78,7 @@ def run(arguments: RenderArguments) -> int:
         if not path_traced:
             say(readable.lines())
             unit.note()
+            say(_left_out(frames))
             _write_shot(arguments, frames, in_cells, recipe, (rows, columns))
             return 0
     if turntable is None:
@@ -119,6 +120,7 @@ def run(arguments: RenderArguments) -> int:
         say(readable.lines())
         unit.note()
         say([] if fire is None else [fire.in_words])
+        say([] if path_traced else _left_out(frames))
         say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
         seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].viewpoint)
         what = "1 picture" if len(shots) == 1 else f"{len(shots)} pictures"
@@ -127,6 +129,12 @@ def run(arguments: RenderArguments) -> int:
     if turntable:
         print(f"video     {film}")
     return 0
+
+
+def _left_out(frames: Sequence[Frame]) -> list[str]:
+    """That grey pictures do not show the colours which the first frame has."""
+    name = colour_name(frames[0].grids)
+    return [] if name is None else [f"colour: grid {quoted(name)} is not seen in grey pictures; --look shows it"]
 
 
 def _require_places(

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from tnst_mi.errors import InputError
 from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
+from tnst_mi.losses.images import PIXELS, as_rgb
 from tnst_mi.losses.recorded import RecordedEvaluation
 from tnst_mi.losses.scales import rms_scales
 from tnst_mi.network.googlenet import LAST_BLOCK, LOGITS, GoogLeNet
@@ -28,9 +29,6 @@ LARGEST_BATCH = 1 << 32
 #: takes to launch them, and a recording keeps their memory.
 LARGEST_RECORDED = 1 << 18
 
-#: The name, among layers, of the image itself: three channels of display values.
-PIXELS = "pixels"
-
 Features = Mapping[str, Tensor]
 
 
@@ -42,6 +40,7 @@ class BoundTerm(NamedTuple):
         loss: that (N,) of each of N views, by their features and, if there is one, the guide of their positions.
         of_smoke: whether that guide is the smoke, where it is known, rather than the region.
         of_colour: whether the colours of the smoke alone follow it, and its density does not.
+        in_colour: whether it is of a picture that has colours, which the network is to see of the smoke too.
         drawn: for a term that draws random numbers, the same with those of a seed; None for all others.
     """
 
@@ -50,6 +49,7 @@ class BoundTerm(NamedTuple):
     of_smoke: bool = False
     drawn: Callable[[Sequence[int]], BoundTerm] | None = None
     of_colour: bool = False
+    in_colour: bool = False
 
 
 class BoundObjective:
@@ -280,10 +280,12 @@ class BoundObjective:
 
     def _features(self, images: Tensor, guide: Guide | None) -> Features:
         """The features of the layers; of a region, the logits are those of the mean of its features alone."""
-        shown, layers = as_rgb(images), [layer for layer in self._layers if layer != PIXELS]
-        features: dict[str, Tensor] = {PIXELS: shown} if PIXELS in self._layers else {}
+        layers = [layer for layer in self._layers if layer != PIXELS]
+        features: dict[str, Tensor] = {PIXELS: as_rgb(images)} if PIXELS in self._layers else {}
         if not layers:
             return features
+        # Grey pictures say nothing of colours: a network finds some that excite it alike, and smoke would take them on.
+        shown = as_rgb(images, any(term.in_colour for term in self._terms.values()))
         if guide is None or LOGITS not in layers:
             return features | self._net(shown, layers=layers)
         features |= self._net(shown, layers=[*layers, LAST_BLOCK])
@@ -313,8 +315,3 @@ def views_at_once(count: int, saved_bytes: float) -> int:
     """Batch size for `count` views on a GPU: the fewest equal parts that stay below `LARGEST_BATCH`."""
     fitting = max(1, int(LARGEST_BATCH // saved_bytes))
     return math.ceil(count / math.ceil(count / fitting))
-
-
-def as_rgb(images: Tensor) -> Tensor:
-    """Turn (N, H, W) grey, or (N, H, W, 3), into (N, 3, H, W) without copying."""
-    return images.permute(0, 3, 1, 2) if images.ndim == 4 else images[:, None].expand(-1, 3, -1, -1)

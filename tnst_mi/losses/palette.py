@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.evaluation import PIXELS, BoundTerm, Features
+from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.guided import Guide, LayerTarget
+from tnst_mi.losses.images import PIXELS
 from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.sliced import sliced_distance

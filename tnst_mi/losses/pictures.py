@@ -36,6 +36,9 @@ _AVIF, _HEIC = (b"avif", b"avis"), (b"heic", b"heix", b"heim", b"heis", b"hevc",
 #: Pillow reads, and for those of high dynamic range, whose pixels take more memory.
 _PIXELS, _LINEAR_PIXELS = (1 << 24, 160), (1 << 23, 4)
 
+#: Difference of the channels of a pixel up to which it counts as grey: what compressing a grey picture leaves.
+_COLOURLESS = 8 / 255
+
 #: Standard deviation of grey below which a picture is nearly flat.
 _FLAT = 0.02
 
@@ -72,6 +75,11 @@ class GreyImage:
     def colours(self) -> np.ndarray:
         """(H, W, 3): the colours, or the grey three times."""
         return np.repeat(self.grey[..., None], 3, axis=2) if self.rgb is None else self.rgb
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the channels differ visibly anywhere."""
+        return self.rgb is not None and float(np.ptp(self.rgb, axis=2).max()) > _COLOURLESS
 
     @property
     def mean_colour(self) -> np.ndarray:

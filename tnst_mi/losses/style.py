@@ -86,7 +86,13 @@ class Style(Term):
             def loss(features: Features, guide: Guide | None) -> Tensor:
                 return torch.stack([of_layer(features[layer], guide) for layer, of_layer in losses.items()]).sum(0)
 
-            return BoundTerm(tuple(losses), loss, self.statistics == "smoke", drawn if self.distance == "swd" else None)
+            return BoundTerm(
+                tuple(losses),
+                loss,
+                of_smoke=self.statistics == "smoke",
+                drawn=drawn if self.distance == "swd" else None,
+                in_colour=self.colour and self.picture.coloured,
+            )
 
         return drawn(_SEED)
 

@@ -19,9 +19,10 @@ import torch
 from torch import Tensor
 
 from tnst_mi.errors import InputError
-from tnst_mi.losses.evaluation import BoundTerm, Features, as_rgb
+from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.feature_maps import resampled
 from tnst_mi.losses.guided import Guide, mean_over_view
+from tnst_mi.losses.images import as_rgb
 from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage, read_image
 from tnst_mi.network.googlenet import LOGITS, GoogLeNet
@@ -133,7 +134,8 @@ class Content(Term):
         """Evaluate the network on the picture."""
         layer = net.resolve(self.layer)
         picture = self.picture.fitted(height, width)
-        return _match(layer, picture_features(net, picture, [layer], self.colour)[layer][0])
+        target = picture_features(net, picture, [layer], self.colour)[layer][0]
+        return _match(layer, target)._replace(in_colour=self.colour and self.picture.coloured)
 
 
 def _match(layer: str, target: Tensor) -> BoundTerm:

@@ -56,7 +56,7 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
     if "semantic" not in goals:
         yield ("damping",), "there is no semantic"
     if recipe.colour != "style":
-        yield ("colour_weight", "colour_eta", "colour_smoothness"), 'they belong to colour = "style"'
+        yield ("colour_weight", "colour_eta", "colour_smoothness"), 'it belongs to colour = "style"'
     if recipe.gamma != "auto":
         yield ("look",), 'it belongs to gamma = "auto"'
     if recipe.parameterisation == "density":

@@ -141,7 +141,8 @@ def plot_sequence(
         flickers.axhline(mean, color="tab:red", linestyle="--", linewidth=1, label=f"mean {mean:.3f}")
         flickers.legend(loc="lower right")  # the axis begins at 0: there is room below
     else:
-        flickers.text(0.5, 0.5, "no pair of frames to compare", transform=flickers.transAxes, ha="center")
+        said = "too little changed to compare" if pairs else "no pair of frames to compare"
+        flickers.text(0.5, 0.5, said, transform=flickers.transAxes, ha="center")
     flickers.set(ylabel="flicker of a pair", ylim=(0.0, _top(flicker)))
 
     size = _with_gaps(changes)
