@@ -105,8 +105,8 @@ def colour_step(gradient: mi.TensorXf, region: mi.TensorXf | None, size: float, 
 
     Args:
         gradient: (D, H, W, 3).
-        region: (D, H, W) in [0, 1]; None for everywhere. There is no mask of the smoke: where it is thin, its colour
-            matters as little as it is seen.
+        region: (D, H, W) in [0, 1]; None for everywhere. It has no mask of the smoke, whose colour matters as little as
+            it is seen, unless a window averages over smoke, which takes that mask out again.
         size: largest change.
         smoothness: width of the blur in cells.
     """
