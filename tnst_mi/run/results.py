@@ -67,5 +67,5 @@ def write_results(
     if stylized.state is not None:
         record["state"] = folder.write_state(source.name, stylized.state)
     record.update(folder.recorded(source.name, carry.names, history))
-    stylized.potential = (None, None)
+    stylized.potential, stylized.colour = (None, None), None
     return record, before, after
