@@ -33,7 +33,7 @@ from tnst_mi.rendering.fire import find_fire
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.rendering.pictures import Attributes, Painter, PathTracedPainter, Shot
 from tnst_mi.rendering.shot_pictures import ShotPainter, shot_size
-from tnst_mi.rendering.smoke_colour import colour_name, find_colour
+from tnst_mi.rendering.smoke_colour import colour_name, colour_said, find_colour
 from tnst_mi.run.inputs import ScaledFrames, conventions_of
 from tnst_mi.run.readable import Readable
 
@@ -121,7 +121,7 @@ def run(arguments: RenderArguments) -> int:
         unit.note()
         say([] if fire is None else [fire.in_words])
         say([] if path_traced else _left_out(frames))
-        say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
+        say(colour_said(colour))
         seconds = len(shots) * painter.seconds(frames[shots[0].frame], shots[0].viewpoint)
         what = "1 picture" if len(shots) == 1 else f"{len(shots)} pictures"
         say([f"{what} in about {duration(seconds)}, written to {arguments.out}"])

@@ -29,7 +29,7 @@ from tnst_mi.rendering.blender import BlenderPainter
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.fire import Fire, find_fire
 from tnst_mi.rendering.pictures import PathTracedPainter, Shot, shots_of_turn
-from tnst_mi.rendering.smoke_colour import find_colour
+from tnst_mi.rendering.smoke_colour import colour_said, find_colour
 from tnst_mi.rendering.studio_camera import shows_all
 from tnst_mi.run.panels import row
 from tnst_mi.run.reopened import Reopened, reopened, shared_frames
@@ -111,7 +111,7 @@ def run(arguments: ShowArguments) -> int:
     colour = find_colour(exhibits, studio.colour)
     unit.note()
     say([] if fire is None else [fire.in_words])
-    say([] if colour is None else [f"colour: grid {colour} times the albedo of the smoke (--colour GRID|none)"])
+    say(colour_said(colour))
     painter = _painter(arguments, exhibits, [shot.viewpoint for shot in shots], look, size, samples, seed, fire, colour)
     width, height = size
     panels = len(exhibits.columns) * len(shots)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tnst_mi.errors import InputError
 from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.guided import Guide, LayerTarget
 from tnst_mi.losses.images import PIXELS
 from tnst_mi.losses.objective import Term
 from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.sliced import sliced_distance
+from tnst_mi.losses.style import require_opaque
 from tnst_mi.losses.terms import grey_image, parameter_of
 from tnst_mi.network.googlenet import GoogLeNet
 
@@ -53,8 +53,7 @@ class Palette(Term):
         colours = torch.as_tensor(picture.colours).to(kind).permute(2, 0, 1)[None]
         guide = None
         if picture.alpha is not None:
-            if not picture.alpha.any():
-                raise InputError(f"{picture.name}: transparent where it is used; use a picture that is opaque there")
+            require_opaque(picture.alpha, picture.name, "where it is used")
             guide = Guide(torch.as_tensor(picture.alpha).to(kind)[None])
         distance = sliced_distance(LayerTarget(colours, guide), 1.0, _directions().to(kind))
 

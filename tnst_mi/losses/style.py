@@ -100,7 +100,7 @@ class Style(Term):
         """The features of the picture by layer."""
         picture = self.picture.fitted(height, width)
         where = f"where it is used (its centre, with the aspect {width}:{height})"
-        _require_opaque(picture.alpha, picture.name, where)
+        require_opaque(picture.alpha, picture.name, where)
         # The picture itself is judged, since in images of a few pixels any is flat.
         # In colour it may be a palette of one colour, and have its structure in colours alone.
         if not self.colour and self.picture.flat(height, width):
@@ -115,7 +115,7 @@ class Style(Term):
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 alpha = resized(picture.alpha, rows, columns)
-                _require_opaque(alpha, picture.name, where)
+                require_opaque(alpha, picture.name, where)
                 opaque = torch.as_tensor(alpha).to(values)
                 if self.statistics == "smoke":
                     guide = Guide(opaque[None])
@@ -144,7 +144,7 @@ class Style(Term):
         return lambda values, guide: gram(values, guide) + histograms(values, guide)
 
 
-def _require_opaque(alpha: np.ndarray | None, name: str, where: str) -> None:
+def require_opaque(alpha: np.ndarray | None, name: str, where: str) -> None:
     """Raise `InputError` if nothing of a picture is seen."""
     if alpha is not None and not alpha.any():
         raise InputError(f"{name}: transparent {where}; use a picture that is opaque there")

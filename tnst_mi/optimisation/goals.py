@@ -22,16 +22,17 @@ from tnst_mi.recipe.recipe import Recipe
 def objective_of(recipe: Recipe) -> Objective:
     """The sum of the recipe's terms; a style that changes over the frames contributes the pictures of all its keys."""
     recipe, colour = recipe.located(Path.cwd()), recipe.colour == "style"
+    styles = [
+        Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics, colour) for path in recipe.style
+    ]
     terms = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
         *(losses.ClassTag(tag) for tag in recipe.tag),
         *(losses.Content(path, layer, colour) for path in recipe.content for layer in recipe.content_layers),
         *(losses.Match(layer, read_map(path)) for layer, path in recipe.maps),
-        *(
-            Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics, colour)
-            for path in recipe.style
-        ),
-        *(Palette(path) for path in recipe.style if colour),
+        *styles,
+        # Of pictures that have been read already.
+        *(Palette(style.picture) for style in styles if colour),
     ]
     weighted = [weight * term for weight, term in zip(term_weights(recipe), terms, strict=True)]
     return Objective(pair for term in weighted for pair in term.weighted_terms)

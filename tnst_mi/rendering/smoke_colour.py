@@ -64,8 +64,7 @@ def shown_colours(
     """The colours of a grid, (D, H, W, 3), as the pictures of a run show them: display values, of which white is 1.
 
     The light that smoke gives has no curve in these pictures, so that its colour alone has it. No colour is negative.
-    None without a name;
-    frames that lack the grid are white, on `cells` (D, H, W).
+    None without a name; frames that lack the grid are white, on `cells` (D, H, W).
 
     Args:
         grids: of a frame, by name.
@@ -124,6 +123,11 @@ def find_colour(frames: Iterable[Frame], choice: str | None) -> str | None:
             f"--colour {choice}: no frame has such a grid; expected the name of a grid of colours, or none"
         )
     return None
+
+
+def colour_said(name: str | None) -> list[str]:
+    """What commands that light smoke say of the grid that colours it, if any."""
+    return [] if name is None else [f"colour: grid {name} times the albedo of the smoke (--colour GRID|none)"]
 
 
 def require_colour(carried: Iterable[str], there: Iterable[str]) -> str:
