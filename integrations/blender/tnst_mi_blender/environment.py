@@ -2,10 +2,32 @@
 
 from __future__ import annotations
 
+import functools
+import json
+import os
+import shutil
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 from .job import Job
+from .progress import InstallationReader
+from .pythons import OLDEST, environment_python
+from .version import VERSION
+
+#: What other programs set to say which tnst-mi is meant.
+VARIABLE = "TNST_MI_PROGRAM"
+
+#: In the folder of the private environment: names the environment that is complete.
+MARKER = "environment.json"
+
+#: What the zip of the add-on carries: the wheel of tnst_mi, and the versions of packages that it was tested with.
+CARRIED = Path(__file__).with_name("carried")
+
+_INSTALLER = Path(__file__).with_name("installer.py")
+
+#: Seconds in which `tnst-mi --version` answers, on a slow disk and the first time.
+_PATIENCE = 60.0
 
 
 class EnvironmentMissing(Exception):
@@ -30,8 +52,9 @@ class Environment:
 def find_environment(chosen: str, private: Path) -> Environment:
     """The environment that is used: the program chosen, or $TNST_MI_PROGRAM, or on the PATH, or the private one.
 
-    The first that is named is taken, and has to be of the add-on's version. Checking takes up to a few seconds the
-    first time, and is remembered as long as the program does not change.
+    One that was named is taken or refused. One on the PATH, which may be there for something else, gives way to a
+    private one if it has another version. Checking takes up to a few seconds the first time, and is remembered as long
+    as the program does not change.
 
     Args:
         chosen: `tnst-mi` as the preferences name it, a file or the folder of an environment; empty for none.
@@ -40,12 +63,97 @@ def find_environment(chosen: str, private: Path) -> Environment:
     Raises:
         EnvironmentMissing: there is none, it does not start, or has another version.
     """
-    raise NotImplementedError
+    for named, origin in ((chosen.strip(), "preferences"), (os.environ.get(VARIABLE, ""), f"${VARIABLE}")):
+        if named:
+            return _checked(_named(named, origin), origin)
+    on_path, installed = shutil.which("tnst-mi"), installed_program(private)
+    problem = None
+    for program, origin in ((on_path, "PATH"), (installed, "private")):
+        if program is not None:
+            try:
+                return _checked(Path(program), origin)
+            except EnvironmentMissing as error:
+                problem = problem or error
+    raise problem or EnvironmentMissing(
+        "tnst-mi is not installed: press Install in the preferences of the add-on, or name the tnst-mi of an "
+        "environment there"
+    )
+
+
+def installed_program(private: Path) -> Path | None:
+    """`tnst-mi` of the private environment; None if there is none that is complete.
+
+    Args:
+        private: its folder, which need not exist.
+    """
+    try:
+        name = json.loads((private / MARKER).read_text("utf-8"))["folder"]
+        program = program_in(private / name)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return program if program.is_file() else None
+
+
+def program_in(environment: Path) -> Path:
+    """Where a virtual environment has `tnst-mi`."""
+    return environment / "Scripts" / "tnst-mi.exe" if os.name == "nt" else environment / "bin" / "tnst-mi"
+
+
+def _named(text: str, origin: str) -> Path:
+    """The program that a file, the folder of an environment, or a name on the PATH means."""
+    path = Path(text).expanduser()
+    found = shutil.which(text)
+    for program in (path, program_in(path), Path(found) if found else None):
+        if program is not None and program.is_file():
+            return program.absolute()
+    raise EnvironmentMissing(f"{text} ({origin}): no such program, expected tnst-mi or the folder of its environment")
+
+
+def _checked(program: Path, origin: str) -> Environment:
+    try:
+        status = program.stat()
+    except OSError as error:
+        raise EnvironmentMissing(f"{program} ({origin}): cannot be read ({error.strerror})") from None
+    version = _version(program, status.st_mtime_ns)
+    if version is None:
+        raise EnvironmentMissing(
+            f"{program} ({origin}): does not start as tnst-mi; run {program} --version in a terminal to see why, or "
+            "install the environment again in the preferences of the add-on"
+        )
+    if version != VERSION:
+        raise EnvironmentMissing(
+            f"{program} ({origin}): is tnst-mi {version}, and this add-on is of {VERSION}; install an environment in "
+            "the preferences of the add-on, or the add-on of that version"
+        )
+    return Environment(program, origin, version)
+
+
+@functools.lru_cache(maxsize=16)
+def _version(program: Path, _changed: int) -> str | None:
+    """What a program says that its version is; None if it does not say so as tnst-mi does."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
+    windows = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
+    try:
+        ran = subprocess.run(
+            [program, "--version"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            env=environment,
+            timeout=_PATIENCE,
+            check=False,
+            **windows,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    name, _, version = ran.stdout.decode("utf-8", "replace").strip().partition(" ")
+    return version if ran.returncode == 0 and name == "tnst-mi" else None
 
 
 class Installation(Job):
-    """Makes the private environment: a virtual environment with tnst-mi in it. One that is there is used until the
-    new one is complete, and an interrupted one is never taken for an environment.
+    """Makes the private environment: a virtual environment with tnst-mi in it.
+
+    One that is there is used until the new one is complete, and then removed, so that nothing should run in it. An
+    interrupted one is never taken for an environment; the next installation removes it.
 
     Args:
         private: its folder.
@@ -57,4 +165,34 @@ class Installation(Job):
     """
 
     def __init__(self, private: Path, log: Path, checkout: Path | None = None) -> None:
-        super().__init__([], log)
+        source, constraints = _carried() if checkout is None else _of_checkout(checkout)
+        python = environment_python()
+        if python is None:
+            raise EnvironmentMissing(
+                f"there is no Python {OLDEST[0]}.{OLDEST[1]} or newer with venv and pip: install one and put it on the "
+                "PATH (Debian and Ubuntu: apt-get install python3-venv; otherwise from python.org)"
+            )
+        super().__init__([str(each) for each in (python, "-I", _INSTALLER, private, MARKER, source, constraints)], log)
+
+    def _new_reader(self) -> InstallationReader:
+        return InstallationReader()
+
+    def _is_complaint(self, line: str) -> bool:
+        return line.startswith(("ERROR: ", "Error: ", "tnst-mi: "))
+
+
+def _carried() -> tuple[Path, Path]:
+    wheels = sorted(CARRIED.glob("tnst_mi-*.whl"))
+    if not wheels:
+        raise EnvironmentMissing(
+            "this add-on was built without the wheel of tnst_mi: name a checkout of tnst_mi in the preferences of the "
+            "add-on, or the tnst-mi of an environment"
+        )
+    return wheels[-1], CARRIED / "constraints.txt"
+
+
+def _of_checkout(checkout: Path) -> tuple[Path, Path]:
+    constraints = checkout / "constraints.txt"
+    if not (constraints.is_file() and (checkout / "pyproject.toml").is_file()):
+        raise EnvironmentMissing(f"{checkout}: is no checkout of tnst_mi, expected pyproject.toml and constraints.txt")
+    return checkout, constraints

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from .progress import InstallationReader, Progress, ProgressReader
+from .pythons import any_python
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a job has got.
+__all__ = ["Job", "Progress"]
 
-    Attributes:
-        fraction: of its work, 0 to 1; None while that is not known.
-        text: one short line for a status bar, such as "octave 2/3, frame 12, 40%, 1:20 left".
-    """
+#: Runs the command, and ends it with Blender.
+_SUPERVISOR = Path(__file__).with_name("supervisor.py")
 
-    fraction: float | None
-    text: str
+#: Bytes of the log that are read at a time, and looked at for what was wrong.
+_MOST, _TAIL = 1 << 20, 1 << 14
+
+#: How tnst-mi begins the lines that say what was wrong.
+_COMPLAINT = "tnst-mi: "
+
+#: Lines of an error, at most.
+_LINES = 5
 
 
 class Job:
@@ -29,39 +35,102 @@ class Job:
 
     def __init__(self, command: list[str], log: Path) -> None:
         self.command, self.log = command, log
+        self.cancelled = False
+        """Whether `cancel` was called."""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reader = self._new_reader()
+        self._read, self._rest = 0, b""
 
     def start(self) -> None:
         """Start it.
 
         Raises:
-            OSError: the log cannot be written, or the program cannot be started.
+            OSError: the log cannot be written, or there is no Python to start it.
         """
-        raise NotImplementedError
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        python = any_python()
+        if python is None:
+            raise FileNotFoundError(
+                "Blender has no Python of its own, and there is none on the PATH; install Python 3.11 or newer"
+            )
+        # A home of Blender's Python is none of another one's. What is said is in UTF-8 on Windows too.
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
+        environment["PYTHONUTF8"] = "1"
+        windows = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [python, "-I", _SUPERVISOR, *self.command],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                # Not in Blender's group: Ctrl-C in the terminal that Blender was started from is not meant for this.
+                start_new_session=os.name != "nt",
+                **windows,
+            )
 
     def poll(self) -> Progress:
         """How far it has got; never waits."""
-        raise NotImplementedError
+        if self._process is not None:
+            self._process.poll()
+        for line in self._new_lines():
+            self._reader.read(line)
+        return self._reader.progress()
 
     def cancel(self) -> None:
-        """Ask it to end, as Ctrl-C does; what does not end is terminated, then killed. Does not wait: see `finished`."""
-        raise NotImplementedError
+        """Ask it to end, as Ctrl-C does; what does not end is terminated, then killed.
 
-    @property
-    def cancelled(self) -> bool:
-        """Whether `cancel` was called."""
-        raise NotImplementedError
+        It is ended within 25 s, by a process that does not depend on Blender. This does not wait: see `finished`.
+        """
+        self.cancelled = True
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
 
     @property
     def finished(self) -> bool:
-        """Whether no process of it is left; never waits."""
-        raise NotImplementedError
+        """Whether it was started, and no process of it is left; never waits."""
+        return self.exit_code is not None
 
     @property
     def exit_code(self) -> int | None:
         """That of the program once it is finished: 0 done, 2 bad input, 3 stopped and can be resumed."""
-        raise NotImplementedError
+        return None if self._process is None else self._process.poll()
 
     @property
     def error(self) -> str | None:
-        """What was wrong and the remedy, as one line; None unless it has failed (a cancelled job has not)."""
-        raise NotImplementedError
+        """What was wrong and the remedy, a few lines at most; None unless it has failed. Cancelled jobs have not."""
+        if self.cancelled or self.exit_code in (None, 0):
+            return None
+        said = self._last_lines()
+        complaints = list(dict.fromkeys(line for line in said if self._is_complaint(line)))
+        lines = complaints[-_LINES:] or said[-_LINES:]
+        return (
+            "\n".join(lines) or f"{Path(self.command[0]).name} has ended with exit code {self.exit_code} without a word"
+        )
+
+    def _new_reader(self) -> ProgressReader | InstallationReader:
+        return ProgressReader()
+
+    def _is_complaint(self, line: str) -> bool:
+        return line.startswith(_COMPLAINT)
+
+    def _new_lines(self) -> list[str]:
+        """The lines that the log has since the last time, those that are whole."""
+        try:
+            with self.log.open("rb") as log:
+                log.seek(self._read)
+                fresh = log.read(_MOST)
+        except FileNotFoundError:
+            return []
+        self._read += len(fresh)
+        *whole, self._rest = (self._rest + fresh).split(b"\n")
+        return [line.decode("utf-8", "replace").strip() for line in whole]
+
+    def _last_lines(self) -> list[str]:
+        try:
+            with self.log.open("rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL))
+                lines = log.read().decode("utf-8", "replace").splitlines()
+        except FileNotFoundError:
+            return []
+        return [line.strip() for line in lines if line.strip()]

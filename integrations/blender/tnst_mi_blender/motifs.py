@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Greyscale PNG, thumbnails in rows from the top.
-SHEET = Path(__file__).with_name("motifs.png")
+#: Grey picture with the thumbnails in rows, and their names; written by scripts/build_blender_addon.py.
+SHEET, NAMES = Path(__file__).with_name("motifs.png"), Path(__file__).with_name("motifs.json")
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,12 @@ class Motif:
     edge: int
 
 
-def motifs() -> list[Motif]:
-    """All 64, in the order of the network's classes."""
-    raise NotImplementedError
+@functools.cache
+def motifs() -> tuple[Motif, ...]:
+    """All of them, in the order of the network's classes."""
+    table = json.loads(NAMES.read_text("utf-8"))
+    edge, columns = table["edge"], table["columns"]
+    return tuple(
+        Motif(names[0], tuple(names[1:]), number % columns * edge, number // columns * edge, edge)
+        for number, names in enumerate(table["names"])
+    )
