@@ -60,7 +60,7 @@ def _end(child: subprocess.Popen[bytes], asked: threading.Event, over: threading
     """End the command once that is asked for: politely, firmly, by force."""
     asked.wait()
     steps: tuple[Callable[[subprocess.Popen[bytes]], None], ...] = (_interrupt, _terminate)
-    for step, patience in zip(steps, PATIENCE):
+    for step, patience in zip(steps, PATIENCE, strict=True):
         if over.is_set():
             return
         step(child)

@@ -30,9 +30,9 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, int):
-        return str(value)
+        return str(int(value))
     if isinstance(value, float) and math.isfinite(value):
-        return repr(value)
+        return repr(float(value))  # also of numpy's, which are shown with their type
     if isinstance(value, Mapping):
         return "{" + ", ".join(assignment(str(key), entry) for key, entry in value.items()) + "}"
     if isinstance(value, list | tuple):
