@@ -7,8 +7,8 @@ The zip carries the wheel of this checkout with constraints.txt, for the button 
 leaves both out, for those who have an environment. The same checkout gives the same bits: what is in the zip is not
 compressed (the wheel is already), so that they do not depend on a version of zlib, except the wheel's.
 
-The tables of the panel come from tnst_mi itself: its keys with their documentation, the names of its motifs. They are in
-the checkout too, so that the add-on can be tried without being built, and --generate writes them again. The sheet of
+The tables of the panel come from tnst_mi itself: its keys with their documentation, the names of its motifs. They are
+in the checkout too, so that the add-on can be tried without being built, and --generate writes them again. The sheet of
 thumbnails, drawn by torch, has other bits with another torch; so it is in the checkout (200 KB), where only --generate
 writes it.
 
@@ -49,7 +49,7 @@ CARRIED = "carried"
 COLUMNS, EDGE, FINER = 8, 64, 2
 
 #: Seed of the first thumbnail; that of docs/patterns.md.
-SEED = 64 << 40
+SEED = 1 << 40
 
 #: The earliest time that a zip can hold; all of its files have it.
 EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from .child import NO_WINDOW, variables
 from .job import Job
+from .private import MARKER, installed_program, program_in
 from .progress import InstallationReader
 from .pythons import OLDEST, environment_python
 from .version import VERSION
 
 #: What other programs set to say which tnst-mi is meant.
 VARIABLE = "TNST_MI_PROGRAM"
-
-#: In the folder of the private environment: names the environment that is complete.
-MARKER = "environment.json"
 
 #: What the zip of the add-on carries: the wheel of tnst_mi, and the versions of packages that it was tested with.
 CARRIED = Path(__file__).with_name("carried")
@@ -80,25 +78,6 @@ def find_environment(chosen: str, private: Path) -> Environment:
     )
 
 
-def installed_program(private: Path) -> Path | None:
-    """`tnst-mi` of the private environment; None if there is none that is complete.
-
-    Args:
-        private: its folder, which need not exist.
-    """
-    try:
-        name = json.loads((private / MARKER).read_text("utf-8"))["folder"]
-        program = program_in(private / name)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return program if program.is_file() else None
-
-
-def program_in(environment: Path) -> Path:
-    """Where a virtual environment has `tnst-mi`."""
-    return environment / "Scripts" / "tnst-mi.exe" if os.name == "nt" else environment / "bin" / "tnst-mi"
-
-
 def _named(text: str, origin: str) -> Path:
     """The program that a file, the folder of an environment, or a name on the PATH means."""
     path = Path(text).expanduser()
@@ -131,17 +110,15 @@ def _checked(program: Path, origin: str) -> Environment:
 @functools.lru_cache(maxsize=16)
 def _version(program: Path, _changed: int) -> str | None:
     """What a program says that its version is; None if it does not say so as tnst-mi does."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
-    windows = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
     try:
         ran = subprocess.run(
             [program, "--version"],
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            env=environment,
+            env=variables(program),
             timeout=_PATIENCE,
             check=False,
-            **windows,
+            creationflags=NO_WINDOW,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -6,6 +6,7 @@ import os
 import subprocess
 from pathlib import Path
 
+from .child import NO_WINDOW, variables
 from .progress import InstallationReader, Progress, ProgressReader
 from .pythons import any_python
 
@@ -52,20 +53,16 @@ class Job:
             raise FileNotFoundError(
                 "Blender has no Python of its own, and there is none on the PATH; install Python 3.11 or newer"
             )
-        # A home of Blender's Python is none of another one's. What is said is in UTF-8 on Windows too.
-        environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
-        environment["PYTHONUTF8"] = "1"
-        windows = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
                 [python, "-I", _SUPERVISOR, *self.command],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=environment,
+                env=variables(Path(self.command[0])),
                 # Not in Blender's group: Ctrl-C in the terminal that Blender was started from is not meant for this.
                 start_new_session=os.name != "nt",
-                **windows,
+                creationflags=NO_WINDOW,
             )
 
     def poll(self) -> Progress:
