@@ -20,5 +20,6 @@ def variables(program: Path) -> dict[str, str]:
     environment has all that it needs, and what a studio puts there for its other programs does harm.
     """
     left_out = {"PYTHONHOME", "PYTHONPATH"} if is_private(program) else {"PYTHONHOME"}
-    # What is said is in UTF-8 on Windows too.
-    return {name: value for name, value in os.environ.items() if name not in left_out} | {"PYTHONUTF8": "1"}
+    kept = {name: value for name, value in os.environ.items() if name not in left_out}
+    # UTF-8 on Windows too, and progress that a status bar can follow: logs have a line each half minute.
+    return kept | {"PYTHONUTF8": "1", "TNST_MI_PROGRESS_SECONDS": "1"}

@@ -240,7 +240,7 @@ def test_a_real_installation_that_fails(carried: Path, tmp_path: Path) -> None:
     assert list((tmp_path / "private").iterdir()) == [] and "not installed" in refused("", tmp_path / "private")
 
 
-def test_a_real_installation_that_is_cancelled(carried: Path, tmp_path: Path) -> None:
+def test_an_installation_that_is_cancelled_leaves_nothing(carried: Path, tmp_path: Path) -> None:
     wheel(carried)
     job = Installation(tmp_path / "private", tmp_path / "job.log")
     job.start()

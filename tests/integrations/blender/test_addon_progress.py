@@ -33,7 +33,7 @@ def log_of(monkeypatch: pytest.MonkeyPatch, frame: str, done: int, total: int) -
         bar.advance(
             Progress(
                 frame=frame, octave=number // 10, octaves=2, iteration=number % 10, iterations=10, loss=0.5,
-                done=number + 1, total=total, workers=0,
+                terms={}, done=number + 1, total=total, workers=0,
             )
         )  # fmt: skip
     bar.close()

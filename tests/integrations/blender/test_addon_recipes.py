@@ -65,12 +65,14 @@ def recipe_of(shot: Shot, folder: Path) -> tnst_mi.Recipe:
 
 def test_a_shot_is_the_recipe_that_was_meant(tmp_path: Path) -> None:
     picture = tmp_path / 'Söhne\'s "fire" \\ 火.png'
-    picture.write_bytes(b"")
+    camera = tmp_path / "shot.json"
+    for file in (picture, camera):
+        file.touch()
     shot = Shot(
         goals=(Goal("style", str(picture)), Goal("style", "spirals"), Goal("tag", "brush strokes")),
         quality="draft",
         frames=(-3, 12),
-        camera=tmp_path / "shot.json",
+        camera=camera,
         origin=(-1.0125, 0.0, 2),
         voxel_size=0.075,
         weights="patterns",
@@ -80,7 +82,7 @@ def test_a_shot_is_the_recipe_that_was_meant(tmp_path: Path) -> None:
     assert recipe.style[0] == str(picture) and Path(recipe.style[1]).name == "spirals.png"
     assert recipe.tag == ("brush strokes",)
     assert (recipe.quality, recipe.frames, recipe.format) == ("draft", "-3:12", "vdb")
-    assert (recipe.camera, recipe.weights) == (str(tmp_path / "shot.json"), "patterns")
+    assert (recipe.camera, recipe.weights) == (str(camera), "patterns")
     assert (recipe.origin, recipe.voxel_size) == ((-1.0125, 0.0, 2.0), 0.075)
     assert (recipe.octaves, recipe.azimuth) == (2, (-20.0, 20.0))
     assert dict(recipe.keyframes["gamma"]) == {1: 0.1, 12: 1.0}
