@@ -1,0 +1,29 @@
+"""What is not the same in all versions of Blender from 3.4 to 5.0."""
+
+from __future__ import annotations
+
+import bpy
+
+#: How far from the place of a voxel Blender draws its middle, in voxels along each axis. OpenVDB has the middle there.
+#: Measured with 3.4 and 5.0.
+DRAWN_OFF = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
+
+
+def fill(modifier: bpy.types.MeshToVolumeModifier, edge: float) -> None:
+    """Let a modifier Mesh to Volume fill its mesh with 1, which is reached at a depth of `edge` where Blender can do it.
+
+    Before 4.0 it is filled with 1 up to the surface.
+    """
+    if hasattr(modifier, "use_fill_volume"):
+        modifier.use_fill_volume, modifier.exterior_band_width = True, 0.0
+    else:
+        modifier.interior_band_width = max(edge, 1e-6)
+
+
+def show_progress(layout: bpy.types.UILayout, fraction: float | None, text: str) -> None:
+    """A bar with a text in it; before 4.0, which has none, the text and the percentage."""
+    if hasattr(layout, "progress"):
+        layout.progress(factor=fraction or 0.0, text=text)
+    else:
+        percent = "" if fraction is None else f"{round(100 * fraction)}%  "
+        layout.label(text=f"{percent}{text}", icon="TIME")
