@@ -17,7 +17,7 @@ class TNST_MI_UL_looks(bpy.types.UIList):
 
     bl_idname = "TNST_MI_UL_looks"
 
-    def draw_item(self, _context, layout, _data, look, _icon, _active, _property, _index=0, _flag=0) -> None:  # noqa: ANN001
+    def draw_item(self, _context, layout, _data, look, _icon, _active, _property, _index=0, _flag=0) -> None:
         """Draw a line: the goal and its region."""
         row = layout.row(align=True)
         picture = bpy.path.basename(look.picture) or "no picture"
@@ -62,7 +62,7 @@ class TNST_MI_UL_overrides(bpy.types.UIList):
 
     bl_idname = "TNST_MI_UL_overrides"
 
-    def draw_item(self, _context, layout, _data, override, _icon, _active, _property, _index=0, _flag=0) -> None:  # noqa: ANN001
+    def draw_item(self, _context, layout, _data, override, _icon, _active, _property, _index=0, _flag=0) -> None:
         """Draw a line: the key and its value."""
         split = layout.split(factor=0.45)
         split.label(text=override.key)

@@ -58,7 +58,9 @@ def _draw_looks(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -
         return
     buttons.operator("tnst_mi.remove_look", text="", icon="REMOVE")
     look = settings.looks[min(settings.look_index, len(settings.looks) - 1)]
-    layout.row().prop(look, "goal", expand=True)
+    row = layout.row()
+    row.use_property_split = False
+    row.prop(look, "goal", expand=True)
     if look.goal == "MOTIF":
         layout.template_icon_view(look, "motif", show_labels=True, scale=6.0, scale_popup=4.0)
         layout.prop(look, "motif")
@@ -80,7 +82,9 @@ def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
     """Keys of the recipe, with what the selected one does."""
     box = layout.box()
     icon = "DISCLOSURE_TRI_DOWN" if settings.show_advanced else "DISCLOSURE_TRI_RIGHT"
-    box.prop(settings, "show_advanced", icon=icon, emboss=False)
+    header = box.row()
+    header.alignment = "LEFT"
+    header.prop(settings, "show_advanced", icon=icon, emboss=False)
     if not settings.show_advanced:
         return
     row = box.row()
@@ -106,12 +110,12 @@ def _draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         show_progress(column, now.progress.fraction, "stopping" if now.job.cancelled else now.progress.text)
         column.operator("tnst_mi.cancel", icon="X")
         return
-    column = layout.column()
-    column.scale_y = 1.4
-    column.operator("tnst_mi.stylize", icon="PLAY")
-    row = layout.row(align=True)
-    row.operator("tnst_mi.resume", icon="FILE_REFRESH")
-    row.operator("tnst_mi.bake_markers", icon="MARKER_HLT")
+    row = layout.row()
+    row.scale_y = 1.4
+    row.operator("tnst_mi.stylize", icon="PLAY")
+    column = layout.column(align=True)
+    column.operator("tnst_mi.resume", icon="FILE_REFRESH")
+    column.operator("tnst_mi.bake_markers", icon="MARKER_HLT")
 
 
 class TNST_MI_PT_sidebar(SmokePanel, bpy.types.Panel):

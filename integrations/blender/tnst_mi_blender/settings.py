@@ -25,9 +25,9 @@ _QUALITIES = (
     ("final", "Final", "All of it"),
 )
 _GOALS = (
-    ("MOTIF", "Motif", "One of 64 motifs that ship with tnst_mi", "OUTLINER_OB_VOLUME", 0),
-    ("PICTURE", "Picture", "The style of a picture", "IMAGE_DATA", 1),
-    ("CHANNEL", "Channel", "A channel of the network, as LAYER:NUMBER, for those who know it", "NODE", 2),
+    ("MOTIF", "Motif", "One of 64 motifs that ship with tnst_mi"),
+    ("PICTURE", "Picture", "The style of a picture"),
+    ("CHANNEL", "Channel", "A channel of the network, as LAYER:NUMBER, for those who know it"),
 )
 _PLACES = (
     ("IN_PLACE", "In Its Place", "Where the original is, which is hidden"),
@@ -98,12 +98,12 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     frame_start: IntProperty(name="First", default=1)
     frame_end: IntProperty(name="Last", default=24)
     use_camera: BoolProperty(
-        name="Through the Scene Camera",
+        name="Scene Camera",
         default=True,
         description="Stylize what the camera of each frame sees; otherwise, the view from the front",
     )
     steady: BoolProperty(
-        name="Steady in Time",
+        name="Steady",
         default=True,
         description="Motifs move with the smoke: each frame follows its neighbours. Takes longer",
     )

@@ -1,4 +1,4 @@
-"""From the panel's settings to shots: the recipe's values, with cameras and regions as the scene has them in each frame."""
+"""From the panel's settings to shots, with the cameras and regions that the scene has in each frame."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 
 import bpy
 
+from . import commands
 from .advanced import keys_of
-from .commands import Goal, Region as RecipeRegion, Shot
+from .commands import Goal, Shot
 from .export_camera import UnusableCameraError, camera_table, cameras_of
 from .problems import CannotStylizeError
 from .regions import Region
@@ -113,7 +114,8 @@ def shot_of(
     regions = ()
     if any(masks) or any(look.weight != 1.0 for look in settings.looks):
         regions = tuple(
-            RecipeRegion(goal, mask, look.weight) for goal, mask, look in zip(goals, masks, settings.looks, strict=True)
+            commands.Region(goal, mask, look.weight)
+            for goal, mask, look in zip(goals, masks, settings.looks, strict=True)
         )
     return Shot(
         goals=() if regions else tuple(goals),
@@ -159,7 +161,7 @@ def _through_frames(
             continue
         camera = take.camera or scene.camera
         if camera is None:
-            raise CannotStylizeError("the scene has no camera: add one, or switch Through the Scene Camera off")
+            raise CannotStylizeError("the scene has no camera: add one, or switch Scene Camera off")
         try:
             tables[str(number)] = camera_table(camera, scene, graph, smoke.space)
         except UnusableCameraError as error:
