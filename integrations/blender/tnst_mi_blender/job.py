@@ -71,7 +71,10 @@ class Job:
             self._process.poll()
         for line in self._new_lines():
             self._reader.read(line)
-        return self._reader.progress()
+        progress = self._reader.progress()
+        if self.cancelled and not self.finished:
+            return Progress(progress.fraction, "stopping after the current step")
+        return progress
 
     def cancel(self) -> None:
         """Ask it to end, as Ctrl-C does; what does not end is terminated, then killed.

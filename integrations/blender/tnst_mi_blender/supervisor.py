@@ -3,7 +3,8 @@
     python supervisor.py COMMAND...
 
 Whoever started this holds the other end of stdin. To close it is to ask for the end; if Blender crashes or is killed,
-the system closes it. On Windows it also gives the command a console, without which no Ctrl-Break reaches it.
+the system closes it. On Windows it also gives the command a console, without which no Ctrl-Break reaches it. The
+command makes way for other programs, of which Blender is one.
 
 The exit code is that of the command, 128 + N if signal N has ended it, 127 if it cannot be started.
 """
@@ -21,6 +22,9 @@ from contextlib import suppress
 #: Seconds that the command has after each request. The first is long enough for a step of large frames: tnst-mi ends
 #: after it, and keeps what it has.
 PATIENCE = 20.0, 5.0
+
+#: How far the command stands back where systems count that: those of POSIX from 0 to 19.
+NICENESS = 10
 
 
 def main(command: list[str]) -> int:
@@ -44,7 +48,9 @@ def main(command: list[str]) -> int:
 
 def _started(command: list[str]) -> subprocess.Popen[bytes]:
     if sys.platform == "win32":
-        return subprocess.Popen(command, stdin=subprocess.DEVNULL, creationflags=subprocess.CREATE_NEW_PROCESS_GROUP)
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, creationflags=flags)
+    os.nice(NICENESS)  # this process does, and what it starts with it
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
 
 

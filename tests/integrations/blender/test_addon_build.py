@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 import zipfile
 from pathlib import Path
@@ -25,6 +26,14 @@ def test_the_tables_are_those_of_tnst_mi() -> None:
     for name, content in build_blender_addon.generated().items():
         now = (blender_addon.ADDON / name).read_bytes()
         assert now == content, f"{name} has drifted: run python scripts/build_blender_addon.py --generate"
+
+
+def test_versions_are_that_of_tnst_mi() -> None:
+    """Also those of `bl_info`, which older versions of Blender read."""
+    modules = "".join(file.read_text("utf-8") for file in blender_addon.ADDON.glob("*.py"))
+    assert VERSION in re.findall(r'VERSION = "(.*)"', modules)
+    numbers = f"({', '.join(VERSION.split('.'))})"
+    assert {numbers} | set(re.findall(r'"version": (\(.*?\))', modules)) == {numbers}
 
 
 def test_the_panel_shows_all_keys_as_the_recipe_documents_them() -> None:

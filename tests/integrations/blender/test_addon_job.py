@@ -111,10 +111,12 @@ def test_cancel_is_ctrl_c_and_leaves_nothing_of_the_group(tmp_path: Path) -> Non
     job.start()
     program, child = numbers(tmp_path / "pids")
     assert os.getpgid(program) == program == os.getpgid(child) != os.getpgid(0)
+    assert psutil.Process(program).nice() == min(19, os.nice(0) + 10)  # Blender stays usable
     assert not job.finished and job.exit_code is None and job.error is None
     begun = time.monotonic()
     job.cancel()
     assert time.monotonic() - begun < 1  # it does not wait
+    assert job.finished or job.poll().text == "stopping after the current step"
     assert ended(job) == 3 and job.cancelled and job.error is None
     assert until(lambda: not alive(program) and not alive(child))
     job.cancel()  # once more does no harm
