@@ -32,11 +32,8 @@ def keys_of(overrides: bpy.types.bpy_prop_collection) -> dict[str, Any]:
     Raises:
         CannotStylizeError: a value is none that the key can have.
     """
-    return {
-        override.key: _value(override, parameters()[override.key])
-        for override in overrides
-        if override.key in parameters()
-    }
+    known = parameters()
+    return {each.key: _value(each, known[each.key]) for each in overrides if each.key in known}
 
 
 def _value(override: bpy.types.PropertyGroup, parameter: Parameter) -> Any:
@@ -61,11 +58,8 @@ def _parsed(text: str) -> Any:
 
 def _allowed(value: Any, parameter: Parameter) -> bool:
     """Whether a number is one that a key can have; of other values, tnst-mi is the judge."""
-    if (
-        parameter.kind not in ("number", "integer")
-        or isinstance(value, dict)
-        or value in (*parameter.words, *parameter.choices)
-    ):
+    named = (*parameter.words, *parameter.choices)
+    if parameter.kind not in ("number", "integer") or isinstance(value, dict) or value in named:
         return True
     if isinstance(value, bool) or not isinstance(value, int if parameter.kind == "integer" else (int, float)):
         return False

@@ -1,4 +1,4 @@
-"""What a run was started for, kept beside its results, so that it can be resumed and loaded after Blender was closed."""
+"""What a run was started for, kept beside its results, so that it can be resumed after Blender was closed."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def private_folder() -> Path:
 
 
 def preferences_of(context: bpy.types.Context) -> "TnstMiPreferences":
-    """What is set in the preferences; extensions have other names than add-ons, so that it is asked by the package's."""
+    """What is set in the preferences, which are named by the package: extensions have other names than add-ons."""
     return context.preferences.addons[__package__].preferences
 
 

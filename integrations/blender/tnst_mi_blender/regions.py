@@ -63,8 +63,8 @@ class Region:
             return shape
         if not self._smoke.placed:
             raise CannotStylizeError(
-                f"{self._item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB files "
-                "alone: bake the domain with Cache > Format Volumes OpenVDB"
+                f"{self._item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB "
+                "files alone: bake the domain with Cache > Format Volumes OpenVDB"
             )
         return MaskFile(self._written())
 

@@ -29,7 +29,7 @@ class OfSmoke(RunsJob):
 
 
 class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
-    """Stylize the smoke of this object, beside Blender, and show the result. What a run of this quality left is replaced"""
+    """Stylize the smoke of this object, while Blender stays usable, and show the result in place of an earlier one"""
 
     bl_idname = "tnst_mi.stylize"
     bl_label = "Stylize"

@@ -31,12 +31,15 @@ class Running:
         self.progress = Progress(None, "starting")
 
 
-_running: Running | None = None
+class _Watched:
+    """What runs now; None if nothing does."""
+
+    running: Running | None = None
 
 
 def running() -> Running | None:
     """What runs; None if nothing does."""
-    return _running
+    return _Watched.running
 
 
 class RunsJob:
@@ -49,7 +52,7 @@ class RunsJob:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Not while another one runs."""
-        return _running is None
+        return _Watched.running is None
 
     def begin(self, context: bpy.types.Context) -> Running:
         """Prepare and start the job.
@@ -61,15 +64,14 @@ class RunsJob:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start, and watch."""
-        global _running
         try:
-            _running = self.begin(context)
+            now = _Watched.running = self.begin(context)
         except (CannotStylizeError, EnvironmentMissing, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if bpy.app.background:
-            while not _running.job.finished:
-                _running.progress = _running.job.poll()
+            while not now.job.finished:
+                now.progress = now.job.poll()
                 time.sleep(_EVERY)
             return self._end(context)
         self._timer = context.window_manager.event_timer_add(_EVERY, window=context.window)
@@ -78,11 +80,12 @@ class RunsJob:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Look at the job at each tick of the timer; everything else is Blender's."""
-        if event.type != "TIMER" or _running is None:
+        now = _Watched.running
+        if event.type != "TIMER" or now is None:
             return {"PASS_THROUGH"}
-        _running.progress = _running.job.poll()
-        if not _running.job.finished:
-            _show(context, _running)
+        now.progress = now.job.poll()
+        if not now.job.finished:
+            _show(context, now)
             return {"PASS_THROUGH"}
         return self._end(context)
 
@@ -93,7 +96,7 @@ class RunsJob:
 
     def _end(self, context: bpy.types.Context) -> set[str]:
         """Say what has become of the job."""
-        ended = _running
+        ended = _Watched.running
         assert ended is not None
         self._clear(context)
         if ended.job.cancelled:
@@ -110,8 +113,7 @@ class RunsJob:
         return {"FINISHED"}
 
     def _clear(self, context: bpy.types.Context) -> None:
-        global _running
-        _running = None
+        _Watched.running = None
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
@@ -128,7 +130,7 @@ class TNST_MI_OT_cancel(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """While something runs."""
-        return _running is not None and not _running.job.cancelled
+        return _Watched.running is not None and not _Watched.running.job.cancelled
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Ask it to end; the operator that watches it says when it has."""
@@ -138,8 +140,8 @@ class TNST_MI_OT_cancel(bpy.types.Operator):
 
 def end_job() -> None:
     """Ask what runs to end."""
-    if _running is not None:
-        _running.job.cancel()
+    if _Watched.running is not None:
+        _Watched.running.job.cancel()
 
 
 def _show(context: bpy.types.Context, shown: Running) -> None:

@@ -151,12 +151,10 @@ def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
         raise CannotStylizeError(f"{item.name}: there is no file {file}: choose another in its properties")
     if not volume.grids.load():
         raise CannotStylizeError(f"{item.name}: {volume.grids.error_message or 'cannot be read'}; choose another file")
-    grid = next((volume.grids[name] for name in DENSITIES if name in volume.grids), None) or next(
-        iter(volume.grids), None
-    )
-    if grid is None:
+    if not len(volume.grids):
         raise CannotStylizeError(f"{item.name}: its file has no grids; choose another")
-    axes = grid.matrix_object.to_3x3()
+    named = next((name for name in DENSITIES if name in volume.grids), 0)
+    axes = volume.grids[named].matrix_object.to_3x3()
     return Smoke(
         source=source,
         numbers=numbers,

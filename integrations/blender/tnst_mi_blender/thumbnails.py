@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -10,32 +11,42 @@ import numpy as np
 
 from .motifs import SHEET, motifs
 
-_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
-_items: list[tuple[str, str, str, int, int]] = []
+
+class _Loaded:
+    """The pictures while the add-on is switched on, and the choices that show them, to which Blender has no reference."""
+
+    pictures: bpy.utils.previews.ImagePreviewCollection | None = None
+    items: tuple[tuple[str, str, str, int, int], ...] = ()
 
 
-def motif_items(_look: object = None, _context: object = None) -> list[tuple[str, str, str, int, int]]:
+def motif_items(_look: object = None, _context: object = None) -> Sequence[tuple[str, str, str, int, int]]:
     """The motifs as choices of an EnumProperty, with their pictures once these are there."""
-    if not _items:
-        for number, motif in enumerate(motifs()):
-            icon = 0 if _pictures is None or motif.tag not in _pictures else _pictures[motif.tag].icon_id
-            also = f"Also: {', '.join(motif.synonyms)}" if motif.synonyms else ""
-            _items.append((motif.tag, motif.tag.capitalize(), also, icon, number))
-    return _items
+    if not _Loaded.items:
+        _Loaded.items = tuple(
+            (motif.tag, motif.tag.capitalize(), f"Also: {', '.join(motif.synonyms)}", _icon(motif.tag), number)
+            for number, motif in enumerate(motifs())
+        )
+    return _Loaded.items
+
+
+def _icon(name: str) -> int:
+    pictures = _Loaded.pictures
+    return 0 if pictures is None or name not in pictures else pictures[name].icon_id
 
 
 def picture_icon(file: str) -> int:
     """The icon of a picture file; 0 if it cannot be shown."""
-    if _pictures is None or not Path(file).is_file():
+    if _Loaded.pictures is None or not Path(file).is_file():
         return 0
-    if file not in _pictures:
-        _pictures.load(file, file, "IMAGE")
-    return _pictures[file].icon_id
+    if file not in _Loaded.pictures:
+        _Loaded.pictures.load(file, file, "IMAGE")
+    return _icon(file)
 
 
 def _cut_sheet() -> None:
     """Cut the sheet of motifs into previews; not while Blender registers add-ons, when it opens no pictures."""
-    if _pictures is None or motifs()[0].tag in _pictures:
+    pictures = _Loaded.pictures
+    if pictures is None or motifs()[0].tag in pictures:
         return
     sheet = bpy.data.images.load(str(SHEET))
     try:
@@ -50,28 +61,26 @@ def _cut_sheet() -> None:
     for motif in motifs():
         below = height - motif.top - motif.edge
         tile = rows[below : below + motif.edge, motif.left : motif.left + motif.edge]
-        preview = _pictures.new(motif.tag)
+        preview = pictures.new(motif.tag)
         preview.image_size = motif.edge, motif.edge
         preview.image_pixels_float = tile.ravel().tolist()
         small = tile.reshape(motif.edge // 2, 2, motif.edge // 2, 2, 4).mean((1, 3))
         preview.icon_size = motif.edge // 2, motif.edge // 2
         preview.icon_pixels_float = small.ravel().tolist()
-    _items.clear()
+    _Loaded.items = ()
 
 
 def register() -> None:
     """Make the pictures, as soon as Blender has started."""
-    global _pictures
-    _pictures = bpy.utils.previews.new()
+    _Loaded.pictures = bpy.utils.previews.new()
     bpy.app.timers.register(_cut_sheet, first_interval=0.0)
 
 
 def unregister() -> None:
     """Free them."""
-    global _pictures
     if bpy.app.timers.is_registered(_cut_sheet):
         bpy.app.timers.unregister(_cut_sheet)
-    if _pictures is not None:
-        bpy.utils.previews.remove(_pictures)
-    _pictures = None
-    _items.clear()
+    if _Loaded.pictures is not None:
+        bpy.utils.previews.remove(_Loaded.pictures)
+    _Loaded.pictures = None
+    _Loaded.items = ()

@@ -10,7 +10,7 @@ DRAWN_OFF = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
 
 def fill(modifier: bpy.types.MeshToVolumeModifier, edge: float) -> None:
-    """Let a modifier Mesh to Volume fill its mesh with 1, which is reached at a depth of `edge` where Blender can do it.
+    """Let a modifier Mesh to Volume fill its mesh with 1, reached at a depth of `edge` where Blender can do it.
 
     Before 4.0 it is filled with 1 up to the surface.
     """
