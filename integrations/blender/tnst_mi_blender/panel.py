@@ -83,7 +83,7 @@ def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
     box = layout.box()
     icon = "DISCLOSURE_TRI_DOWN" if settings.show_advanced else "DISCLOSURE_TRI_RIGHT"
     header = box.row()
-    header.alignment = "LEFT"
+    header.use_property_split, header.alignment = False, "LEFT"
     header.prop(settings, "show_advanced", icon=icon, emboss=False)
     if not settings.show_advanced:
         return

@@ -98,9 +98,9 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     frame_start: IntProperty(name="First", default=1)
     frame_end: IntProperty(name="Last", default=24)
     use_camera: BoolProperty(
-        name="Scene Camera",
+        name="Camera",
         default=True,
-        description="Stylize what the camera of each frame sees; otherwise, the view from the front",
+        description="Stylize what the camera of the scene sees in each frame; otherwise, the view from the front",
     )
     steady: BoolProperty(
         name="Steady",

@@ -161,7 +161,7 @@ def _through_frames(
             continue
         camera = take.camera or scene.camera
         if camera is None:
-            raise CannotStylizeError("the scene has no camera: add one, or switch Scene Camera off")
+            raise CannotStylizeError("the scene has no camera: add one, or switch Camera off")
         try:
             tables[str(number)] = camera_table(camera, scene, graph, smoke.space)
         except UnusableCameraError as error:

@@ -13,7 +13,7 @@ from .motifs import SHEET, motifs
 
 
 class _Loaded:
-    """The pictures while the add-on is switched on, and the choices that show them, to which Blender has no reference."""
+    """The pictures while the add-on is on, and the choices that show them: Blender keeps no reference to these."""
 
     pictures: bpy.utils.previews.ImagePreviewCollection | None = None
     items: tuple[tuple[str, str, str, int, int], ...] = ()
