@@ -24,19 +24,24 @@ _PREFIX = "env-"
 
 def main(private: Path, marker: str, source: Path, constraints: Path) -> int:
     """Make the environment."""
-    private.mkdir(parents=True, exist_ok=True)
-    _remove_others(private, _complete(private / marker))
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=private))
+    try:
+        private.mkdir(parents=True, exist_ok=True)
+        _remove_others(private, _complete(private / marker))
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=private))
+    except OSError as error:
+        print(f"ERROR: {error.filename}: {error.strerror}", flush=True)
+        return 1
     try:
         _install(folder, source, constraints)
         _write(private / marker, folder.name)
-    except subprocess.CalledProcessError as error:
-        print(f"ERROR: {Path(error.cmd[0]).name} has ended with exit code {error.returncode}", flush=True)
-        shutil.rmtree(folder, ignore_errors=True)
-        return 1
     except KeyboardInterrupt:
         shutil.rmtree(folder, ignore_errors=True)
         return 3
+    except (OSError, subprocess.CalledProcessError) as error:
+        if isinstance(error, OSError):
+            print(f"ERROR: {error.filename}: {error.strerror}", flush=True)  # pip and venv say themselves what is wrong
+        shutil.rmtree(folder, ignore_errors=True)
+        return 1
     _remove_others(private, folder.name)
     return 0
 

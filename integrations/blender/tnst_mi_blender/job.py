@@ -21,6 +21,9 @@ _MOST, _TAIL = 1 << 20, 1 << 14
 #: How tnst-mi begins the lines that say what was wrong.
 _COMPLAINT = "tnst-mi: "
 
+#: The exit code of what was killed, as the supervisor gives it.
+_KILLED = 128 + 9
+
 #: Lines of an error, at most.
 _LINES = 5
 
@@ -102,10 +105,11 @@ class Job:
             return None
         said = self._last_lines()
         complaints = list(dict.fromkeys(line for line in said if self._is_complaint(line)))
+        name = Path(self.command[0]).name
+        if not complaints and self.exit_code == _KILLED:
+            return f"{name} was killed, as systems do when memory runs out; free some, and go on with what is done"
         lines = complaints[-_LINES:] or said[-_LINES:]
-        return (
-            "\n".join(lines) or f"{Path(self.command[0]).name} has ended with exit code {self.exit_code} without a word"
-        )
+        return "\n".join(lines) or f"{name} has ended with exit code {self.exit_code} without a word"
 
     def _new_reader(self) -> ProgressReader | InstallationReader:
         return ProgressReader()

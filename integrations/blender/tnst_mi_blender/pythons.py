@@ -11,8 +11,8 @@ from pathlib import Path
 #: The oldest Python that tnst-mi runs on.
 OLDEST = (3, 11)
 
-#: Programs on the PATH that may be Python, the likeliest first.
-_NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
+#: Programs on the PATH that may be Python, first the one that tnst-mi is tested with.
+_NAMES = ("python3.11", "python3.12", "python3.13", "python3", "python")
 
 #: Makes a virtual environment with pip, or fails: distributions split both from Python.
 _CHECK = f"import sys, venv, ensurepip; sys.exit(sys.version_info < {OLDEST})"

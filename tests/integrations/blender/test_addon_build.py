@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -34,6 +36,21 @@ def test_versions_are_that_of_tnst_mi() -> None:
     assert VERSION in re.findall(r'VERSION = "(.*)"', modules)
     numbers = f"({', '.join(VERSION.split('.'))})"
     assert {numbers} | set(re.findall(r'"version": (\(.*?\))', modules)) == {numbers}
+
+
+#: In the Python of Blender 3.4 to 4.0, and in all of them.
+OLDEST, THERE = (
+    (3, 10),
+    {"bpy", "bpy_extras", "bmesh", "gpu", "mathutils", "numpy", *sys.stdlib_module_names} - {"tomllib"},
+)
+
+
+@pytest.mark.parametrize("module", sorted(blender_addon.ADDON.glob("*.py")), ids=lambda file: file.name)
+def test_modules_are_for_the_python_of_old_blenders_and_import_nothing_heavy(module: Path) -> None:
+    tree = ast.parse(module.read_text("utf-8"), feature_version=OLDEST)
+    imported = [name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names]
+    imported += [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and not node.level]
+    assert {name.split(".")[0] for name in imported} <= THERE
 
 
 def test_the_panel_shows_all_keys_as_the_recipe_documents_them() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -177,6 +178,17 @@ def test_an_installation_that_ends_early_leaves_the_earlier_one(
     earlier, before = find_environment("", tmp_path).program, sorted(tmp_path.rglob("*"))
     assert installed(monkeypatch, tmp_path, ends) == code
     assert find_environment("", tmp_path).program == earlier and sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_installation_that_cannot_be_written_is_told_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert installed(monkeypatch, tmp_path / "file" / "private") == 1
+    assert capsys.readouterr().out == f"ERROR: {tmp_path / 'file' / 'private'}: Not a directory\n"
+    assert installed(monkeypatch, tmp_path / "private", OSError(errno.ENOSPC, "No space left", "a.py")) == 1
+    assert capsys.readouterr().out == "ERROR: a.py: No space left\n"
+    assert list((tmp_path / "private").iterdir()) == []
 
 
 def test_one_that_was_killed_is_no_environment_and_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
