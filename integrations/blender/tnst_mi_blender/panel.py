@@ -97,7 +97,7 @@ def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
     override = settings.overrides[min(settings.override_index, len(settings.overrides) - 1)]
     parameter = parameters().get(override.key)
     lines = box.column(align=True)
-    scale = bpy.context.preferences.system.ui_scale
+    scale = bpy.context.preferences.system.ui_scale or 1.0
     for line in textwrap.wrap(parameter.help if parameter else "", max(20, int(width / (_CHARACTER * scale)) - 6)):
         lines.label(text=line)
 

@@ -146,8 +146,7 @@ def end_job() -> None:
 
 def _show(context: bpy.types.Context, shown: Running) -> None:
     """Show how far a job has got."""
-    percent = "" if shown.progress.fraction is None else f"{round(100 * shown.progress.fraction)}%, "
-    text = "stopping" if shown.job.cancelled else f"{percent}{shown.progress.text}"
+    text = "stopping" if shown.job.cancelled else shown.progress.text
     context.workspace.status_text_set(f"{shown.title}: {text}")
     _redraw(context)
 

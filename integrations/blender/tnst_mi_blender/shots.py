@@ -47,9 +47,11 @@ def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
     """A take for each marker: from its frame to the one before the next marker, or to the end of the scene.
 
     Raises:
-        CannotStylizeError: there are no markers before the end.
+        CannotStylizeError: there are no markers before the end of the scene.
     """
     markers = sorted(scene.timeline_markers, key=lambda marker: marker.frame)
+    if not markers:
+        raise CannotStylizeError("the timeline has no markers: add one at the first frame of each shot")
     ends = [marker.frame - 1 for marker in markers[1:]] + [scene.frame_end]
     takes = [
         Take(marker.name, (marker.frame, end), marker.camera)
@@ -57,7 +59,9 @@ def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
         if marker.frame <= end
     ]
     if not takes:
-        raise CannotStylizeError("the timeline has no markers: add one at the first frame of each shot")
+        raise CannotStylizeError(
+            f"all markers are after the scene, which ends at {scene.frame_end}: move them"
+        )
     return takes
 
 

@@ -21,9 +21,11 @@ def fill(modifier: bpy.types.MeshToVolumeModifier, edge: float) -> None:
 
 
 def show_progress(layout: bpy.types.UILayout, fraction: float | None, text: str) -> None:
-    """A bar with a text in it; before 4.0, which has none, the text and the percentage."""
+    """A bar and a text; before 4.0 there are no bars, and the text has two lines, which narrow panels have room for."""
     if hasattr(layout, "progress"):
         layout.progress(factor=fraction or 0.0, text=text)
-    else:
-        percent = "" if fraction is None else f"{round(100 * fraction)}%  "
-        layout.label(text=f"{percent}{text}", icon="TIME")
+        return
+    parts = text.split(", ")
+    half = (len(parts) + 1) // 2
+    for number, line in enumerate(filter(None, (", ".join(parts[:half]), ", ".join(parts[half:])))):
+        layout.label(text=line, icon="TIME" if number == 0 else "BLANK1")
