@@ -240,14 +240,14 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
 
 
 def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
-    """The shots of two markers, of which one has a camera of its own."""
+    """The shots of two markers, each with a camera of its own."""
     package = install(zip, program)
     item = volume_of(folder)
     look_at(item.location, (3.5, -6.0, 3.0))
     other = bpy.context.scene.camera.copy()
     bpy.context.scene.collection.objects.link(other)
     other.location.x += 4.0
-    bpy.context.scene.timeline_markers.new("wide shot", frame=21)
+    bpy.context.scene.timeline_markers.new("wide shot", frame=21).camera = bpy.context.scene.camera
     bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
     choose(item, package, str(Path(out, "results")))
     ended = list(bpy.ops.tnst_mi.bake_markers())
