@@ -68,7 +68,7 @@ def _files(arguments: ConvertArguments, frames: FrameFiles) -> list[Path]:
         require_writable(output, arguments.input)
         require_names(output, [file.stem for file in frames.files])
         return [output / f"{file.stem}{suffix}" for file in frames.files]
-    suffix = require_format(output)
+    suffix = require_format(output, (*FORMATS, *STAGES))
     if arguments.format not in (None, suffix[1:]):
         raise InputError(f"--format {arguments.format}: {output} is named as a {suffix} file; give one of both")
     if len(frames) > 1:
