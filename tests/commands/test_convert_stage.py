@@ -168,7 +168,7 @@ def test_frames_of_other_formats_are_written_beside(run: Run, tmp_path: Path) ->
 def test_flags_that_change_a_grid_make_files_anew(run: Run, tmp_path: Path) -> None:
     moving, out = tmp_path / "moving", tmp_path / "out.usda"
     for number, low in LOWS.items():
-        write_vdb(moving / f"smoke.{number:04d}.vdb", [grid("density", low), grid("vel", low, 3)], {})
+        write_vdb(moving / f"smoke.{number:04d}.vdb", [grid("density", low), grid("flame", low)], {})
     assert run("convert", moving, out, "--frames", "1:1", "--up", "z", "--origin", "1,0,0").code == 0
     stage = opened(out)
     assert fields_of(stage)["density"].GetFilePathAttr().Get(1).path == "./out_vdb/smoke.0001.vdb"
