@@ -267,6 +267,8 @@ def test_what_cannot_be_shown_is_refused(
     for name in ("run.json", "recipe.toml"):
         (folder / name).touch()
     refused(run, tmp_path, ["convert", folder, out], "a run that has not finished a frame")
+    write_vdb(folder / "velocity" / "v_1.vdb", [grid("velocity", (0, 0, 0), 3)], {})
+    refused(run, tmp_path, ["convert", folder / "velocity", out], r"velocity v\* of a run, whose smoke is in .*density")
 
     def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device", str(out))

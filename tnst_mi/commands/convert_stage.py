@@ -11,6 +11,7 @@ from tnst_mi.commands.arguments import ConvertArguments
 from tnst_mi.commands.base import given, say
 from tnst_mi.errors import InputError, UnforeseenError
 from tnst_mi.io.atomic import UNFINISHED, remove_folder, sync
+from tnst_mi.io.files.folders import densities_of_run
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
@@ -40,6 +41,8 @@ def convert_to_stage(arguments: ConvertArguments, recipe: Recipe, frames: FrameF
     if arguments.format not in (None, "vdb"):
         raise InputError(f"--format {arguments.format}: a stage shows .vdb files; leave it out")
     usd_library(output)
+    if densities := densities_of_run(frames.files[0]):
+        raise InputError(f"{arguments.input}: holds the velocity v* of a run, whose smoke is in {densities}; give that")
     require_writable(output.parent, remedy=None)
     changes = [flag for flag in given(arguments.reading) if flag not in _OF_THE_STAGE]
     if not changes and all(file.suffix.lower() == ".vdb" for file in frames.files):
