@@ -62,7 +62,7 @@ def _draw_looks(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -
     row.use_property_split = False
     row.prop(look, "goal", expand=True)
     if look.goal == "MOTIF":
-        layout.template_icon_view(look, "motif", show_labels=True, scale=6.0, scale_popup=3.0)
+        layout.template_icon_view(look, "motif", show_labels=True, scale=6.0, scale_popup=4.0)
         layout.prop(look, "motif")
     elif look.goal == "PICTURE":
         icon = picture_icon(bpy.path.abspath(look.picture))
