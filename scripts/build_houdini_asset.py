@@ -14,19 +14,16 @@ import json
 import sys
 from pathlib import Path
 
-HOUDINI = Path(__file__).resolve().parents[1] / "integrations" / "houdini"
-ASSET = HOUDINI / "otls" / "tnst_mi_stylize.hda"
+from houdini_asset.files import files
+from houdini_asset.interface import table
+from tnst_mi_houdini.values import TABLE
 
-sys.path[:0] = [str(Path(__file__).parent), str(HOUDINI / "python")]
+from tnst_mi.network.readers import read_weights
+from tnst_mi.network.shipped import shipped_weights
+from tnst_mi.recipe.parameters import parameters
+from tnst_mi.recipe.paths import shipped_lights, shipped_styles
 
-from houdini_asset.files import files  # noqa: E402 (found by the line before)
-from houdini_asset.interface import table  # noqa: E402
-from tnst_mi_houdini.values import TABLE  # noqa: E402
-
-from tnst_mi.network.shipped import shipped_weights  # noqa: E402
-from tnst_mi.network.readers import read_weights  # noqa: E402
-from tnst_mi.recipe.parameters import parameters  # noqa: E402
-from tnst_mi.recipe.paths import shipped_lights, shipped_styles  # noqa: E402
+ASSET = Path(__file__).resolve().parents[1] / "integrations" / "houdini" / "otls" / "tnst_mi_stylize.hda"
 
 
 def main(arguments: list[str] | None = None) -> int:

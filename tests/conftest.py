@@ -57,6 +57,7 @@ SLOW = (
     "run/test_going_on.py::test_a_kept_octave_is_gone_on_from_to_the_same_bits[3-",
     "run/test_going_on.py::test_draft_preview_and_final_are_one_run_in_three_parts[2-others3]",
     "run/test_going_on.py::test_draft_preview_and_final_are_one_run_in_three_parts[3-",
+    "run/test_houdini_files.py::test_a_run_gives_back_what_houdini_wrote_moved[centres",
     "run/test_memory.py::test_a_run_takes_about_what_was_said",
     "run/test_memory.py::test_that_holds_where_octaves_are_coarser_than_the_frames[150]",
     "run/test_memory.py::test_that_holds_where_octaves_are_coarser_than_the_frames[480]",

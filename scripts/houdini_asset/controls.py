@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from houdini_asset import dialog
 from tnst_mi_houdini.values import CHOICE, NUMBER, UNSET, has_choice
+
+from houdini_asset import dialog
 
 #: What artists read, where the key in capitals would not tell them.
 LABELS = {

@@ -12,22 +12,21 @@ from houdini_asset.interface import LABEL, OPERATOR, dialog_script
 _TYPE = "tnst_mi::Sop/stylize::1.0"
 DEFINITION = _TYPE.replace("_", "__").replace("/", "_1").replace(":", "_8")
 
-_INDEX = f"""\
-Operator:     {OPERATOR}
-Label:        {LABEL}
-Path:         oplib:/{_TYPE}?{_TYPE}
-Icon:         SOP_vdb
-Table:        Sop
-License:      
-Extra:        
-User:         
-Inputs:       1 to 1
-Subnet:       false
-Python:       true
-Empty:        false
-Modified:     Sat Nov 28 00:00:00 2026
-
-"""
+_INDEX = {
+    "Operator": OPERATOR,
+    "Label": LABEL,
+    "Path": f"oplib:/{_TYPE}?{_TYPE}",
+    "Icon": "SOP_vdb",
+    "Table": "Sop",
+    "License": "",
+    "Extra": "",
+    "User": "",
+    "Inputs": "1 to 1",
+    "Subnet": "false",
+    "Python": "true",
+    "Empty": "false",
+    "Modified": "Sat Nov 28 00:00:00 2026",
+}
 
 _CREATE = f"""\
 # Automatically generated script
@@ -123,8 +122,8 @@ The input are VDBs: `density`, and for sequences that are to be steady in time t
 frame by frame as they are done: the same grids, moved, with the same names and at the same place.
 
 Every parameter of the folders after the first is a key of the recipe, by its name; rest the mouse on one for what it
-does. Animated parameters become keyframes of the recipe where it allows that. See docs/houdini.md and docs/recipes.md of
-tnst_mi.
+does. Animated parameters become keyframes of the recipe where it allows that. See docs/houdini.md and docs/recipes.md
+of tnst_mi.
 """
 
 
@@ -144,7 +143,7 @@ def files(parameters: Sequence[dict[str, Any]], suggestions: dict[str, list[str]
     }
     return {
         "houdini.hdalibrary": "",
-        "INDEX__SECTION": _INDEX,
+        "INDEX__SECTION": "".join(f"{name + ':':14}{value}\n" for name, value in _INDEX.items()) + "\n",
         "Sections.list": _listed(
             {"INDEX__SECTION": "INDEX_SECTION", DEFINITION: _TYPE, "houdini.hdalibrary": "houdini.hdalibrary"}
         ),

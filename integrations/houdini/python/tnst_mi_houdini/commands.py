@@ -46,8 +46,9 @@ def farm_line(command: Sequence[str], windows: bool) -> str:
         windows: whether the line is for cmd.exe, otherwise for a POSIX shell.
 
     Example:
-        >>> farm_line(["tnst-mi", "info", "my smoke.####.vdb"], windows=False).endswith(" tnst-mi info 'my smoke.####.vdb'")
-        True
+        >>> line = farm_line(["tnst-mi", "info", "my smoke.####.vdb"], windows=False)
+        >>> line.startswith("env -u PYTHONHOME "), line.endswith(" tnst-mi info 'my smoke.####.vdb'")
+        (True, True)
     """
     if windows:
         unset = "&& ".join(f'set "{name}="' for name in HOUDINIS_OWN)

@@ -12,7 +12,7 @@ from .recipe_text import Literal
 #: What is said of each key, made from the recipe's documentation with the asset: see scripts/build_houdini_asset.py.
 TABLE = Path(__file__).with_name("parameters.json")
 
-#: The menu of a number that may be a word instead, or not set, is the parameter KEY_choice; and its entry of the number.
+#: Beside a number that may be a word instead, or not set, is a menu, KEY_choice; and two of its entries.
 CHOICE, NUMBER, UNSET = "_choice", "number", "unset"
 
 #: Numbers in files and in Houdini agree to this share.
