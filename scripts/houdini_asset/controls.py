@@ -41,7 +41,7 @@ LABELS = {
 _BEGINNINGS = {"motif_size": 0.25, "fps": 24, "dt": 0.041666667, "stages": 8, "threads": 4}
 
 # A slider that ends at its key's bound is of use up to so many times the default; beyond, it ends at ten times that.
-_WIDEST, _WIDE = 20, 10
+_WIDEST, _WIDE = 40, 10
 
 _ENTRIES = {UNSET: "not set", NUMBER: "number"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 # Houdini's variable of the whole frame: $F, $F4, ${F4}; <F4> in its file choosers. $FF (with fractions), $FSTART, $FEND
 # and $FPS are others. After a name without braces Houdini reads on, so that $F4_a is none of ours.
@@ -39,7 +40,7 @@ def frame_file(path: str, frame: int) -> str:
     return _replaced(path, lambda digits: f"{frame:0{digits}d}" if digits else str(frame))
 
 
-def _replaced(path: str, number) -> str:
+def _replaced(path: str, number: Callable[[int], str]) -> str:
     """The path with what `number` makes of the digits of its only variable, 0 for none."""
     found = list(_VARIABLE.finditer(path))
     if len(found) != 1:
