@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import doctest
 import os
 import shlex
 import subprocess
@@ -9,10 +11,12 @@ import sys
 import time
 import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from fake_houdini import FakeNode
 from tnst_mi_houdini import commands, environment, progress, sequences, values
+from tnst_mi_houdini import recipe_text as recipe_texts
 from tnst_mi_houdini.job import Job
 from tnst_mi_houdini.recipe_text import recipe_text
 from tnst_mi_houdini.work_items import work_items
@@ -91,8 +95,14 @@ def test_what_is_written_is_a_recipe_for_tnst_mi(tmp_path: Path) -> None:
 def test_animation_where_a_recipe_has_none_is_said() -> None:
     node = FakeNode()
     node.parms["iterations"].keyframes = {10: (30,), 11: (40,)}
+    node["tag"], node["gamma_choice"] = ["fire"], "auto"
+    for name in ("tag1", "fit", "gamma"):
+        node.parms[name].keyframes = {10: node.parms[name].values}
     found, notes = values.recipe_values(node, FRAMES)
-    assert found == {"iterations": 30} and "iterations is animated" in notes[0] and "frame 10" in notes[0]
+    assert found == {"iterations": 30, "tag": ["fire"], "gamma": "auto"}
+    # The number beside a word counts for nothing.
+    assert [note.split()[0] for note in notes] == ["tag", "iterations", "fit"]
+    assert notes[1] == "iterations is animated, and cannot change over the frames: taken as at frame 10"
 
 
 def test_layers_that_are_none_are_refused() -> None:
@@ -185,6 +195,27 @@ def test_work_items_are_batches_whose_results_are_where_they_say(tmp_path: Path)
         assert job.out == item.out and Path(item.results).parent == item.out / "density"
         assert job.recipe.window == 9 and job.recipe.eta == item.values["eta"]
         assert job.recipe.tag == tuple(item.values["tag"])
+
+
+@pytest.mark.parametrize("module", [commands, environment, progress, sequences, recipe_texts])
+def test_examples_of_docstrings_run(module: ModuleType) -> None:
+    assert doctest.testmod(module).failed == 0 and doctest.testmod(module).attempted > 0
+
+
+def test_no_other_package_is_needed_and_python_3_9_will_do() -> None:
+    """Houdini 19.5 has Python 3.9; nothing but the standard library, hou and the package itself is imported."""
+    for file in Path(commands.__file__).parent.glob("*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"), feature_version=(3, 9))
+        imported = {
+            name.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names
+        }
+        imported |= {
+            node.module.split(".")[0]
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            if not node.level and node.module
+        }
+        assert imported <= {*sys.stdlib_module_names, *(["hou"] if file.name == "node.py" else [])}
 
 
 def test_the_pattern_is_what_tnst_mi_reads(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import hou
+import hou  # pyright: ignore[reportMissingModuleSource]
 
 from .commands import resume_command, stylize_command
 from .environment import PROGRAM, ProgramMissing, find_program, process_environment

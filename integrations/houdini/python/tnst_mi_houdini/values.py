@@ -42,21 +42,28 @@ def recipe_values(node: Any, frames: Sequence[int]) -> tuple[dict[str, Any], lis
     """
     values, notes = {}, []
     for about in keys():
-        key, animated = about["key"], False
-        value = _value(node, about, frames[0])
-        if isinstance(value, (int, float, list)) and not isinstance(value, bool):
-            animated = any(parm.isTimeDependent() for parm in node.parmTuple(key)) if _has_tuple(about) else False
-        if animated and about["keyable"]:
-            value = {str(frame): _value(node, about, frame) for frame in frames}
-        elif animated:
-            notes.append(f"{key} is animated, and cannot change over the frames: taken as at frame {frames[0]}")
+        key, value = about["key"], _value(node, about, frames[0])
+        if any(parm.isTimeDependent() for parm in _parms(node, about, value)):
+            if about["keyable"] and isinstance(value, (float, list)) and about["kind"] != "texts":
+                value = {str(frame): _value(node, about, frame) for frame in frames}
+            else:
+                notes.append(f"{key} is animated, and cannot change over the frames: taken as at frame {frames[0]}")
         if value is not None and not _is_default(value, about["default"]):
             values[key] = value
     return values, notes
 
 
-def _has_tuple(about: dict[str, Any]) -> bool:
-    return about["kind"] in ("number", "integer", "range", "point")
+def _parms(node: Any, about: dict[str, Any], value: Any) -> list[Any]:
+    """The parameters that a value is from."""
+    key = about["key"]
+    menu = [node.parm(key + CHOICE)] if has_choice(about) else []
+    if menu and not isinstance(value, (int, float, list)):
+        return menu
+    if about["kind"] in ("number", "integer", "range", "point"):
+        return [*menu, *node.parmTuple(key)]
+    if about["kind"] == "texts":
+        return [node.parm(f"{key}{number}") for number in range(1, int(node.parm(key).eval()) + 1)]
+    return [node.parm(key)]
 
 
 def _value(node: Any, about: dict[str, Any], frame: int) -> Any:
