@@ -75,8 +75,8 @@ def parms_of(about: Mapping[str, Any], suggestions: Mapping[str, list[str]]) -> 
         return [dialog.parm(name, label, "ordinal", [about["default"] or UNSET], help=text, menu=menu)]
     file = "file" if about["placeholder"].startswith(_FILES) else "string"
     if kind == "texts":
-        each = dialog.parm(f"{name}#", about["placeholder"], file, [""], suggestions=offered)
-        return [dialog.several(name, label, each, text)]
+        each = dialog.parm(f"{name}#", about["placeholder"], file, [""], help=text, suggestions=offered)
+        return [dialog.several(name, label, each)]
     if kind == "layers":
         default = ", ".join(
             layer if weight == 1 else f"{layer}={weight:g}" for layer, weight in about["default"].items()

@@ -61,9 +61,9 @@ def parm(
     return _block("parm", lines)
 
 
-def several(name: str, label: str, each: str, help: str) -> str:
+def several(name: str, label: str, each: str) -> str:
     """A list of parameters that the artist makes longer: `each` is one, with # in its name for the number."""
-    lines = [f"name    {quoted(name)}", f"label    {quoted(label)}", "default 0", f"help    {quoted(help)}", ""]
+    lines = [f"name    {quoted(name)}", f"label    {quoted(label)}", "default 0", ""]
     return _block("multiparm", lines + each.splitlines())
 
 

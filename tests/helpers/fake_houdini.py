@@ -62,14 +62,16 @@ class FakeParm:
 class FakeGeometry:
     """VDBs that are a file."""
 
-    def __init__(self, file: Path | None, kinds: tuple[str, ...] = ("VDB",)) -> None:
-        self.file, self.kinds = file, kinds
+    def __init__(self, file: Path | None, kinds: tuple[str, ...] = ("VDB",), save: Any = None) -> None:
+        self.file, self.kinds, self.save = file, kinds, save
 
     def iterPrims(self) -> Iterator[Any]:
         return iter([SimpleNamespace(type=lambda kind=kind: kind) for kind in self.kinds])
 
     def saveToFile(self, path: str) -> None:
         assert self.file is not None
+        if self.save is not None:
+            self.save(self, path)
         shutil.copyfile(self.file, path)
 
     def loadFromFile(self, path: str) -> None:
@@ -83,6 +85,7 @@ class FakeNode:
         self.parms = {name: FakeParm(values) for name, values in defaults().items()}
         self.files, self.above, self.shown, self.cooked = files or {}, above, FakeGeometry(None), 0
         self.kinds: tuple[str, ...] = ("VDB",)
+        self.save: Any = None
 
     def __setitem__(self, name: str, value: Any) -> None:
         if isinstance(value, list) and name in ("style", "tag", "semantic", "content", "match"):
@@ -113,7 +116,7 @@ class FakeNode:
         return () if self.above is None else (self.above,)
 
     def geometryAtFrame(self, frame: float) -> FakeGeometry:
-        return FakeGeometry(self.files[int(frame)], self.kinds)
+        return FakeGeometry(self.files[int(frame)], self.kinds, self.save)
 
     def geometry(self) -> FakeGeometry:
         return self.shown

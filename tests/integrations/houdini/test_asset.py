@@ -18,7 +18,7 @@ FOLDER = build_houdini_asset.ASSET / DEFINITION
 
 
 def parm_blocks(script: str) -> dict[str, str]:
-    """The text of each parameter, by its name."""
+    """The text of each parameter, by its name; of a list, that of its parts is in it."""
     blocks = re.findall(r"(?:parm|multiparm) \{\s+name +\"([^\"]+)\"(.*?)\n\s*\}\n", script, re.DOTALL)
     assert len(blocks) == len(dict(blocks)), "two parameters have one name"
     return dict(blocks)

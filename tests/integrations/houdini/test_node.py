@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_houdini import FakeNode, hou
+from fake_houdini import FakeGeometry, FakeNode, hou
 from houdini_files import houdini_grid, velocity_in_parts, write_houdini
 from moving_smoke import moving_smoke
 
@@ -140,7 +140,8 @@ def test_what_is_wrong_is_said_in_one_line(hou: Any, module: Any, node: FakeNode
     module.stylize(node)
     assert "1 primitives at frame 1001 are no VDBs" in hou.ui.messages[-1] and "Convert VDB" in hou.ui.messages[-1]
     node.above.kinds = ("VDB",)
-    assert not list(folder.rglob("*.vdb")) and not (folder / "recipe.toml").exists()
+    assert not folder.exists()
+    folder.mkdir()
     (folder / "bad").touch()
     module.stylize(node)
     idle(hou)
@@ -196,3 +197,16 @@ def test_the_real_tnst_mi_gives_the_node_its_grids_back(
     box = before.grids[0].topology.active_box()
     assert box is not None
     assert (before.grids[0].tree.values_in(box) != after.grids[0].tree.values_in(box)).mean() > 0.1
+
+
+def test_a_frame_that_cannot_be_written_is_said_and_leaves_nothing(hou: Any, module: Any, node: FakeNode) -> None:
+    def full(geometry: FakeGeometry, path: str) -> None:
+        Path(path).write_bytes(b"half")
+        raise hou.OperationFailed("The disk is full.")
+
+    assert node.above is not None
+    node.above.save = full
+    module.stylize(node)
+    (message,) = hou.ui.messages
+    assert "smoke.1001.vdb: Houdini could not write it (The disk is full.); see whether the disk has room" in message
+    assert os.listdir(Path(node.evalParm("folder")) / "input") == []

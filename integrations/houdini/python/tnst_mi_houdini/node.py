@@ -17,7 +17,7 @@ from .commands import resume_command, stylize_command
 from .environment import PROGRAM, ProgramMissing, find_program, process_environment
 from .job import Job
 from .recipe_text import recipe_text
-from .run_folder import RunFolder
+from .run_folder import RunFolder, written_whole
 from .values import BadValue, recipe_values
 
 # The runs of nodes, by the identity of these in the session.
@@ -85,7 +85,8 @@ def _stylize(node: hou.SopNode) -> None:
         values["fps"] = float(hou.fps())
         notes.append(f"fps is Houdini's, {hou.fps():g}; the folder Run has it")
     _write_input(node, folder, frames)
-    folder.write_recipe(recipe_text(values, f"{node.path()} of {hou.hipFile.path()}"))
+    with written_whole(folder.recipe) as beside:
+        beside.write_text(recipe_text(values, f"{node.path()} of {hou.hipFile.path()}"), encoding="utf-8")
     for note in notes:
         print(f"{node.path()}: {note}")
     command = stylize_command(
@@ -119,7 +120,6 @@ def _write_input(node: hou.SopNode, folder: RunFolder, frames: range) -> None:
     inputs = node.inputs()
     if not inputs or inputs[0] is None:
         raise CannotRun(f"{node.name()}: nothing is connected; connect the VDBs of the smoke")
-    folder.input_file(frames[0]).parent.mkdir(parents=True, exist_ok=True)
     folder.remove_other_inputs(frames)
     with hou.InterruptableOperation("Writing the input of tnst-mi", open_interrupt_dialog=True) as operation:
         for done, frame in enumerate(frames):
@@ -131,10 +131,16 @@ def _write_input(node: hou.SopNode, folder: RunFolder, frames: range) -> None:
                     f"{inputs[0].path()}: {len(others)} primitives at frame {frame} are no VDBs, expected VDBs alone; "
                     "put a Convert VDB, or a Delete, in between"
                 )
-            file = folder.input_file(frame)
-            beside = file.with_name(f".{file.name}.writing.vdb")
+            _save(geometry, folder.input_file(frame))
+
+
+def _save(geometry: hou.Geometry, file: Path) -> None:
+    try:
+        with written_whole(file) as beside:
             geometry.saveToFile(str(beside))
-            os.replace(beside, file)
+    except hou.OperationFailed as error:
+        said = " ".join(str(error).split())
+        raise CannotRun(f"{file}: Houdini could not write it ({said}); see whether the disk has room") from error
 
 
 def _start(node: hou.SopNode, command: list[str], folder: RunFolder) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,9 +55,14 @@ class RunFolder:
             if file not in wanted:
                 file.unlink()
 
-    def write_recipe(self, text: str) -> None:
-        """Write the recipe, whole or not at all."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        beside = self.recipe.with_name(f".{self.recipe.name}.{os.getpid()}")
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, self.recipe)
+
+@contextlib.contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A path beside a file, which takes the file's place when all is written, and is removed if that fails."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        yield beside
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 from .commands import batch_command, farm_line
 from .recipe_text import recipe_text
+from .run_folder import written_whole
 from .sequences import frame_pattern
 
 
@@ -65,8 +66,8 @@ def work_items(
         values = dict(zip(variations, combination))  # noqa: B905 (the argument is new in Python 3.10)
         name = "_".join(f"{key}{_folder_name(_joined(value))}" for key, value in values.items()) or "base"
         recipe = folder / f"{name}.toml"
-        recipe.parent.mkdir(parents=True, exist_ok=True)
-        recipe.write_text(recipe_text({**base, **values}), encoding="utf-8")
+        with written_whole(recipe) as beside:
+            beside.write_text(recipe_text({**base, **values}), encoding="utf-8")
         for shot, source in shots.items():
             pattern = Path(frame_pattern(source))
             # A batch of one: the same command begins a run, goes on with it, and leaves alone what is done.
