@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib
 import os
+import runpy
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import build_houdini_asset
 import numpy as np
 import pytest
 from fake_houdini import FakeGeometry, FakeNode, hou
@@ -210,3 +213,26 @@ def test_a_frame_that_cannot_be_written_is_said_and_leaves_nothing(hou: Any, mod
     (message,) = hou.ui.messages
     assert "smoke.1001.vdb: Houdini could not write it (The disk is full.); see whether the disk has room" in message
     assert os.listdir(Path(node.evalParm("folder")) / "input") == []
+
+
+def test_the_wedge_script_makes_its_work_items(hou: Any, tmp_path: Path) -> None:
+    """As it is committed, in a stand-in for TOPs: four variations of one shot, with their recipes."""
+    program = tmp_path / "tnst-mi"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    hou.text = SimpleNamespace(expandString=lambda text: text.replace("$HIP", str(tmp_path)))
+    hou.getenv = {"TNST_MI_PROGRAM": str(program)}.get
+    items: list[dict[str, str]] = []
+
+    def add(index: int) -> SimpleNamespace:
+        assert index == len(items)
+        items.append(found := {})
+        return SimpleNamespace(setStringAttrib=found.__setitem__, setCommand=lambda line: found.update(command=line))
+
+    script = build_houdini_asset.ASSET.parents[1] / "pdg" / "wedge_recipes.py"
+    runpy.run_path(str(script), {"item_holder": SimpleNamespace(addWorkItem=add)})
+    assert len({item["command"] for item in items}) == 4
+    for item in items:
+        recipe = Recipe.from_toml(item["recipe"])
+        assert recipe.tag == ("fire",) and recipe.fps == 25.0 and f"eta{recipe.eta}" in item["variation"]
+        assert item["recipe"] in item["command"] and item["results"].startswith(item["out"])
