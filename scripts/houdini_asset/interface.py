@@ -10,8 +10,8 @@ from houdini_asset.controls import parms_of
 
 OPERATOR, LABEL = "tnst_mi::stylize::1.0", "TNST Stylize"
 
-#: Keys that the asset decides itself: the frames are those of Start/End, and results are .vdb as the input is.
-DECIDED = ("frames", "format")
+#: Keys that the asset decides itself: the frames are all that it writes, and results are .vdb as the input is.
+DECIDED = ("frames", "context", "format")
 
 #: Folders by section of the recipe.
 FOLDERS = {"Goals": "Goals", "Method": "Method", "Colouring": "Colour", "Resources": "Run", "Reading": "Input"}
@@ -42,11 +42,10 @@ def dialog_script(parameters: Sequence[dict[str, Any]], suggestions: dict[str, l
     """
     folders = [dialog.folder("stylize_folder", "Stylize", _own())]
     for section, label in FOLDERS.items():
-        first, more = [], []
-        for about in shown(parameters):
-            if about["section"] == section:
-                places = first if about["key"] in _FIRST.get(section, (about["key"],)) else more
-                places += parms_of(about, suggestions)
+        keys = {about["key"]: about for about in shown(parameters) if about["section"] == section}
+        names = _FIRST.get(section, tuple(keys))
+        first = [parm for key in names for parm in parms_of(keys.pop(key), suggestions)]
+        more = [parm for about in keys.values() for parm in parms_of(about, suggestions)]
         name = f"{section.lower()}_folder"
         if more:
             first.append(dialog.folder(f"{name}_details", "Details", more, "groupcollapsible"))

@@ -52,8 +52,11 @@ class FakeParm:
     def evalAtFrame(self, frame: float) -> tuple[Any, ...]:
         return tuple(self.keyframes.get(frame, self.values))
 
-    def evalAsString(self) -> str:
-        return str(self.values[0])
+    def evalAsStringAtFrame(self, frame: float) -> str:
+        return str(self.evalAtFrame(frame)[0])
+
+    def evalAsIntAtFrame(self, frame: float) -> int:
+        return int(self.evalAtFrame(frame)[0])
 
     def eval(self) -> Any:
         return self.values[0] if len(self.values) == 1 else tuple(self.values)

@@ -98,11 +98,13 @@ def test_animation_where_a_recipe_has_none_is_said() -> None:
     node["tag"], node["gamma_choice"] = ["fire"], "auto"
     for name in ("tag1", "fit", "gamma"):
         node.parms[name].keyframes = {10: node.parms[name].values}
+    node["look_choice"], node["look"] = "number", 2.0
+    node.parms["look_choice"].keyframes = {12: ("thick",)}
     found, notes = values.recipe_values(node, FRAMES)
-    assert found == {"iterations": 30, "tag": ["fire"], "gamma": "auto"}
+    assert found == {"iterations": 30, "tag": ["fire"], "gamma": "auto", "look": 2.0}
     # The number beside a word counts for nothing.
-    assert [note.split()[0] for note in notes] == ["tag", "iterations", "fit"]
-    assert notes[1] == "iterations is animated, and cannot change over the frames: taken as at frame 10"
+    assert [note.split()[0] for note in notes] == ["tag", "look", "iterations", "fit"]
+    assert notes[2] == "iterations is animated, and cannot change over the frames: taken as at frame 10"
 
 
 def test_layers_that_are_none_are_refused() -> None:

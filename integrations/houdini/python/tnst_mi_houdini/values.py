@@ -44,13 +44,17 @@ def recipe_values(node: Any, frames: Sequence[int]) -> tuple[dict[str, Any], lis
     for about in keys():
         key, value = about["key"], _value(node, about, frames[0])
         if any(parm.isTimeDependent() for parm in _parms(node, about, value)):
-            if about["keyable"] and isinstance(value, (float, list)) and about["kind"] != "texts":
+            if about["keyable"] and about["kind"] in ("number", "range") and not _has_moving_menu(node, about):
                 value = {str(frame): _value(node, about, frame) for frame in frames}
             else:
                 notes.append(f"{key} is animated, and cannot change over the frames: taken as at frame {frames[0]}")
         if value is not None and not _is_default(value, about["default"]):
             values[key] = value
     return values, notes
+
+
+def _has_moving_menu(node: Any, about: dict[str, Any]) -> bool:
+    return has_choice(about) and node.parm(about["key"] + CHOICE).isTimeDependent()
 
 
 def _parms(node: Any, about: dict[str, Any], value: Any) -> list[Any]:
@@ -70,7 +74,7 @@ def _value(node: Any, about: dict[str, Any], frame: int) -> Any:
     """What a recipe says at a frame; None for what is not set."""
     key, kind = about["key"], about["kind"]
     if has_choice(about):
-        chosen = node.parm(key + CHOICE).evalAsString()
+        chosen = node.parm(key + CHOICE).evalAsStringAtFrame(frame)
         if chosen != NUMBER:
             return None if chosen == UNSET else chosen
     if kind in ("number", "range", "point"):
@@ -79,14 +83,17 @@ def _value(node: Any, about: dict[str, Any], frame: int) -> Any:
     if kind == "integer":
         return int(node.parmTuple(key).evalAtFrame(frame)[0])
     if kind == "switch":
-        return bool(node.parm(key).eval())
+        return bool(node.parm(key).evalAsIntAtFrame(frame))
     if kind == "choice":
-        chosen = node.parm(key).evalAsString()
+        chosen = node.parm(key).evalAsStringAtFrame(frame)
         return None if chosen == UNSET else chosen
     if kind == "texts":
-        texts = (node.parm(f"{key}{number}").evalAsString() for number in range(1, int(node.parm(key).eval()) + 1))
+        texts = (
+            node.parm(f"{key}{number}").evalAsStringAtFrame(frame)
+            for number in range(1, int(node.parm(key).eval()) + 1)
+        )
         return [text for text in texts if text]
-    text = node.parm(key).evalAsString().strip()
+    text = node.parm(key).evalAsStringAtFrame(frame).strip()
     if kind == "layers":
         return _layers(key, text)
     if kind == "length":
