@@ -34,6 +34,8 @@ SLOW = (
     "commands/test_show.py::test_blender_shows_the_same_panels",
     "compare/test_compare.py::test_a_broken_integrator_is_found[samples",
     "compare/test_compare.py::test_a_fault_of_the_quadrature_that_drives_a_stylization_is_found[steps",
+    "integrations/blender/test_addon_environment.py::test_a_real_installation",
+    "integrations/blender/test_addon_runs.py",
     "integrations/houdini/test_node.py::test_the_real_tnst_mi_gives_the_node_its_grids_back",
     "optimisation/test_host.py::test_a_run_whose_disk_was_full_goes_on_to_the_same_bits[3]",
     "optimisation/test_kill.py::test_killed_runs_end_with_the_same_bits[3-",
