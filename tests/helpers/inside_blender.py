@@ -250,6 +250,8 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.context.scene.timeline_markers.new("wide shot", frame=21).camera = bpy.context.scene.camera
     bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
     choose(item, package, str(Path(out, "results")))
+    # A frame without smoke.
+    bpy.context.scene.frame_set(5)
     ended = list(bpy.ops.tnst_mi.bake_markers())
     return {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
 
@@ -291,7 +293,7 @@ def _command_line(process: Path) -> str:
     return "" if "inside_blender" in line else line
 
 
-def domain(zip: str, program: str, out: str, adaptive: bool, format: str) -> dict[str, Any]:
+def domain(zip: str, program: str, out: str, adaptive: bool, noise: bool, format: str) -> dict[str, Any]:
     """A small domain, moved, turned and scaled, is baked and stylized with strength 0: nothing may be seen of that."""
     package = install(zip, program)
     scene = bpy.context.scene
@@ -308,6 +310,7 @@ def domain(zip: str, program: str, out: str, adaptive: bool, format: str) -> dic
     modifier.fluid_type = "DOMAIN"
     settings = modifier.domain_settings
     settings.domain_type, settings.resolution_max, settings.use_adaptive_domain = "GAS", 24, adaptive
+    settings.use_noise, settings.noise_scale = noise, 2
     settings.cache_type, settings.cache_frame_start, settings.cache_frame_end = "ALL", 1, 3
     settings.cache_data_format, settings.cache_directory = format, str(Path(out, "cache"))
     with bpy.context.temp_override(object=item, active_object=item, scene=scene):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 
 import bpy
@@ -11,9 +11,9 @@ from mathutils import Matrix, Vector
 
 from .plan import Part
 from .problems import CannotStylizeError
-from .smoke import Smoke, domain_settings
+from .smoke import Smoke, domain_settings, grids_in
 
-#: Nodes that read grids, with what names them.
+#: What the grids of a domain's noise have behind their names.
 _NOISE = "_noise"
 
 
@@ -44,8 +44,7 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     if volume.is_sequence:
         volume.frame_duration = numbers[-1] - numbers[0] + 1
         volume.frame_start, volume.frame_offset = numbers[0] - smoke.shift, numbers[0] - 1
-    volume.grids.load()
-    _give_materials(original, volume)
+    _give_materials(original, volume, set(grids_in(files[0])))
     # As a child, it goes where the original goes.
     shown.parent, shown.matrix_parent_inverse = original, Matrix()
     inverse = original.matrix_world.inverted()
@@ -79,23 +78,23 @@ def _shown(original: bpy.types.Object, part: str) -> bpy.types.Object:
     return shown
 
 
-def _give_materials(original: bpy.types.Object, volume: bpy.types.Volume) -> None:
+def _give_materials(original: bpy.types.Object, volume: bpy.types.Volume, grids: Set[str]) -> None:
     """Give a volume the materials of the original, unless it has some, which the artist may have changed."""
     if len(volume.materials):
         return
     for slot in original.material_slots:
         material = slot.material
         if material is not None and domain_settings(original) is not None:
-            material = _for_grids(material, volume)
+            material = _for_grids(material, grids)
         volume.materials.append(material)
 
 
-def _for_grids(material: bpy.types.Material, volume: bpy.types.Volume) -> bpy.types.Material:
-    """A material that reads the grids that a volume has: those of a domain with noise have names of their own.
+def _for_grids(material: bpy.types.Material, grids: Set[str]) -> bpy.types.Material:
+    """A material that reads the grids that there are: those of a domain with noise have names of their own.
 
     Domains hide that: there, "density" is the finer one.
     """
-    finer = {grid.name.removesuffix(_NOISE) for grid in volume.grids if grid.name.endswith(_NOISE)}
+    finer = {name.removesuffix(_NOISE) for name in grids if name.endswith(_NOISE)}
     if material.node_tree is None or not finer:
         return material
     name = f"{material.name}{_NOISE}"

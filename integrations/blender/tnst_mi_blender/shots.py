@@ -59,9 +59,7 @@ def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
         if marker.frame <= end
     ]
     if not takes:
-        raise CannotStylizeError(
-            f"all markers are after the scene, which ends at {scene.frame_end}: move them"
-        )
+        raise CannotStylizeError(f"all markers are after the scene, which ends at {scene.frame_end}: move them")
     return takes
 
 

@@ -147,14 +147,10 @@ def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
         before, digits, after = numbered.groups()
         source = file.with_name(f"{before}{'#' * len(digits)}{after}")
         numbers = _numbers(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
-    if not (file.is_file() or numbers):
+    if not file.is_file():
         raise CannotStylizeError(f"{item.name}: there is no file {file}: choose another in its properties")
-    if not volume.grids.load():
-        raise CannotStylizeError(f"{item.name}: {volume.grids.error_message or 'cannot be read'}; choose another file")
-    if not len(volume.grids):
-        raise CannotStylizeError(f"{item.name}: its file has no grids; choose another")
-    named = next((name for name in DENSITIES if name in volume.grids), 0)
-    axes = volume.grids[named].matrix_object.to_3x3()
+    grids = grids_in(file)
+    axes = next((grids[name] for name in DENSITIES if name in grids), next(iter(grids.values()))).to_3x3()
     return Smoke(
         source=source,
         numbers=numbers,
@@ -165,6 +161,24 @@ def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
         voxel_size=None,
         placed=True,
     )
+
+
+def grids_in(file: Path) -> dict[str, Matrix]:
+    """The grids of a VDB file by their names, with their transforms.
+
+    A volume of the scene has those of its current frame alone, and none where it has no frame.
+
+    Raises:
+        CannotStylizeError: it cannot be read, or has none.
+    """
+    volume = bpy.data.volumes.new("tnst_mi file")
+    try:
+        volume.filepath = str(file)
+        if not volume.grids.load() or not len(volume.grids):
+            raise CannotStylizeError(f"{file}: {volume.grids.error_message or 'has no grids'}; choose another file")
+        return {grid.name: grid.matrix_object.copy() for grid in volume.grids}
+    finally:
+        bpy.data.volumes.remove(volume)
 
 
 def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, ...]:

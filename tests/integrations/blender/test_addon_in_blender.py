@@ -140,7 +140,7 @@ def test_a_volume_is_stylized_in_its_place(
 @pytest.mark.parametrize("host", HOSTS)
 def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: str, tmp_path: Path) -> None:
     told = inside(host, "markers", program=program, folder=folder)
-    assert (told["ended"], told["current"]) == (["FINISHED"], 21)
+    assert (told["ended"], told["current"]) == (["FINISHED"], 5)
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_wide shot": [21, 6, 2], "Smoke_stylized_close": [23, 8, 1]}
     cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
@@ -158,15 +158,17 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
 
 @needs_blender
 @pytest.mark.parametrize(
-    ("adaptive", "form"), [(False, "OPENVDB"), (True, "OPENVDB"), (False, "UNI")], ids=["whole", "adaptive", "uni"]
+    ("adaptive", "noise", "form"),
+    [(False, False, "OPENVDB"), (True, False, "OPENVDB"), (False, False, "UNI"), (True, True, "OPENVDB")],
+    ids=["whole", "adaptive", "uni", "noise"],
 )
 def test_the_smoke_of_a_domain_is_seen_where_it_was(
-    inside: Inside, program: str, tmp_path: Path, adaptive: bool, form: str
+    inside: Inside, program: str, tmp_path: Path, adaptive: bool, noise: bool, form: str
 ) -> None:
-    told = inside("blender", "domain", program=program, adaptive=adaptive, format=form)
+    told = inside("blender", "domain", program=program, adaptive=adaptive, noise=noise, format=form)
     assert told["ended"] == ["FINISHED"] and told["hidden"]
     result = told["objects"]["Domain_stylized"]
-    assert (result["frames"], result["materials"]) == ([1, 0, 3], ["thick smoke"])
+    assert (result["frames"], result["materials"]) == ([1, 0, 3], ["thick smoke_noise" if noise else "thick smoke"])
     before, after = (
         np.asarray(Image.open(tmp_path / name).convert("L"), float) for name in ("domain.png", "stylized.png")
     )
