@@ -119,10 +119,18 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
 
     def done() -> str:
         place = item.tnst_mi.place
-        shown = [load_result(item, smoke, part, place).name for part in plan.parts]
-        return f"Stylized: {', '.join(shown)}"
+        shown = [load_result(item, smoke, part, place) for part in plan.parts]
+        return f"Stylized: {', '.join(map(_in_words, shown))}"
 
     return Running(job, f"Stylizing {item.name}", done)
+
+
+def _in_words(result: bpy.types.Object) -> str:
+    """A result and its frames."""
+    volume = result.data
+    if not volume.is_sequence:
+        return result.name
+    return f"{result.name} (frames {volume.frame_start} to {volume.frame_start + volume.frame_duration - 1})"
 
 
 def _plain(name: str) -> str:

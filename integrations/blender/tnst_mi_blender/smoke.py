@@ -193,7 +193,9 @@ def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, .
     found = tuple(number for number in smoke.numbers if first <= number <= last)
     if not found:
         has = f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}"
-        raise CannotStylizeError(f"there is no smoke in the frames {bounds[0]} to {bounds[1]}: there is in {has}")
+        raise CannotStylizeError(
+            f"there is no smoke in the frames {bounds[0]} to {bounds[1]}, but in {has}: choose others, or bake these"
+        )
     return found
 
 

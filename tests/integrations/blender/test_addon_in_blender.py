@@ -97,7 +97,7 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "no camera": "the scene has no camera: add one, or switch Camera off",
         "no picture": "choose a picture",
         "region": "somewhere: choose Sphere or Cube as what the empty is displayed as",
-        "frames": "there is no smoke in the frames 30 to 40: there is in 21 to 23",
+        "frames": "there is no smoke in the frames 30 to 40, but in 21 to 23: choose others",
         "uneven": "smoke that is scaled unevenly",
         "advanced": "Advanced, lam = 1.5: expected ",
         "markers": "the timeline has no markers",
