@@ -65,9 +65,8 @@ class TnstMiPreferences(bpy.types.AddonPreferences):
             column.operator("tnst_mi.cancel", icon="X")
             return
         installed = installed_program(private_folder())
-        there = "not installed here" if installed is None else f"installed in {private_folder()}"
-        row = column.row()
-        row.label(text=f"tnst-mi is {there}", icon="INFO" if installed is None else "CHECKMARK")
+        text = "No private environment yet" if installed is None else f"Private environment: {private_folder()}"
+        column.label(text=text, icon="INFO" if installed is None else "CHECKMARK")
         row = column.row(align=True)
         row.operator("tnst_mi.install", text="Install" if installed is None else "Install Again", icon="IMPORT")
         row.operator("tnst_mi.check", icon="VIEWZOOM")
