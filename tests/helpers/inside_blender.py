@@ -18,6 +18,10 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+# Blender looks for modules beside its own scripts alone.
+sys.path.insert(0, str(Path(__file__).parent))
+from drawn_layout import Layout  # noqa: E402
+
 #: Names of the add-on's package, as an extension and as an add-on.
 EXTENSION, ADDON = "bl_ext.user_default.tnst_mi_blender", "tnst_mi_blender"
 
@@ -130,40 +134,6 @@ def shown_objects() -> dict[str, Any]:
         for item in bpy.data.objects
         if item.type == "VOLUME"
     }
-
-
-class Layout:
-    """Stands for Blender's layout, which there is none of in the background: whatever is drawn has to exist."""
-
-    def __init__(self) -> None:
-        self.drawn: list[str] = []
-
-    def prop(self, data: Any, name: str, **_: Any) -> None:
-        assert name in data.bl_rna.properties, name
-        self.drawn.append(name)
-
-    def template_icon_view(self, data: Any, name: str, **_: Any) -> None:
-        self.prop(data, name)
-
-    def template_list(self, kind: str, _id: str, data: Any, name: str, active: Any, index: str, **_: Any) -> None:
-        assert hasattr(bpy.types, kind), kind
-        self.prop(data, name)
-        self.prop(active, index)
-
-    def operator(self, name: str, **_: Any) -> None:
-        group, operator = name.split(".")
-        getattr(getattr(bpy.ops, group), operator).get_rna_type()
-        self.drawn.append(name)
-
-    def label(self, **_: Any) -> None:
-        pass
-
-    template_icon = progress = label
-
-    def row(self, **_: Any) -> Layout:
-        return self
-
-    column = box = split = row
 
 
 def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
