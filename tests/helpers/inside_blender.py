@@ -20,7 +20,7 @@ from mathutils import Vector
 
 # Blender looks for modules beside its own scripts alone.
 sys.path.insert(0, str(Path(__file__).parent))
-from drawn_layout import Layout  # noqa: E402
+from drawn_layout import Layout
 
 #: Names of the add-on's package, as an extension and as an add-on.
 EXTENSION, ADDON = "bl_ext.user_default.tnst_mi_blender", "tnst_mi_blender"
