@@ -42,7 +42,7 @@ ADDON = ROOT / "integrations" / "blender" / "tnst_mi_blender"
 #: What else is in the zip: modules of this checkout that run in Blender too, and the licence.
 SHARED = ("scripts/export_camera.py", "LICENSE")
 
-#: Folder of the wheel and its constraints in the add-on, where `environment.py` looks for them.
+#: Folder of the wheel and its constraints in the add-on, where `processes/environment.py` looks for them.
 CARRIED = "carried"
 
 #: Thumbnails in a row of the sheet, their edge in pixels, and how much larger they are drawn.
@@ -61,8 +61,8 @@ def generated() -> dict[str, bytes]:
     manifest = (ADDON / "blender_manifest.toml").read_text("utf-8")
     module = (ADDON / "version.py").read_text("utf-8")
     return {
-        "parameters.json": _json(parameters()),
-        "motifs.json": _json(names),
+        "recipes/parameters.json": _json(parameters()),
+        "interface/motifs.json": _json(names),
         "version.py": re.sub(r'(?m)^VERSION = ".*"$', f'VERSION = "{VERSION}"', module).encode(),
         "blender_manifest.toml": re.sub(r'(?m)^version = ".*"$', f'version = "{VERSION}"', manifest).encode(),
     }
@@ -83,8 +83,8 @@ def sheet() -> bytes:
 
 def contents(wheel: Path | None) -> dict[str, bytes]:
     """All files of the zip by their names, in their order."""
-    kept = [file for pattern in ("*.py", "*.json", "*.png", "*.toml") for file in ADDON.glob(pattern)]
-    files = {file.name: file.read_bytes() for file in kept} | generated()
+    kept = [file for pattern in ("*.py", "*.json", "*.png", "*.toml") for file in ADDON.rglob(pattern)]
+    files = {file.relative_to(ADDON).as_posix(): file.read_bytes() for file in kept} | generated()
     files |= {Path(name).name: (ROOT / name).read_bytes() for name in SHARED}
     if wheel is not None:
         files[f"{CARRIED}/{wheel.name}"] = wheel.read_bytes()
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--generate", action="store_true", help="write the tables of the checkout again, and no zip")
     given = parser.parse_args(arguments)
     if given.generate:
-        for name, content in {**generated(), "motifs.png": sheet()}.items():
+        for name, content in {**generated(), "interface/motifs.png": sheet()}.items():
             (ADDON / name).write_bytes(content)
         return 0
     if given.out.suffix != ".zip" or given.out.is_dir():

@@ -94,7 +94,7 @@ def choose(item: bpy.types.Object, package: str, out: str, **keys: str) -> None:
     settings.out, settings.steady, settings.quality = out, False, "final"
     for key, text in ({"octaves": "1", "iterations": "2", "views": "1", "weights": "patterns"} | keys).items():
         override = settings.overrides.add()
-        module(package, "advanced").fill_in(override, key)
+        module(package, "recipes.advanced").fill_in(override, key)
         override.text = text
 
 
@@ -140,7 +140,7 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     """The panel is drawn; everything that is bad is refused."""
     package = install(zip, str(Path(out, "no-such-program")))
     item = volume_of(folder)
-    module(package, "thumbnails")._cut_sheet()
+    module(package, "interface.thumbnails")._cut_sheet()
     settings, stylize = item.tnst_mi, bpy.ops.tnst_mi.stylize
     told: dict[str, Any] = {"package": package, "environment": reported(stylize)}
     program = Path(out, "tnst-mi")
@@ -150,7 +150,7 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     told["no look"] = reported(stylize)
     settings.looks.add()
     # Previews have no icons in the background, but pictures.
-    thumbnails = module(package, "thumbnails")
+    thumbnails = module(package, "interface.thumbnails")
     shown = [thumbnails._Loaded.pictures[choice[0]] for choice in thumbnails.motif_items()]
     told["motifs"] = [[*each.image_size, len(set(each.image_pixels_float)) > 2] for each in shown]
     told["no camera"] = reported(stylize)
@@ -168,21 +168,23 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     settings.use_camera = True
     told["uneven"] = reported(stylize)
     item.scale.x, settings.use_camera = 0.1, False
-    module(package, "advanced").fill_in(settings.overrides.add(), "lam")
+    module(package, "recipes.advanced").fill_in(settings.overrides.add(), "lam")
     settings.overrides[0].text = "1.5"
     told["advanced"] = reported(stylize)
     told["markers"] = reported(bpy.ops.tnst_mi.bake_markers)
     told["resume"] = reported(bpy.ops.tnst_mi.resume)
     settings.show_advanced = True
-    panels = module(package, "panel")
+    panels = module(package, "interface.panel")
     layout = Layout()
     for goal in ("MOTIF", "PICTURE", "CHANNEL"):
         settings.looks[0].goal = goal
         panels._draw_looks(layout, settings)
     panels._draw_advanced(layout, settings, 300)
     panels._draw_buttons(layout, bpy.context)
-    module(package, "preferences").TnstMiPreferences.draw(
-        type("Drawn", (), {"layout": layout, "bl_rna": module(package, "preferences").TnstMiPreferences.bl_rna})(),
+    module(package, "interface.preferences").TnstMiPreferences.draw(
+        type(
+            "Drawn", (), {"layout": layout, "bl_rna": module(package, "interface.preferences").TnstMiPreferences.bl_rna}
+        )(),
         bpy.context,
     )
     bpy.ops.preferences.addon_disable(module=package)
@@ -232,7 +234,7 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     item = volume_of(folder)
     look_at(item.location, (3.5, -6.0, 3.0))
     choose(item, package, str(Path(out, "results")), iterations="60")
-    running = module(package, "running")
+    running = module(package, "interface.running")
 
     def cancel() -> None:
         while running.running() is None or "octave" not in running.running().progress.text:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import lists, panel, preferences, run_operators, settings, thumbnails
+from .interface import lists, panel, preferences, run_operators, settings, thumbnails
 
 bl_info = {
     "name": "tnst_mi: stylized smoke",

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+#: The add-on's name in this Blender: as an extension, it is in the package of a repository.
+ADDON = __package__
+
 #: How far from the place of a voxel Blender draws its middle, in voxels along each axis. OpenVDB has the middle there.
 #: Measured with 3.4 and 5.0.
 DRAWN_OFF = 0.5 if bpy.app.version < (5, 0, 0) else 0.0

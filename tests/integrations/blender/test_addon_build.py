@@ -14,8 +14,8 @@ import build_blender_addon
 import pytest
 from motifs import FAMILIES
 from PIL import Image, ImageChops, ImageStat
-from tnst_mi_blender.motifs import SHEET, motifs
-from tnst_mi_blender.parameters import parameters
+from tnst_mi_blender.interface.motifs import SHEET, motifs
+from tnst_mi_blender.recipes.parameters import parameters
 
 from tnst_mi.network.class_names import class_names
 from tnst_mi.network.readers import read_weights
@@ -32,7 +32,7 @@ def test_the_tables_are_those_of_tnst_mi() -> None:
 
 def test_versions_are_that_of_tnst_mi() -> None:
     """Also those of `bl_info`, which older versions of Blender read."""
-    modules = "".join(file.read_text("utf-8") for file in blender_addon.ADDON.glob("*.py"))
+    modules = "".join(file.read_text("utf-8") for file in blender_addon.ADDON.rglob("*.py"))
     assert VERSION in re.findall(r'VERSION = "(.*)"', modules)
     numbers = f"({', '.join(VERSION.split('.'))})"
     assert {numbers} | set(re.findall(r'"version": (\(.*?\))', modules)) == {numbers}
@@ -45,7 +45,7 @@ OLDEST, THERE = (
 )
 
 
-@pytest.mark.parametrize("module", sorted(blender_addon.ADDON.glob("*.py")), ids=lambda file: file.name)
+@pytest.mark.parametrize("module", sorted(blender_addon.ADDON.rglob("*.py")), ids=lambda file: file.name)
 def test_modules_are_for_the_python_of_old_blenders_and_import_nothing_heavy(module: Path) -> None:
     tree = ast.parse(module.read_text("utf-8"), feature_version=OLDEST)
     imported = [name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names]
@@ -93,7 +93,7 @@ def test_the_zip_is_the_same_twice_and_as_blender_expects_it(tmp_path: Path) -> 
         names = archive.namelist()
         # One folder: older versions of Blender name the add-on by it, newer ones accept it.
         assert {name.split("/")[0] for name in names} == {"tnst_mi_blender"}
-        assert {file.name for file in blender_addon.ADDON.glob("*.py")} <= {Path(name).name for name in names}
+        assert {file.name for file in blender_addon.ADDON.rglob("*.py")} <= {Path(name).name for name in names}
         assert not any("__pycache__" in name or "carried" in name for name in names)
         assert (
             archive.read("tnst_mi_blender/export_camera.py")

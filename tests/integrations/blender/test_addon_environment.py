@@ -13,9 +13,9 @@ from pathlib import Path
 import blender_addon  # noqa: F401  (makes tnst_mi_blender importable)
 import psutil
 import pytest
-from tnst_mi_blender import environment, installer, pythons
-from tnst_mi_blender.environment import EnvironmentMissing, Installation, find_environment
-from tnst_mi_blender.private import MARKER, installed_program, program_in
+from tnst_mi_blender.processes import environment, installer, pythons
+from tnst_mi_blender.processes.environment import EnvironmentMissing, Installation, find_environment
+from tnst_mi_blender.processes.private import MARKER, installed_program, program_in
 from tnst_mi_blender.version import VERSION
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="programs here are scripts of a shell")

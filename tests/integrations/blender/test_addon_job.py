@@ -12,8 +12,8 @@ from pathlib import Path
 import blender_addon
 import psutil
 import pytest
-from tnst_mi_blender import job as job_module
-from tnst_mi_blender.job import Job
+from tnst_mi_blender.processes import job as job_module
+from tnst_mi_blender.processes.job import Job
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -126,7 +126,7 @@ def test_cancel_is_ctrl_c_and_leaves_nothing_of_the_group(tmp_path: Path) -> Non
 
 @posix
 def test_what_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (blender_addon.ADDON / "supervisor.py").read_text("utf-8")
+    text = (blender_addon.ADDON / "processes" / "supervisor.py").read_text("utf-8")
     assert "PATIENCE = 20.0, 5.0" in text
     (tmp_path / "hasty.py").write_text(text.replace("PATIENCE = 20.0, 5.0", "PATIENCE = 0.2, 0.2"), "utf-8")
     monkeypatch.setattr(job_module, "_SUPERVISOR", tmp_path / "hasty.py")
@@ -144,7 +144,7 @@ signal.signal(signal.SIGINT, signal.SIG_IGN)  # as of a program that a script ha
 sys.path[:0] = {paths!r}
 import blender_addon
 from pathlib import Path
-from tnst_mi_blender.job import Job
+from tnst_mi_blender.processes.job import Job
 job = Job({command!r}, Path({log!r}))
 job.start()
 signal.pause()

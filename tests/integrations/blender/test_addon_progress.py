@@ -7,7 +7,7 @@ import sys
 
 import blender_addon  # noqa: F401  (makes tnst_mi_blender importable)
 import pytest
-from tnst_mi_blender.progress import InstallationReader, ProgressReader
+from tnst_mi_blender.processes.progress import InstallationReader, ProgressReader
 
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.progress import ProgressBar

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
-from tnst_mi_blender.commands import (
+from tnst_mi_blender.recipes.commands import (
     Box,
     Goal,
     MaskFile,
@@ -26,8 +26,8 @@ from tnst_mi_blender.commands import (
     stylize_command,
     write_recipe,
 )
-from tnst_mi_blender.parameters import parameters
-from tnst_mi_blender.toml import assignment
+from tnst_mi_blender.recipes.parameters import parameters
+from tnst_mi_blender.recipes.toml import assignment
 
 import tnst_mi
 from tnst_mi.batch.jobs import jobs_of

@@ -10,10 +10,10 @@ from pathlib import Path
 import blender_addon  # noqa: F401  (makes tnst_mi_blender importable)
 import pytest
 from jobs import frames
-from tnst_mi_blender import commands
-from tnst_mi_blender.commands import Goal, Region, Shot, Sphere
-from tnst_mi_blender.job import Job
-from tnst_mi_blender.progress import Progress
+from tnst_mi_blender.processes.job import Job
+from tnst_mi_blender.processes.progress import Progress
+from tnst_mi_blender.recipes import commands
+from tnst_mi_blender.recipes.commands import Goal, Region, Shot, Sphere
 
 from tnst_mi.io import save_frames
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import bpy
 
+from ..problems import CannotStylizeError
 from .parameters import Parameter, parameters
-from .problems import CannotStylizeError
 
 #: Kinds of keys whose value is a text as it stands.
 _TEXTS = ("text", "names", "length")

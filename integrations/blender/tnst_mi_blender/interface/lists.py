@@ -5,8 +5,8 @@
 import bpy
 from bpy.props import EnumProperty
 
-from .advanced import fill_in
-from .parameters import parameters
+from ..recipes.advanced import fill_in
+from ..recipes.parameters import parameters
 from .settings import OWN_KEYS
 
 _KEYS = [(key, key, parameter.help) for key, parameter in parameters().items() if key not in OWN_KEYS]

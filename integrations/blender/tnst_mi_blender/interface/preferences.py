@@ -7,9 +7,9 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from .environment import EnvironmentMissing, Installation, find_environment, installed_program
+from ..processes.environment import EnvironmentMissing, Installation, find_environment, installed_program
+from ..versions import ADDON, show_progress
 from .running import Running, RunsJob, running
-from .versions import show_progress
 
 
 def private_folder() -> Path:
@@ -19,7 +19,7 @@ def private_folder() -> Path:
 
 def preferences_of(context: bpy.types.Context) -> "TnstMiPreferences":
     """What is set in the preferences, which are named by the package: extensions have other names than add-ons."""
-    return context.preferences.addons[__package__].preferences
+    return context.preferences.addons[ADDON].preferences
 
 
 def environment_of(context: bpy.types.Context) -> Path:
@@ -34,7 +34,7 @@ def environment_of(context: bpy.types.Context) -> Path:
 class TnstMiPreferences(bpy.types.AddonPreferences):
     """Shown with the add-on in Blender's preferences."""
 
-    bl_idname = __package__
+    bl_idname = ADDON
 
     program: StringProperty(
         name="tnst-mi",

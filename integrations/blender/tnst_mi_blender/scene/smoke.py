@@ -14,8 +14,8 @@ from pathlib import Path
 import bpy
 from mathutils import Matrix, Vector
 
-from .problems import CannotStylizeError
-from .versions import DRAWN_OFF
+from ..problems import CannotStylizeError
+from ..versions import DRAWN_OFF
 
 #: Grids of the smoke, the first of these that a file has.
 DENSITIES = ("density", "density_noise")

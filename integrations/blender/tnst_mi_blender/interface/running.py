@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import bpy
 
-from .environment import EnvironmentMissing
-from .job import Job
-from .problems import CannotStylizeError
-from .progress import Progress
+from ..problems import CannotStylizeError
+from ..processes.environment import EnvironmentMissing
+from ..processes.job import Job
+from ..processes.progress import Progress
 
 #: Seconds between two looks at a job.
 _EVERY = 0.25

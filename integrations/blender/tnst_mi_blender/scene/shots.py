@@ -10,11 +10,11 @@ from typing import Any
 
 import bpy
 
-from . import commands
-from .advanced import keys_of
-from .commands import Goal, Shot
-from .export_camera import UnusableCameraError, camera_table, cameras_of
-from .problems import CannotStylizeError
+from ..export_camera import UnusableCameraError, camera_table, cameras_of
+from ..problems import CannotStylizeError
+from ..recipes import commands
+from ..recipes.advanced import keys_of
+from ..recipes.commands import Goal, Shot
 from .regions import Region
 from .smoke import Smoke, frames_between
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 from mathutils import Matrix, Vector
 
-from .plan import Part
-from .problems import CannotStylizeError
+from ..problems import CannotStylizeError
+from ..recipes.plan import Part
 from .smoke import Smoke, domain_settings, grids_in
 
 #: What the grids of a domain's noise have behind their names.

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import bpy
 
-from .commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
-from .job import Job
-from .plan import Part, Plan, read_plan, write_plan
+from ..processes.job import Job
+from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
+from ..recipes.plan import Part, Plan, read_plan, write_plan
+from ..scene.results import load_result
+from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
+from ..scene.smoke import Smoke, can_be_stylized, smoke_of
 from .preferences import environment_of, preferences_of
-from .results import load_result
 from .running import Running, RunsJob, TNST_MI_OT_cancel, end_job
-from .shots import Take, frame_bounds, shot_of, takes_of_markers
-from .smoke import Smoke, can_be_stylized, smoke_of
 
 
 class OfSmoke(RunsJob):

@@ -11,8 +11,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..recipes.parameters import parameters
 from . import thumbnails
-from .parameters import parameters
 
 #: Keys of a recipe that the panel has controls for, or that it writes itself.
 OWN_KEYS = frozenset(

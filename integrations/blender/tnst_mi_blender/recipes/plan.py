@@ -7,7 +7,7 @@ import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from .problems import CannotStylizeError
+from ..problems import CannotStylizeError
 
 #: In the folder of results.
 FILE = "blender_plan.json"

@@ -9,18 +9,18 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..version import VERSION
 from .child import NO_WINDOW, variables
 from .job import Job
 from .private import MARKER, installed_program, program_in
 from .progress import InstallationReader
 from .pythons import OLDEST, environment_python
-from .version import VERSION
 
 #: What other programs set to say which tnst-mi is meant.
 VARIABLE = "TNST_MI_PROGRAM"
 
 #: What the zip of the add-on carries: the wheel of tnst_mi, and the versions of packages that it was tested with.
-CARRIED = Path(__file__).with_name("carried")
+CARRIED = Path(__file__).parents[1] / "carried"
 
 _INSTALLER = Path(__file__).with_name("installer.py")
 

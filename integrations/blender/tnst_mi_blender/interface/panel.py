@@ -6,12 +6,12 @@ import textwrap
 
 import bpy
 
+from ..recipes.parameters import parameters
+from ..scene.smoke import can_be_stylized, domain_settings
+from ..versions import show_progress
 from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides
-from .parameters import parameters
 from .running import running
-from .smoke import can_be_stylized, domain_settings
 from .thumbnails import picture_icon
-from .versions import show_progress
 
 #: Pixels of a character of the interface, for lines that are broken.
 _CHARACTER = 7

@@ -11,9 +11,9 @@ import bmesh
 import bpy
 from mathutils import Matrix, Vector
 
-from . import versions
-from .commands import Box, Mask, MaskFile, Sphere
-from .problems import CannotStylizeError
+from .. import versions
+from ..problems import CannotStylizeError
+from ..recipes.commands import Box, Mask, MaskFile, Sphere
 from .smoke import EVEN, Smoke, is_even
 
 #: Displays of empties that can be regions.
