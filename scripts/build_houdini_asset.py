@@ -2,9 +2,9 @@
 
     python scripts/build_houdini_asset.py [--check]
 
-Written are integrations/houdini/otls/tnst_mi_stylize.hda, a folder of text files that Houdini loads as it is, and the
-table by which the asset's Python code reads its parameters. --check writes nothing, and ends with code 1 if they differ
-from what would be written.
+Written are integrations/houdini/otls/tnst_mi_stylize.hda, a folder of text files that Houdini loads as it is, the table
+by which the asset's Python code reads its parameters, and copies of the modules that it shares with the Blender add-on,
+whose sources are there. --check writes nothing, and ends with code 1 if they differ from what would be written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ from tnst_mi.network.shipped import shipped_weights
 from tnst_mi.recipe.parameters import parameters
 from tnst_mi.recipe.paths import shipped_lights, shipped_styles
 
-ASSET = Path(__file__).resolve().parents[1] / "integrations" / "houdini" / "otls" / "tnst_mi_stylize.hda"
+_INTEGRATIONS = Path(__file__).resolve().parents[1] / "integrations"
+ASSET = _INTEGRATIONS / "houdini" / "otls" / "tnst_mi_stylize.hda"
+
+#: Where the Blender add-on is, and its modules that know nothing of Blender but its name.
+ADDON = _INTEGRATIONS / "blender" / "tnst_mi_blender"
+SHARED = ("processes/job.py", "processes/supervisor.py", "processes/progress.py", "recipes/toml.py")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,7 +63,18 @@ def generated() -> dict[Path, str]:
     }
     asset = {ASSET / name: text for name, text in files(keys, suggestions).items()}
     rows = ",\n".join(json.dumps(row, ensure_ascii=False) for row in table(keys))
-    return {**asset, TABLE: f"[\n{rows}\n]\n"}
+    return {**asset, TABLE: f"[\n{rows}\n]\n", **copies()}
+
+
+def copies() -> dict[Path, str]:
+    """The text of each module that is shared with the Blender add-on: neither program can import the other's."""
+    made = {}
+    for name in SHARED:
+        source = ADDON / name
+        text = source.read_text(encoding="utf-8").replace("Blender", "Houdini")
+        heading = f"# A copy of {name} of the Blender add-on, by scripts/build_houdini_asset.py: change that one."
+        made[TABLE.with_name(source.name)] = f"{heading}\n{text}"
+    return made
 
 
 if __name__ == "__main__":

@@ -64,13 +64,13 @@ node.cook(hou.pwd())
 _MODULE = '''\
 """What the buttons call."""
 
-from tnst_mi_houdini.node import cancel, resume, stylize
+from tnst_mi_houdini.node import cancel, deleted, resume, stylize
 '''
 
 _DELETED = '''\
 """A run ends with its node."""
 
-kwargs["node"].hdaModule().cancel(kwargs["node"])
+kwargs["node"].hdaModule().deleted(kwargs["node"])
 '''
 
 _OPTIONS = """\
@@ -118,8 +118,8 @@ _HELP = f"""\
 \"\"\"Gives smoke the style of a picture by moving it, with tnst-mi.\"\"\"
 
 The input are VDBs: `density`, and for sequences that are to be steady in time the velocity as `vel` (or `vel.x`,
-`vel.y`, `vel.z`). *Stylize* writes them frame by frame, runs tnst-mi as a process beside Houdini, and shows its results
-frame by frame as they are done: the same grids, moved, with the same names and at the same place.
+`vel.y`, `vel.z`). *Stylize* writes them frame by frame, runs tnst-mi as a process beside Houdini, and shows the
+result of the current frame as soon as it is done: the same grids, moved, with the same names and at the same place.
 
 Every parameter of the folders after the first is a key of the recipe, by its name; rest the mouse on one for what it
 does. Animated parameters become keyframes of the recipe where it allows that. See docs/houdini.md and docs/recipes.md

@@ -55,7 +55,7 @@ def dialog_script(parameters: Sequence[dict[str, Any]], suggestions: dict[str, l
 
 def table(parameters: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """What the asset's Python code has to know of each key."""
-    names = ("key", "kind", "default", "words", "keyable")
+    names = ("key", "kind", "default", "words", "keyable", "low", "high", "above", "odd", "expected")
     return [{name: about[name] for name in names} for about in shown(parameters)]
 
 
@@ -81,8 +81,9 @@ def _own() -> list[str]:
             "folder",
             "Folder",
             "directory",
-            ["$HIP/tnst_mi/$HIPNAME.$OS"],
-            help="Where the input, the recipe, the log and the results are written.",
+            ['$HIP/tnst_mi/$HIPNAME`opfullpath(".")`'],
+            help="Where the input, the recipe, the log and the results are written: a new or empty folder, or that of "
+            "an earlier run of this asset.",
         ),
         dialog.parm(
             "replace",

@@ -34,23 +34,35 @@ def defaults() -> dict[str, list[Any]]:
 def _typed(text: str, kind: str) -> Any:
     if kind in ("float", "integer", "toggle", "button") and not text.startswith("$"):
         return float(text) if kind == "float" else int(text)
-    return text
+    return text.replace('\\"', '"')
+
+
+#: $HIP of the stand-in.
+HIP = Path("/shots")
+
+#: The frame that a stand-in for Houdini shows.
+CURRENT = 1001
+
+_FRAME = re.compile(r"\$\{F(\d?)\}|\$F(\d?)(?![A-Za-z0-9_])")
 
 
 class FakeParm:
-    """A parameter or a tuple of them, perhaps with keyframes: values by frame."""
+    """A parameter or a tuple of them, perhaps with keyframes: values by frame. Texts are expanded as Houdini does."""
 
-    def __init__(self, values: list[Any]) -> None:
-        self.values, self.keyframes = values, {}
+    def __init__(self, values: list[Any], node: FakeNode | None = None) -> None:
+        self.values, self.keyframes, self.node = values, {}, node
 
     def __iter__(self) -> Iterator[FakeParm]:
         return iter([self])
 
     def isTimeDependent(self) -> bool:
-        return bool(self.keyframes)
+        return bool(self.keyframes) or any(isinstance(each, str) and _FRAME.search(each) for each in self.values)
+
+    def rawValue(self) -> str:
+        return str(self.values[0])
 
     def evalAtFrame(self, frame: float) -> tuple[Any, ...]:
-        return tuple(self.keyframes.get(frame, self.values))
+        return tuple(self._expanded(value, int(frame)) for value in self.keyframes.get(frame, self.values))
 
     def evalAsStringAtFrame(self, frame: float) -> str:
         return str(self.evalAtFrame(frame)[0])
@@ -59,7 +71,18 @@ class FakeParm:
         return int(self.evalAtFrame(frame)[0])
 
     def eval(self) -> Any:
-        return self.values[0] if len(self.values) == 1 else tuple(self.values)
+        values = self.evalAtFrame(CURRENT)
+        return values[0] if len(values) == 1 else values
+
+    def _expanded(self, value: Any, frame: int) -> Any:
+        if not isinstance(value, str):
+            return value
+        node = self.node
+        if node is not None:
+            value = re.sub(r'`chs\("(\w+)"\)`', lambda found: str(node.evalParm(found[1])), value)
+            value = value.replace('`opfullpath(".")`', node.path()).replace("$OS", node.name())
+        value = value.replace("$HIPNAME", "a").replace("$HIP", str(HIP))
+        return _FRAME.sub(lambda found: f"{frame:0{int(found[1] or found[2] or 1)}d}", value)
 
 
 class FakeGeometry:
@@ -85,7 +108,7 @@ class FakeNode:
     """The asset's node, or one above it. What is set is set by `node["eta"] = 0.01`."""
 
     def __init__(self, files: dict[int, Path] | None = None, above: FakeNode | None = None) -> None:
-        self.parms = {name: FakeParm(values) for name, values in defaults().items()}
+        self.parms = {name: FakeParm(values, self) for name, values in defaults().items()}
         self.files, self.above, self.shown, self.cooked = files or {}, above, FakeGeometry(None), 0
         self.kinds: tuple[str, ...] = ("VDB",)
         self.save: Any = None
@@ -93,9 +116,9 @@ class FakeNode:
     def __setitem__(self, name: str, value: Any) -> None:
         if isinstance(value, list) and name in ("style", "tag", "semantic", "content", "match"):
             for number, each in enumerate(value, start=1):
-                self.parms[f"{name}{number}"] = FakeParm([each])
+                self.parms[f"{name}{number}"] = FakeParm([each], self)
             value = len(value)
-        self.parms[name] = FakeParm(list(value) if isinstance(value, tuple) else [value])
+        self.parms[name] = FakeParm(list(value) if isinstance(value, tuple) else [value], self)
 
     def parm(self, name: str) -> FakeParm:
         return self.parms[name]
@@ -119,6 +142,8 @@ class FakeNode:
         return () if self.above is None else (self.above,)
 
     def geometryAtFrame(self, frame: float) -> FakeGeometry:
+        if int(frame) not in self.files:
+            raise sys.modules["hou"].OperationFailed(f"The attempted operation failed.\nError: no frame {frame:g}")
         return FakeGeometry(self.files[int(frame)], self.kinds, self.save)
 
     def geometry(self) -> FakeGeometry:

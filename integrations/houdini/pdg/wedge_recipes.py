@@ -5,6 +5,7 @@ item. TOPs gives `item_holder`. Items have the attributes `recipe`, `shot`, `var
 with ####) for the nodes below.
 """
 
+import os
 from pathlib import Path
 
 import hou
@@ -17,8 +18,9 @@ VARIATIONS = {"motif_size": [0.15, 0.25], "eta": [0.002, 0.004]}
 FOLDER = Path(hou.text.expandString("$HIP/tnst_mi/wedges"))
 PROGRAM = find_program("", {name: hou.getenv(name) or "" for name in ("PATH", "HFS", "TNST_MI_PROGRAM")})
 CLUSTER = ""  # or "local:4", "tcp://HOST:PORT", "slurm:FILE"
+WINDOWS = os.name == "nt"  # whether the machines that do the work have Windows
 
-for index, item in enumerate(work_items(PROGRAM, SHOTS, BASE, VARIATIONS, FOLDER, CLUSTER)):
+for index, item in enumerate(work_items(PROGRAM, SHOTS, BASE, VARIATIONS, FOLDER, CLUSTER, WINDOWS)):
     work_item = item_holder.addWorkItem(index=index)  # noqa: F821 (a name that TOPs gives)
     for name, text in (
         ("recipe", item.recipe),

@@ -38,6 +38,14 @@ def test_the_committed_files_are_what_is_generated(capsys: pytest.CaptureFixture
     assert build_houdini_asset.main(["--check"]) == 0, capsys.readouterr().out
 
 
+def test_what_is_shared_with_the_blender_add_on_is_a_copy() -> None:
+    copies = build_houdini_asset.copies()
+    assert {path.name for path in copies} == {"job.py", "supervisor.py", "progress.py", "toml.py"}
+    for path, text in copies.items():
+        assert path.read_text(encoding="utf-8") == text
+        assert text.startswith("# A copy of ") and "of the Blender add-on" in text and text.count("Blender") == 1
+
+
 def test_every_section_is_listed_and_there() -> None:
     """As in expanded assets that are published: index, list, the empty mark, and a folder for the definition."""
     asset = build_houdini_asset.ASSET

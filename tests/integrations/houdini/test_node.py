@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-import os
 import runpy
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -28,18 +28,21 @@ FRAMES = (1001, 1002)
 #: In place of tnst-mi: takes its flags, shows progress, and leaves the input as results, whole ones as tnst-mi does.
 PROGRAM = """\
 #!{python}
-import pathlib, shutil, sys, time
+import json, pathlib, shutil, sys, time
 source, out = pathlib.Path(sys.argv[2]), pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 print(" ".join(sys.argv[1:]), flush=True)
 print("smoke.1001 octave 1/1:  50% 1/2 [00:01<00:01, iteration 1/2, loss 1]", flush=True)
-if (out.parent / "slow").exists() and "--resume" not in sys.argv:
-    (out / "density").mkdir(parents=True)
-    (out / "recipe.toml").touch()
+if (out.parent.parent / "slow").exists() and "--resume" not in sys.argv:
+    (out / "density").mkdir(parents=True, exist_ok=True)
+    (out / "run.json").write_text(json.dumps({{"input": str(source)}}))
     time.sleep(60)
-if (out.parent / "bad").exists():
+if (out.parent.parent / "bad").exists():
     sys.exit("tnst-mi: recipe.toml: no goal; give --style")
 (out / "density").mkdir(parents=True, exist_ok=True)
-for file in (out.parent / "input").glob("smoke.*.vdb"):
+if "--resume" not in sys.argv:
+    (out / "run.json").write_text(json.dumps({{"input": str(source)}}))
+source = pathlib.Path(json.loads((out / "run.json").read_text())["input"])
+for file in source.parent.glob("smoke.*.vdb"):
     shutil.copyfile(file, out / "density" / file.name)
 """
 
@@ -62,9 +65,13 @@ def node(tmp_path: Path) -> FakeNode:
     program.chmod(0o755)
     made = FakeNode(above=FakeNode(files))
     made["program"], made["folder"], made["range"] = str(program), str(tmp_path / "run 1"), FRAMES
-    made["result"] = str(tmp_path / "run 1" / "run" / "density" / "smoke.1001.vdb")
     made["tag"], made["weights"] = ["fire"], "patterns"
     return made
+
+
+def inputs(folder: Path) -> list[str]:
+    """All VDBs that were written for tnst-mi, staged ones included."""
+    return sorted(str(path.relative_to(folder)) for path in folder.glob("*input*/*.vdb"))
 
 
 def idle(hou: Any, until: Any = lambda: False, seconds: float = 30.0) -> None:
@@ -84,13 +91,14 @@ def test_stylize_writes_runs_and_shows(hou: Any, module: Any, node: FakeNode, tm
     module.stylize(node)
     idle(hou)
     assert hou.ui.messages == [] and hou.ui.status[-1].startswith("tnst-mi is done")
-    recipe = Recipe.from_toml(folder / "recipe.toml")
+    recipe = Recipe.from_toml(folder / "input.1" / "recipe.toml")
     assert recipe.tag == ("fire",) and recipe.fps == 25.0
     log = (folder / "log.txt").read_text()
-    assert log.startswith(f"stylize {folder}/input/smoke.####.vdb --recipe {folder}/recipe.toml --out {folder}/run\n")
-    names = [grid.name for grid in read_vdb(folder / "input" / "smoke.1002.vdb").grids]
+    words = f"stylize {folder}/input.1/smoke.####.vdb --recipe {folder}/input.1/recipe.toml --out {folder}/run\n"
+    assert log.startswith(words)
+    names = [grid.name for grid in read_vdb(folder / "input.1" / "smoke.1002.vdb").grids]
     assert names == ["density", "vel.x", "vel.y", "vel.z"]
-    assert node.cooked == 1
+    assert node.cooked >= 1
     module.cook(node)
     assert node.shown.file == folder / "run" / "density" / "smoke.1001.vdb"
 
@@ -105,16 +113,15 @@ def test_an_earlier_run_is_replaced_only_where_that_is_said(hou: Any, module: An
     idle(hou)
     folder = Path(node.evalParm("folder"))
     assert (folder / "log.txt").read_text().splitlines()[0].endswith("--overwrite")
-    # Frames that are not asked for any more are no input.
-    assert [path.name for path in (folder / "input").iterdir()] == ["smoke.1002.vdb"]
+    # Frames that are not asked for any more are no input, and the input of the run that was replaced is gone.
+    assert inputs(folder) == ["input.2/smoke.1002.vdb"]
 
 
 def test_cancel_and_resume(hou: Any, module: Any, node: FakeNode) -> None:
     folder = Path(node.evalParm("folder"))
-    folder.mkdir()
-    (folder / "slow").touch()
+    (folder.parent / "slow").touch()
     module.stylize(node)
-    idle(hou, lambda: "stylize1: smoke.1001 octave 1/1, 50%, 00:01 left" in hou.ui.status)
+    idle(hou, lambda: any("octave 1/1, frame 1001, 50%" in status for status in hou.ui.status))
     module.stylize(node)
     assert "a run is under way; press Cancel, or wait for it" in hou.ui.messages.pop()
     module.cancel(node)
@@ -143,14 +150,14 @@ def test_what_is_wrong_is_said_in_one_line(hou: Any, module: Any, node: FakeNode
     module.stylize(node)
     assert "1 primitives at frame 1001 are no VDBs" in hou.ui.messages[-1] and "Convert VDB" in hou.ui.messages[-1]
     node.above.kinds = ("VDB",)
-    assert not folder.exists()
-    folder.mkdir()
-    (folder / "bad").touch()
+    assert inputs(folder) == []
+    (folder.parent / "bad").touch()
     module.stylize(node)
     idle(hou)
-    assert hou.ui.messages[-1].startswith("recipe.toml: no goal; give --style (tnst-mi ended with code 1; all that")
+    assert hou.ui.messages[-1].startswith("tnst-mi: recipe.toml: no goal; give --style (all that was said is in ")
+    assert inputs(folder) == []
     node.above = None
-    (folder / "bad").unlink()
+    (folder.parent / "bad").unlink()
     module.stylize(node)
     assert "nothing is connected; connect the VDBs of the smoke" in hou.ui.messages[-1]
     assert all("\n" not in message for message in hou.ui.messages)
@@ -162,21 +169,167 @@ def test_without_a_user_interface_it_waits_and_raises(hou: Any, module: Any, nod
     folder = Path(node.evalParm("folder"))
     assert (folder / "run" / "density" / "smoke.1002.vdb").is_file()
     node["replace"] = 1
-    (folder / "bad").touch()
+    (folder.parent / "bad").touch()
     with pytest.raises(hou.NodeError, match="no goal; give --style"):
         module.stylize(node)
 
 
-def test_interrupting_the_input_leaves_no_half_file(hou: Any, module: Any, node: FakeNode, monkeypatch: Any) -> None:
+@pytest.mark.parametrize("why", ["Escape", "cook", "disk"])
+def test_an_input_that_cannot_be_written_leaves_the_earlier_run_as_it_was(
+    hou: Any, module: Any, node: FakeNode, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It can be resumed, by the same recipe on the same input: nothing is switched before all is written."""
+    assert node.above is not None
+    module.stylize(node)
+    idle(hou)
+    folder = Path(node.evalParm("folder"))
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
     def interrupted(operation: Any, share: float) -> None:
         if share > 0:
             raise hou.OperationInterrupted
 
-    monkeypatch.setattr(hou.InterruptableOperation, "updateProgress", interrupted)
+    def full(geometry: FakeGeometry, path: str) -> None:
+        Path(path).write_bytes(b"half")
+        if path.endswith("1002.vdb"):
+            raise hou.OperationFailed("The disk is full.")
+
+    if why == "Escape":
+        monkeypatch.setattr(hou.InterruptableOperation, "updateProgress", interrupted)
+        said = "interrupted while the input was written"
+    elif why == "cook":
+        del node.above.files[1002]
+        said = "/obj/smoke/stylize1: does not cook at frame 1002 (The attempted operation failed. Error: no frame 1002)"
+    else:
+        node.above.save = full
+        said = "smoke.1002.vdb: Houdini could not write it (The disk is full.); see whether the disk has room"
+    node["replace"], node["eta"] = 1, 0.01
     module.stylize(node)
+    assert said in (hou.ui.status if why == "Escape" else hou.ui.messages)[-1] and not hou.ui.callbacks
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_under_way_keeps_its_input_whoever_started_it(
+    hou: Any, module: Any, node: FakeNode, tmp_path: Path
+) -> None:
+    """By the lock of tnst-mi, here held by a process that is not of this Houdini."""
+    module.stylize(node)
+    idle(hou)
     folder = Path(node.evalParm("folder"))
-    assert "interrupted while the input was written" in hou.ui.status[-1] and not hou.ui.callbacks
-    assert os.listdir(folder) == ["input"] and os.listdir(folder / "input") == ["smoke.1001.vdb"]
+    holder = "import sys, time, pathlib; from tnst_mi.machine.lock import locked\n"
+    holder += "with locked(pathlib.Path(sys.argv[1])): print(1, flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", holder, str(folder / "run")]
+    node["replace"] = 1
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"1\n"
+        for action in (module.stylize, module.resume):
+            action(node)
+            assert f"run: process {other.pid} on " in hou.ui.messages[-1] and not hou.ui.callbacks
+        module.cancel(node)
+        assert "which this Houdini has not started; press Cancel or Ctrl-C where it was" in hou.ui.messages[-1]
+        assert inputs(folder) == ["input.1/smoke.1001.vdb", "input.1/smoke.1002.vdb"]
+        other.communicate(b"")
+    module.stylize(node)
+    idle(hou)
+    assert hou.ui.status[-1].startswith("tnst-mi is done")
+    module.cancel(node)
+    assert "no run is under way" in hou.ui.status[-1]
+
+
+def test_two_nodes_of_one_folder_and_a_scene_that_is_opened_again(hou: Any, module: Any, node: FakeNode) -> None:
+    folder = Path(node.evalParm("folder"))
+    (folder.parent / "slow").touch()
+    module.stylize(node)
+    other = FakeNode(above=node.above)
+    other.parms.update(node.parms)
+    module.stylize(other)
+    assert "a run is under way in" in hou.ui.messages.pop()
+    # What another node has started goes on when this one is deleted, and is cancelled by its button.
+    module.deleted(other)
+    assert not hou.ui.status or "stopp" not in hou.ui.status[-1]
+    module.cancel(other)
+    idle(hou)
+    assert hou.ui.status[-1] == "tnst-mi was stopped; Resume goes on from what is done"
+
+
+def test_the_run_of_a_node_ends_with_it(hou: Any, module: Any, node: FakeNode, tmp_path: Path) -> None:
+    (tmp_path / "slow").touch()
+    module.stylize(node)
+    module.deleted(node)
+    idle(hou)
+    assert hou.ui.status[-1] == "tnst-mi was stopped; Resume goes on from what is done"
+
+
+@pytest.mark.parametrize("name", ["input/smoke.1001.vdb", "log.txt", "input.1/smoke.1001.vdb"])
+def test_files_of_others_are_never_touched(hou: Any, module: Any, node: FakeNode, tmp_path: Path, name: str) -> None:
+    shot = tmp_path / "shot"
+    (shot / name).parent.mkdir(parents=True, exist_ok=True)
+    (shot / name).write_bytes(b"precious")
+    node["folder"] = str(shot)
+    module.stylize(node)
+    assert "shot: has files that are not of this asset, which could be lost; choose a new" in hou.ui.messages[-1]
+    assert [path for path in shot.rglob("*") if path.is_file()] == [shot / name]
+    assert (shot / name).read_bytes() == b"precious"
+
+
+def test_files_that_were_put_into_an_input_stay(hou: Any, module: Any, node: FakeNode) -> None:
+    module.stylize(node)
+    idle(hou)
+    folder = Path(node.evalParm("folder"))
+    (folder / "input.1" / "smoke.0999.vdb").write_bytes(b"precious")
+    node["replace"] = 1
+    module.stylize(node)
+    idle(hou)
+    assert inputs(folder) == ["input.1/smoke.0999.vdb", "input.2/smoke.1001.vdb", "input.2/smoke.1002.vdb"]
+
+
+def test_the_log_may_be_deleted(hou: Any, module: Any, node: FakeNode, tmp_path: Path) -> None:
+    (tmp_path / "slow").touch()
+    module.stylize(node)
+    (Path(node.evalParm("folder")) / "log.txt").unlink()
+    idle(hou, lambda: bool(hou.ui.status))
+    module.cancel(node)
+    idle(hou)
+    assert hou.ui.status[-1] == "tnst-mi was stopped; Resume goes on from what is done"
+
+
+def test_a_result_is_shown_while_the_run_goes_on(hou: Any, module: Any, node: FakeNode, tmp_path: Path) -> None:
+    (tmp_path / "slow").touch()
+    module.stylize(node)
+    result = Path(node.evalParm("result"))
+    assert result == tmp_path / "run 1" / "run" / "density" / "smoke.1001.vdb"
+    idle(hou, result.parent.is_dir)
+    assert node.cooked == 0
+    result.write_bytes(b"")
+    idle(hou, lambda: node.cooked > 0)
+    assert hou.ui.callbacks
+    module.cancel(node)
+    idle(hou)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("tag", [], "nothing to stylize towards; add a style picture, or a motif by its name, in the folder Goals"),
+        ("window", 8, "window = 8: expected an odd integer from 1 to 99"),
+        ("gamma", 0.0, "gamma = 0: expected a number above 0, at most 10000 or auto"),
+        ("azimuth", (20.0, 10.0), "azimuth = 20, 10: expected two numbers LOW,HIGH, in this order, from -360 to 360"),
+        ("mask", "{height = [0.5", "mask: is no value of TOML"),
+        ("mask", "{height = [0, 1]}\nseed = 2", "mask: has also seed, expected one value of TOML"),
+    ],
+)
+def test_what_no_recipe_can_have_is_said_before_the_input_is_written(
+    hou: Any, module: Any, node: FakeNode, name: str, value: Any, message: str
+) -> None:
+    node[name] = value
+    module.stylize(node)
+    assert hou.ui.messages[-1].startswith(message) and not Path(node.evalParm("folder")).exists()
+
+
+def test_nodes_of_one_name_have_folders_of_their_own() -> None:
+    node = FakeNode()
+    assert node.evalParm("folder") == "/shots/tnst_mi/a/obj/smoke/stylize1"
+    assert node.evalParm("result") == "/shots/tnst_mi/a/obj/smoke/stylize1/run/density/smoke.1001.vdb"
 
 
 def test_the_real_tnst_mi_gives_the_node_its_grids_back(
@@ -200,19 +353,6 @@ def test_the_real_tnst_mi_gives_the_node_its_grids_back(
     box = before.grids[0].topology.active_box()
     assert box is not None
     assert (before.grids[0].tree.values_in(box) != after.grids[0].tree.values_in(box)).mean() > 0.1
-
-
-def test_a_frame_that_cannot_be_written_is_said_and_leaves_nothing(hou: Any, module: Any, node: FakeNode) -> None:
-    def full(geometry: FakeGeometry, path: str) -> None:
-        Path(path).write_bytes(b"half")
-        raise hou.OperationFailed("The disk is full.")
-
-    assert node.above is not None
-    node.above.save = full
-    module.stylize(node)
-    (message,) = hou.ui.messages
-    assert "smoke.1001.vdb: Houdini could not write it (The disk is full.); see whether the disk has room" in message
-    assert os.listdir(Path(node.evalParm("folder")) / "input") == []
 
 
 def test_the_wedge_script_makes_its_work_items(hou: Any, tmp_path: Path) -> None:

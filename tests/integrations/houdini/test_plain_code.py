@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ast
 import doctest
+import json
 import os
+import platform
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -15,10 +18,10 @@ from types import ModuleType
 
 import pytest
 from fake_houdini import FakeNode
-from tnst_mi_houdini import commands, environment, progress, sequences, values
+from tnst_mi_houdini import child, commands, environment, lock, pythons, sequences, values
 from tnst_mi_houdini import recipe_text as recipe_texts
 from tnst_mi_houdini.job import Job
-from tnst_mi_houdini.recipe_text import recipe_text
+from tnst_mi_houdini.recipe_text import Typed, recipe_text
 from tnst_mi_houdini.work_items import work_items
 
 from tnst_mi.batch.jobs import jobs_of
@@ -114,21 +117,38 @@ def test_layers_that_are_none_are_refused() -> None:
         values.recipe_values(node, FRAMES)
 
 
-def test_nothing_of_houdini_leaks_into_the_process() -> None:
-    given = {
-        **{"HFS": "/opt/hfs20.5", "PATH": "/opt/hfs20.5/bin:/usr/bin:/opt/hfs20.5.1/bin", "HOME": "/home/a"},
-        **{"PYTHONHOME": "/opt/hfs20.5/python", "PYTHONPATH": "/x", "LD_LIBRARY_PATH": "/opt/hfs20.5/dsolib"},
-    }
-    kept = environment.process_environment(given)
-    assert kept == {"HFS": "/opt/hfs20.5", "PATH": "/usr/bin:/opt/hfs20.5.1/bin", "HOME": "/home/a"}
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [
+        ("PATH", "/opt/hfs20.5/bin:/usr/bin:/opt/hfs20.5.1/bin", "/usr/bin:/opt/hfs20.5.1/bin"),
+        ("PYTHONHOME", "/opt/hfs20.5/python", None),
+        ("PYTHONPATH", "/opt/hfs20.5/houdini/python3.11libs:/studio/python", "/studio/python"),
+        ("PYTHONPATH", f"{Path(child.__file__).parents[1]}", None),
+        ("LD_LIBRARY_PATH", "/opt/hfs20.5/dsolib:/opt/cuda/lib64", "/opt/cuda/lib64"),
+        ("LD_LIBRARY_PATH", "/opt/hfs20.5/dsolib", None),
+        ("LD_PRELOAD", "/opt/hfs20.5/dsolib/libjemalloc.so /opt/studio/license.so", "/opt/studio/license.so"),
+        ("DYLD_LIBRARY_PATH", "/opt/hfs20.5/dsolib:/usr/local/lib", "/usr/local/lib"),
+        ("DYLD_FRAMEWORK_PATH", "/opt/hfs20.5/Frameworks", None),
+        ("DYLD_INSERT_LIBRARIES", "/opt/hfs20.5/a.dylib", None),
+        ("PXR_PLUGINPATH_NAME", "/opt/hfs20.5/usd:/studio/usd", "/studio/usd"),
+        ("QT_PLUGIN_PATH", "/opt/hfs20.5/qt", None),
+        ("HOME", "/home/a", "/home/a"),
+    ],
+)
+def test_the_process_has_the_users_environment_without_houdinis(name: str, value: str, kept: str | None) -> None:
+    around = {"HFS": "/opt/hfs20.5", "TERM": "linux"}
+    assert child.users_own({**around, name: value}) == {**around, **({} if kept is None else {name: kept})}
+    # What a farm's processes inherit is not known; there, all of it is taken away.
+    words = shlex.split(commands.farm_line(["tnst-mi"], windows=False))
+    assert (name in words) == (name not in ("PATH", "HOME"))
 
 
 def test_another_python_starts_below_houdinis_environment() -> None:
     """With a PYTHONHOME that is Houdini's, a Python does not start; with what is left of the environment, it does."""
-    broken = {**os.environ, "PYTHONHOME": "/nowhere", "PYTHONPATH": "/nowhere"}
+    broken = {**os.environ, "HFS": "/nowhere", "PYTHONHOME": "/nowhere", "PYTHONPATH": "/nowhere"}
     command = [sys.executable, "-c", "print('started')"]
     assert subprocess.run(command, env=broken, capture_output=True, check=False).returncode != 0
-    cleaned = environment.process_environment(broken)
+    cleaned = child.users_own(broken)
     assert subprocess.run(command, env=cleaned, capture_output=True, check=True).stdout.split() == [b"started"]
     line = commands.farm_line(command, windows=False)
     assert subprocess.run(line, shell=True, env=broken, capture_output=True, check=True).stdout.split() == [b"started"]
@@ -150,36 +170,120 @@ def test_the_program_is_found_where_it_is_named(tmp_path: Path) -> None:
         environment.find_program(str(tmp_path), path)
 
 
-def test_progress_and_errors_are_read_from_a_log() -> None:
-    line = "smoke.0003 octave 1/1:  67% 12/18 [00:02<00:03, iteration 4/6, loss 91.86]"
-    assert progress.progress_of(line) == progress.Progress(0.67, "smoke.0003 octave 1/1, 67%, 00:03 left")
-    for other in ("device: CPU, 2 threads (llvm_ad_rgb)", "smoke.0001: mass 479.41 → 479.36 (-0.0%)", ""):
-        assert progress.progress_of(other) is None
-    assert progress.error_of("a\ntnst-mi: recipe.toml: no\nb\n") == "recipe.toml: no" and progress.error_of("a") is None
-
-
-def test_a_cancelled_job_leaves_no_process(tmp_path: Path) -> None:
-    """Ctrl-C reaches the children too; its progress was read before."""
-    child = "import subprocess, sys, time; p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True);"
-    script = f"{child} print('f octave 1/2: 40% 4/10 [00:01<00:02, x]', flush=True); time.sleep(60)"
-    job = Job([sys.executable, "-c", script], tmp_path / "deep" / "log.txt", os.environ)
-    deadline = time.monotonic() + 20
-    while job.progress is None and time.monotonic() < deadline:
+def test_a_cancelled_job_ends_though_houdini_ignores_ctrl_c(tmp_path: Path) -> None:
+    """As it does if a script has started it in the background; what it starts inherits that."""
+    script = "import time; print('octave 1/2: 40% 4/10 [00:01<00:02, x]', flush=True); time.sleep(60)"
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        job = Job([sys.executable, "-c", script], tmp_path / "deep" / "log.txt")
+        job.start()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    deadline = time.monotonic() + 15
+    while not job.poll().text.startswith("octave 1/2, 40%") and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert job.progress == progress.Progress(0.4, "f octave 1/2, 40%, 00:02 left") and job.exit_code is None
     job.cancel()
-    assert job.wait() != 0 and job.cancelled
-    with pytest.raises(ProcessLookupError):
-        pid = int(job.log.read_text().split()[0])
-        while time.monotonic() < deadline:
-            os.kill(pid, 0)
-            time.sleep(0.02)
+    while not job.finished and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert job.finished and job.exit_code != 0 and job.cancelled and job.error is None
 
 
-def test_a_failed_job_says_why(tmp_path: Path) -> None:
-    job = Job(["sh", "-c", "echo 'tnst-mi: x.vdb: empty; export it again' >&2; exit 2"], tmp_path / "log", os.environ)
-    assert job.wait() == 2 and not job.cancelled
-    assert job.error.startswith("x.vdb: empty; export it again (tnst-mi ended with code 2; all that it said is in ")
+def test_a_job_tells_its_progress_each_second_and_why_it_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/hfs/dsolib:/opt/cuda/lib64")
+    monkeypatch.setenv("HFS", "/opt/hfs")
+    script = (
+        "echo $TNST_MI_PROGRESS_SECONDS $LD_LIBRARY_PATH; echo 'tnst-mi: x.vdb: empty; export it again' >&2; exit 2"
+    )
+    job = Job(["sh", "-c", script], tmp_path / "log")
+    job.start()
+    while not job.finished:
+        time.sleep(0.02)
+    assert job.exit_code == 2 and job.error == "tnst-mi: x.vdb: empty; export it again"
+    assert job.log.read_text().splitlines()[0] == "1 /opt/cuda/lib64"
+
+
+def test_the_python_that_watches_is_houdinis_also_where_houdini_is_the_executable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "python" / "bin" / f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    own.parent.mkdir(parents=True)
+    own.touch()
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "houdini-bin"))
+    monkeypatch.setattr(sys, "base_prefix", str(tmp_path / "python"))
+    assert pythons.any_python() == own
+    own.unlink()
+    monkeypatch.setenv("PATH", "/usr/bin")
+    assert pythons.any_python() == Path("/usr/bin/python3")
+
+
+def test_a_lock_file_names_nobody_by_itself(tmp_path: Path) -> None:
+    """As that of a run that was killed; one of another machine is believed."""
+    assert lock.writer_of(tmp_path) is None
+    for text in ("", "[]", '{"host": 1, "pid": 2}', json.dumps({"host": platform.node(), "pid": 1})):
+        (tmp_path / lock.LOCK).write_text(text)
+        assert lock.writer_of(tmp_path) is None
+    (tmp_path / lock.LOCK).write_text('{"host": "render7", "pid": 12}')
+    assert lock.writer_of(tmp_path) == "process 12 on render7"
+
+
+def test_typed_toml_stays_as_it_was_typed() -> None:
+    node = FakeNode()
+    node["mask"] = '{file = "my  mask.npz"}'
+    node["target"] = '[\n{style = "a.png", mask = "flame"}, # first\n{style = "b.png"}]'
+    found, _ = values.recipe_values(node, FRAMES)
+    assert tomllib.loads(recipe_text(found)) == {
+        "mask": {"file": "my  mask.npz"},
+        "target": [{"style": "a.png", "mask": "flame"}, {"style": "b.png"}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("typed", "written"),
+    [
+        ("$HIP/masks/m_$F4.npz", "/shots/masks/m_####.npz"),
+        ('{file = "$HIP/m_${F}_v2.npz", invert = true}', Typed('{file = "/shots/m_#_v2.npz", invert = true}')),
+        ("$HIP/masks/m_$FF.npz", "/shots/masks/m_$FF.npz"),
+    ],
+)
+def test_masks_of_each_frame_stay_masks_of_each_frame(typed: str, written: str) -> None:
+    node = FakeNode()
+    node["mask"] = typed
+    assert values.recipe_values(node, FRAMES) == ({"mask": written}, [])
+
+
+def test_a_camera_by_the_number_of_the_frame_is_said() -> None:
+    node = FakeNode()
+    node["camera"] = "$HIP/shot_$F4.json"
+    found, notes = values.recipe_values(node, FRAMES)
+    assert found == {"camera": "/shots/shot_0010.json"}
+    assert notes == ["camera is animated, and cannot change over the frames: taken as at frame 10"]
+
+
+def test_work_items_have_names_of_their_own(tmp_path: Path) -> None:
+    """Also where values differ in what no name has, in capitals, or in their end."""
+    styles = [["a b.png"], ["a_b.png"], ["A_b.png"], ["/x" * 200 + "1"], ["/x" * 200 + "2"], "", "..", "λ"]
+    items = work_items("tnst-mi", {"a": "smoke.$F4.vdb"}, {}, {"style": styles}, tmp_path)
+    assert len({item.name.lower() for item in items}) == len(styles)
+    assert [tomllib.loads(item.recipe.read_text("utf-8"))["style"] for item in items] == styles
+    assert max(len(item.name) for item in items) < 100
+    again = work_items("tnst-mi", {"a": "smoke.$F4.vdb"}, {}, {"style": styles[2::-1]}, tmp_path)
+    assert {item.name for item in again} == {item.name for item in items[:3]}
+
+
+@pytest.mark.parametrize("shot", ["../up", "a/b", "", "..", "sh 10"])
+def test_shots_that_are_no_folders_are_refused(tmp_path: Path, shot: str) -> None:
+    with pytest.raises(ValueError, match="expected the name of a shot that a folder can have, such as"):
+        work_items("tnst-mi", {shot: "smoke.$F4.vdb"}, {}, {"eta": [0.1]}, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["100%.vdb", "a&b.vdb", "a^b.vdb", 'a"b.vdb', "a|b", "!x"])
+def test_what_cmd_would_take_for_its_own_is_refused(name: str) -> None:
+    assert commands.farm_line(["tnst-mi.exe", "my smoke.vdb"], windows=True).endswith('&& tnst-mi.exe "my smoke.vdb""')
+    with pytest.raises(ValueError, match=r"which cmd\.exe does not leave alone; rename it"):
+        commands.farm_line(["tnst-mi.exe", name], windows=True)
 
 
 def test_work_items_are_batches_whose_results_are_where_they_say(tmp_path: Path) -> None:
@@ -199,15 +303,15 @@ def test_work_items_are_batches_whose_results_are_where_they_say(tmp_path: Path)
         assert job.recipe.tag == tuple(item.values["tag"])
 
 
-@pytest.mark.parametrize("module", [commands, environment, progress, sequences, recipe_texts])
+@pytest.mark.parametrize("module", [child, commands, sequences, recipe_texts])
 def test_examples_of_docstrings_run(module: ModuleType) -> None:
     assert doctest.testmod(module).failed == 0 and doctest.testmod(module).attempted > 0
 
 
-def test_no_other_package_is_needed_and_python_3_9_will_do() -> None:
-    """Houdini 19.5 has Python 3.9; nothing but the standard library, hou and the package itself is imported."""
+def test_no_other_package_is_needed_and_python_3_10_will_do() -> None:
+    """Houdini 20 has Python 3.10; nothing but the standard library, hou and the package itself is imported."""
     for file in Path(commands.__file__).parent.glob("*.py"):
-        tree = ast.parse(file.read_text(encoding="utf-8"), feature_version=(3, 9))
+        tree = ast.parse(file.read_text(encoding="utf-8"), feature_version=(3, 10))
         imported = {
             name.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names
         }

@@ -6,7 +6,13 @@ import shlex
 import subprocess
 from collections.abc import Sequence
 
-from .environment import HOUDINIS_OWN
+from .child import LISTS, PYTHONS
+
+# What a farm's processes inherit of Houdini is not known here, so that what may be of it is taken away whole.
+_TAKEN_AWAY = [name for name in (*PYTHONS, *LISTS) if name != "PATH"]
+
+# Within a line for cmd.exe, nothing makes these plain characters.
+_CMD = '"%^&|<>!\r\n'
 
 
 def stylize_command(
@@ -45,15 +51,21 @@ def farm_line(command: Sequence[str], windows: bool) -> str:
         command: the program and its arguments.
         windows: whether the line is for cmd.exe, otherwise for a POSIX shell.
 
+    Raises:
+        ValueError: a word has a character that cmd.exe takes for one of its own.
+
     Example:
         >>> line = farm_line(["tnst-mi", "info", "my smoke.####.vdb"], windows=False)
         >>> line.startswith("env -u PYTHONHOME "), line.endswith(" tnst-mi info 'my smoke.####.vdb'")
         (True, True)
     """
     if windows:
-        unset = "&& ".join(f'set "{name}="' for name in HOUDINIS_OWN)
+        for word in command:
+            if any(character in word for character in _CMD):
+                raise ValueError(f"{word}: has one of {_CMD.strip()}, which cmd.exe does not leave alone; rename it")
+        unset = "&& ".join(f'set "{name}="' for name in _TAKEN_AWAY)
         return f'cmd /c "{unset}&& {subprocess.list2cmdline(command)}"'
-    return " ".join(["env", *(f"-u {name}" for name in HOUDINIS_OWN), shlex.join(command)])
+    return " ".join(["env", *(f"-u {name}" for name in _TAKEN_AWAY), shlex.join(command)])
 
 
 def _cluster(cluster: str) -> list[str]:

@@ -1,108 +1,140 @@
-"""tnst-mi as a process beside Houdini: started, watched and ended without waiting for it."""
+# A copy of processes/job.py of the Blender add-on, by scripts/build_houdini_asset.py: change that one.
+"""A command that runs beside Houdini: started, watched and ended without ever waiting for it."""
 
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
-import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO
 
-from .progress import Progress, error_of, progress_of
+from .child import NO_WINDOW, variables
+from .progress import InstallationReader, Progress, ProgressReader
+from .pythons import any_python
 
-#: Seconds that a process has after Ctrl-C to write what it has got, and after being terminated.
-_PATIENCE = (30.0, 10.0)
+__all__ = ["Job", "Progress"]
 
-#: Bytes at the end of a log that are read for its last lines.
-_TAIL = 1 << 16
+#: Runs the command, and ends it with Houdini.
+_SUPERVISOR = Path(__file__).with_name("supervisor.py")
 
-_WINDOWS = os.name == "nt"
+#: Bytes of the log that are read at a time, and looked at for what was wrong.
+_MOST, _TAIL = 1 << 20, 1 << 14
+
+#: How tnst-mi begins the lines that say what was wrong.
+_COMPLAINT = "tnst-mi: "
+
+#: The exit code of what was killed, as the supervisor gives it.
+_KILLED = 128 + 9
+
+#: Lines of an error, at most.
+_LINES = 5
 
 
 class Job:
-    """A command in a process group of its own, whose output is a log file.
+    """A program in a process group of its own, which ends with Houdini however that ends.
 
-    Attributes:
-        log: the file that has all that it prints.
-        cancelled: whether `cancel` was called.
+    Args:
+        command: the program and its arguments.
+        log: the file that takes all that it prints, made anew by `start`; missing folders are created.
     """
 
-    def __init__(self, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
+    def __init__(self, command: list[str], log: Path) -> None:
+        self.command, self.log = command, log
+        self.cancelled = False
+        """Whether `cancel` was called."""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reader = self._new_reader()
+        self._read, self._rest = 0, b""
+
+    def start(self) -> None:
         """Start it.
 
-        Args:
-            command: the program and its arguments.
-            log: a file, made anew; missing folders are created.
-            environment: that of the process.
-
         Raises:
-            OSError: the log cannot be written, or the program cannot be started.
+            OSError: the log cannot be written, or there is no Python to start it.
         """
-        self.log, self.cancelled = log, False
-        self._asked: float | None = None
-        log.parent.mkdir(parents=True, exist_ok=True)
-        output: IO[bytes]
-        with log.open("wb") as output:
-            self._process = subprocess.Popen(
-                list(command),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(environment),
-                start_new_session=not _WINDOWS,
-                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        python = any_python()
+        if python is None:
+            raise FileNotFoundError(
+                "Houdini has no Python of its own, and there is none on the PATH; install Python 3.11 or newer"
             )
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [python, "-I", _SUPERVISOR, *self.command],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=variables(Path(self.command[0])),
+                # Not in Houdini's group: Ctrl-C in the terminal that Houdini was started from is not meant for this.
+                start_new_session=os.name != "nt",
+                creationflags=NO_WINDOW,
+            )
+
+    def poll(self) -> Progress:
+        """How far it has got; never waits."""
+        if self._process is not None:
+            self._process.poll()
+        for line in self._new_lines():
+            self._reader.read(line)
+        progress = self._reader.progress()
+        if self.cancelled and not self.finished:
+            return Progress(progress.fraction, "stopping after the current step")
+        return progress
+
+    def cancel(self) -> None:
+        """Ask it to end, as Ctrl-C does; what does not end is terminated, then killed.
+
+        It is ended within 25 s, by a process that does not depend on Houdini. This does not wait: see `finished`.
+        """
+        self.cancelled = True
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+
+    @property
+    def finished(self) -> bool:
+        """Whether it was started, and no process of it is left; never waits."""
+        return self.exit_code is not None
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; 0 done, 2 bad input, 3 stopped and can be resumed. Ends it in time if it is cancelled."""
-        code = self._process.poll()
-        if code is None and self._asked is not None:
-            waited = time.monotonic() - self._asked
-            if waited > sum(_PATIENCE):
-                self._end(getattr(signal, "SIGKILL", signal.SIGTERM))
-            elif waited > _PATIENCE[0]:
-                self._end(signal.SIGTERM)
-        return code
+        """That of the program once it is finished: 0 done, 2 bad input, 3 stopped and can be resumed."""
+        return None if self._process is None else self._process.poll()
 
     @property
-    def progress(self) -> Progress | None:
-        """The last progress that it has told; None before the first."""
-        told = (progress_of(line) for line in reversed(self._last_text().splitlines()))
-        return next((progress for progress in told if progress is not None), None)
+    def error(self) -> str | None:
+        """What was wrong and the remedy, a few lines at most; None unless it has failed. Cancelled jobs have not."""
+        if self.cancelled or self.exit_code in (None, 0):
+            return None
+        said = self._last_lines()
+        complaints = list(dict.fromkeys(line for line in said if self._is_complaint(line)))
+        name = Path(self.command[0]).name
+        if not complaints and self.exit_code == _KILLED:
+            return f"{name} was killed, as systems do when memory runs out; free some, and go on with what is done"
+        lines = complaints[-_LINES:] or said[-_LINES:]
+        return "\n".join(lines) or f"{name} has ended with exit code {self.exit_code} without a word"
 
-    @property
-    def error(self) -> str:
-        """What was wrong and the remedy, of a job that has failed."""
-        text = self._last_text()
-        lines = text.strip().splitlines()
-        said = error_of(text) or (lines[-1] if lines else "nothing was printed")
-        return f"{said} (tnst-mi ended with code {self._process.returncode}; all that it said is in {self.log})"
+    def _new_reader(self) -> ProgressReader | InstallationReader:
+        return ProgressReader()
 
-    def cancel(self) -> None:
-        """Ask it to end, as Ctrl-C does: what it has got stays, and can be resumed. Does not wait."""
-        if self.exit_code is None and not self.cancelled:
-            self.cancelled, self._asked = True, time.monotonic()
-            self._end(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT) if _WINDOWS else signal.SIGINT)
+    def _is_complaint(self, line: str) -> bool:
+        return line.startswith(_COMPLAINT)
 
-    def wait(self) -> int:
-        """Wait for its end."""
-        while (code := self.exit_code) is None:
-            time.sleep(0.1)
-        return code
-
-    def _end(self, with_signal: int) -> None:
-        if _WINDOWS:
-            self._process.send_signal(with_signal)
-            return
+    def _new_lines(self) -> list[str]:
+        """The lines that the log has since the last time, those that are whole."""
         try:
-            os.killpg(self._process.pid, with_signal)
-        except ProcessLookupError:
-            pass
+            with self.log.open("rb") as log:
+                log.seek(self._read)
+                fresh = log.read(_MOST)
+        except FileNotFoundError:
+            return []
+        self._read += len(fresh)
+        *whole, self._rest = (self._rest + fresh).split(b"\n")
+        return [line.decode("utf-8", "replace").strip() for line in whole]
 
-    def _last_text(self) -> str:
-        with self.log.open("rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
-            return file.read().decode("utf-8", "replace").replace("\r", "\n")
+    def _last_lines(self) -> list[str]:
+        try:
+            with self.log.open("rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL))
+                lines = log.read().decode("utf-8", "replace").splitlines()
+        except FileNotFoundError:
+            return []
+        return [line.strip() for line in lines if line.strip()]

@@ -40,6 +40,16 @@ def frame_file(path: str, frame: int) -> str:
     return _replaced(path, lambda digits: f"{frame:0{digits}d}" if digits else str(frame))
 
 
+def frame_digits(text: str) -> list[int]:
+    """The digits of each variable of the frame in a text, 0 for those that have as many as they need.
+
+    Example:
+        >>> frame_digits("$HIP/mask_$F4.npz"), frame_digits("flame")
+        ([4], [])
+    """
+    return [_digits(found) for found in _VARIABLE.finditer(text)]
+
+
 def _replaced(path: str, number: Callable[[int], str]) -> str:
     """The path with what `number` makes of the digits of its only variable, 0 for none."""
     found = list(_VARIABLE.finditer(path))
@@ -48,5 +58,8 @@ def _replaced(path: str, number: Callable[[int], str]) -> str:
             f"{path}: {'no' if not found else 'more than one'} number of the frame, expected one $F4 or ${{F4}}, as in "
             "smoke.$F4.vdb"
         )
-    digits = next((group for group in found[0].groups() if group is not None), "")
-    return path[: found[0].start()] + number(int(digits or 0)) + path[found[0].end() :]
+    return path[: found[0].start()] + number(_digits(found[0])) + path[found[0].end() :]
+
+
+def _digits(found: re.Match[str]) -> int:
+    return int(next((group for group in found.groups() if group is not None), "") or 0)

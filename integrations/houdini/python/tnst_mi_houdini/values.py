@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .recipe_text import Literal
+from .bounds import BadValue, require_allowed, require_toml
+from .recipe_text import Typed
+from .sequences import frame_digits
 
 #: What is said of each key, made from the recipe's documentation with the asset: see scripts/build_houdini_asset.py.
 TABLE = Path(__file__).with_name("parameters.json")
@@ -18,9 +20,8 @@ CHOICE, NUMBER, UNSET = "_choice", "number", "unset"
 #: Numbers in files and in Houdini agree to this share.
 _TOLERANCE = 1e-9
 
-
-class BadValue(ValueError):
-    """A parameter holds what no recipe can; the message is one line with the remedy."""
+#: A frame whose number is found again in the names of its files: as long as the longest that names have.
+_RARE = 918273645
 
 
 def keys() -> list[dict[str, Any]]:
@@ -38,17 +39,18 @@ def recipe_values(node: Any, frames: Sequence[int]) -> tuple[dict[str, Any], lis
         frames: the numbers of the frames that are stylized.
 
     Raises:
-        BadValue: a text is not as its key needs it.
+        BadValue: a text is not as its key needs it, or a number out of its bounds.
     """
     values, notes = {}, []
     for about in keys():
         key, value = about["key"], _value(node, about, frames[0])
-        if any(parm.isTimeDependent() for parm in _parms(node, about, value)):
+        if not _is_pattern(node, about) and any(parm.isTimeDependent() for parm in _parms(node, about, value)):
             if about["keyable"] and about["kind"] in ("number", "range") and not _has_moving_menu(node, about):
                 value = {str(frame): _value(node, about, frame) for frame in frames}
             else:
                 notes.append(f"{key} is animated, and cannot change over the frames: taken as at frame {frames[0]}")
         if value is not None and not _is_default(value, about["default"]):
+            require_allowed(about, value)
             values[key] = value
     return values, notes
 
@@ -78,7 +80,8 @@ def _value(node: Any, about: dict[str, Any], frame: int) -> Any:
         if chosen != NUMBER:
             return None if chosen == UNSET else chosen
     if kind in ("number", "range", "point"):
-        numbers = [float(number) for number in node.parmTuple(key).evalAtFrame(frame)]
+        # What was typed, rather than the nearest double.
+        numbers = [float(f"{number:.9g}") for number in node.parmTuple(key).evalAtFrame(frame)]
         return numbers[0] if kind == "number" else numbers
     if kind == "integer":
         return int(node.parmTuple(key).evalAtFrame(frame)[0])
@@ -93,14 +96,31 @@ def _value(node: Any, about: dict[str, Any], frame: int) -> Any:
             for number in range(1, int(node.parm(key).eval()) + 1)
         )
         return [text for text in texts if text]
-    text = node.parm(key).evalAsStringAtFrame(frame).strip()
+    text = _pattern(node, key) if _is_pattern(node, about) else node.parm(key).evalAsStringAtFrame(frame)
+    text = text.strip()
     if kind == "layers":
         return _layers(key, text)
     if kind == "length":
         return _length(text)
     if kind == "other" and text[:1] in ("{", "["):
-        return Literal(text)
+        require_toml(key, text)
+        return Typed(text)
     return text or None
+
+
+def _is_pattern(node: Any, about: dict[str, Any]) -> bool:
+    """Whether a value names files by the number of the frame, where a recipe may: those of masks."""
+    return about["kind"] == "other" and bool(frame_digits(node.parm(about["key"]).rawValue()))
+
+
+def _pattern(node: Any, key: str) -> str:
+    """A text with #### for the number of the frame, and all else as Houdini expands it."""
+    digits = frame_digits(node.parm(key).rawValue())
+    first, *parts = node.parm(key).evalAsStringAtFrame(_RARE).split(str(_RARE))
+    if len(parts) != len(digits):
+        raise BadValue(f"{key}: cannot tell where the number of the frame is; write its files with ####")
+    pairs = zip(digits, parts)  # noqa: B905 (as many)
+    return first + "".join("#" * max(count, 1) + part for count, part in pairs)
 
 
 def has_choice(about: dict[str, Any]) -> bool:
@@ -133,7 +153,7 @@ def _length(text: str) -> Any:
 
 def _is_default(value: Any, default: Any) -> bool:
     if isinstance(value, list) and isinstance(default, list):
-        pairs = zip(value, default)  # noqa: B905 (the argument is new in Python 3.10)
+        pairs = zip(value, default)  # noqa: B905 (as many)
         return len(value) == len(default) and all(_is_default(*pair) for pair in pairs)
     if isinstance(value, (int, float)) and isinstance(default, (int, float)):
         return abs(value - default) <= _TOLERANCE * max(abs(value), abs(default))

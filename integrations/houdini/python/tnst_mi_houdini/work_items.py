@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import collections
+import hashlib
 import itertools
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +17,17 @@ from .recipe_text import recipe_text
 from .run_folder import written_whole
 from .sequences import frame_pattern
 
+#: Characters that a name may have, which is that of a file and of a folder.
+_LONGEST = 80
+
 
 @dataclass(frozen=True)
 class WorkItem:
     """One run.
 
     Attributes:
-        name: that of its recipe, such as "tagfire_eta0.004".
+        name: that of its recipe, such as "tagfire_eta0.004"; where values do not make a name of a file, or make one
+            twice, with a hash of them at its end.
         shot: the name of its shot.
         values: the keys of the recipe by which it differs from the others.
         recipe: its recipe file.
@@ -60,11 +67,17 @@ def work_items(
 
     Raises:
         NoFrameNumber: an input does not say where the number of the frame is.
+        ValueError: a shot's name is none of a folder, TOML has no such value, or Windows no such command line.
+        OSError: a recipe cannot be written.
     """
+    for shot in shots:
+        if shot != _folder_name(shot):
+            raise ValueError(
+                f"{shot!r}: expected the name of a shot that a folder can have, such as {_folder_name(shot)}"
+            )
     items = []
-    for combination in itertools.product(*variations.values()):
-        values = dict(zip(variations, combination))  # noqa: B905 (the argument is new in Python 3.10)
-        name = "_".join(f"{key}{_folder_name(_joined(value))}" for key, value in values.items()) or "base"
+    combinations = [dict(zip(variations, each, strict=True)) for each in itertools.product(*variations.values())]
+    for name, values in zip(_names(combinations), combinations, strict=True):
         recipe = folder / f"{name}.toml"
         with written_whole(recipe) as beside:
             beside.write_text(recipe_text({**base, **values}), encoding="utf-8")
@@ -76,6 +89,19 @@ def work_items(
             out = batch / _folder_name(recipe.stem) / _folder_name(pattern.stem)
             items.append(WorkItem(name, shot, values, recipe, out, str(out / "density" / pattern.name), command))
     return items
+
+
+def _names(combinations: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A name for each combination of values, which are different where the values are."""
+    texts = ["_".join(f"{key}{_joined(value)}" for key, value in values.items()) or "base" for values in combinations]
+    names = [_folder_name(text)[:_LONGEST] for text in texts]
+    # Not all disks tell capitals from others.
+    uses = collections.Counter(name.lower() for name in names)
+    for index, (text, values) in enumerate(zip(texts, combinations, strict=True)):
+        if names[index] != text or uses[names[index].lower()] > 1:
+            digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+            names[index] = f"{names[index]}_{digest[:8]}"
+    return names
 
 
 def _joined(value: Any) -> str:
