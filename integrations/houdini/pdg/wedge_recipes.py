@@ -2,7 +2,7 @@
 
 Paste it, change the first part, and cook the node: the Local Scheduler and those of farms run the command line of each
 item. TOPs gives `item_holder`. Items have the attributes `recipe`, `shot`, `variation`, `out` and `results` (a pattern
-with ####) for the nodes below.
+with ####) for the nodes below, and a file of the results as expected output for each frame that the input has by then.
 """
 
 import os
@@ -30,4 +30,6 @@ for index, item in enumerate(work_items(PROGRAM, SHOTS, BASE, VARIATIONS, FOLDER
         ("results", item.results),
     ):
         work_item.setStringAttrib(name, str(text))
+    for file in item.files:
+        work_item.addExpectedOutputFile(str(file), "file/geo/vdb", own=False)
     work_item.setCommand(item.command)

@@ -355,7 +355,7 @@ def test_the_real_tnst_mi_gives_the_node_its_grids_back(
     assert box is not None
     assert (before.grids[0].tree.values_in(box) != after.grids[0].tree.values_in(box)).mean() > 0.1
     # tnst-mi itself says which input its run has read, whose place another takes.
-    node["replace"], node["range"], node["iterations"] = 1, (1002, 1002), 1
+    node["replace"], node["range"], node["window"] = 1, (1002, 1002), 1
     module.stylize(node)
     idle(hou, seconds=200)
     assert hou.ui.messages == []
@@ -370,11 +370,19 @@ def test_the_wedge_script_makes_its_work_items(hou: Any, tmp_path: Path) -> None
     hou.text = SimpleNamespace(expandString=lambda text: text.replace("$HIP", str(tmp_path)))
     hou.getenv = {"TNST_MI_PROGRAM": str(program)}.get
     items: list[dict[str, str]] = []
+    outputs: list[tuple[str, str, bool]] = []
+    (tmp_path / "sh010").mkdir()
+    for name in ("smoke.0009.vdb", "smoke.0010.vdb", "smoke.vdb", "fire.0010.vdb"):
+        (tmp_path / "sh010" / name).touch()
 
     def add(index: int) -> SimpleNamespace:
         assert index == len(items)
         items.append(found := {})
-        return SimpleNamespace(setStringAttrib=found.__setitem__, setCommand=lambda line: found.update(command=line))
+        return SimpleNamespace(
+            setStringAttrib=found.__setitem__,
+            setCommand=lambda line: found.update(command=line),
+            addExpectedOutputFile=lambda path, tag, own: outputs.append((path, tag, own)),
+        )
 
     script = build_houdini_asset.ASSET.parents[1] / "pdg" / "wedge_recipes.py"
     runpy.run_path(str(script), {"item_holder": SimpleNamespace(addWorkItem=add)})
@@ -383,3 +391,9 @@ def test_the_wedge_script_makes_its_work_items(hou: Any, tmp_path: Path) -> None
         recipe = Recipe.from_toml(item["recipe"])
         assert recipe.tag == ("fire",) and recipe.fps == 25.0 and f"eta{recipe.eta}" in item["variation"]
         assert item["recipe"] in item["command"] and item["results"].startswith(item["out"])
+    # None that TOPs would remove: a run can be gone on with.
+    assert outputs == [
+        (f"{item['out']}/density/smoke.{number}.vdb", "file/geo/vdb", False)
+        for item in items
+        for number in ("0009", "0010")
+    ]

@@ -33,6 +33,7 @@ class WorkItem:
         recipe: its recipe file.
         out: the folder of the run.
         results: its densities, as a pattern with ####.
+        files: its densities, one for each frame that the input has now.
         command: its command line, which begins the run, or goes on with one that was stopped.
     """
 
@@ -42,6 +43,7 @@ class WorkItem:
     recipe: Path
     out: Path
     results: str
+    files: tuple[Path, ...]
     command: str
 
 
@@ -87,8 +89,20 @@ def work_items(
             batch = folder / shot / name
             command = farm_line(batch_command(program, [str(recipe)], [str(pattern)], str(batch), cluster), windows)
             out = batch / _folder_name(recipe.stem) / _folder_name(pattern.stem)
-            items.append(WorkItem(name, shot, values, recipe, out, str(out / "density" / pattern.name), command))
+            density = out / "density"
+            files = tuple(density / frame for frame in _frames(pattern))
+            items.append(WorkItem(name, shot, values, recipe, out, str(density / pattern.name), files, command))
     return items
+
+
+def _frames(pattern: Path) -> list[str]:
+    """The names of the files that a pattern means, as far as they are there."""
+    before, _, after = re.split("(#+)", pattern.name)
+    name = re.compile(rf"{re.escape(before)}-?\d+{re.escape(after)}")
+    try:
+        return sorted(found.name for found in pattern.parent.iterdir() if name.fullmatch(found.name))
+    except OSError:
+        return []
 
 
 def _names(combinations: Sequence[Mapping[str, Any]]) -> list[str]:
