@@ -57,5 +57,5 @@ def users_own(environment: Mapping[str, str]) -> dict[str, str]:
 
 def _within(path: str, parent: str) -> bool:
     """Whether a path is another one or below it, by their names."""
-    names, above = Path(os.path.normpath(path)).parts, Path(os.path.normpath(parent)).parts
+    names, above = (Path(os.path.normcase(os.path.normpath(each))).parts for each in (path, parent))
     return names[: len(above)] == above

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -263,16 +264,15 @@ def _stamp(node: hou.SopNode) -> int | None:
 
 
 def _cook(node: hou.SopNode) -> None:
-    try:
+    # The node may be gone, or has no results at this frame, which it says itself.
+    with suppress(hou.ObjectWasDeleted, hou.OperationFailed):
         node.cook(force=True)
-    except (hou.ObjectWasDeleted, hou.OperationFailed):
-        # The node is gone, or has no results at this frame, which it says itself.
-        pass
 
 
 def _conclude(node: hou.SopNode, run: _Run) -> None:
     """Show the results of a run that has ended, and say how it ended."""
-    run.folder.remove_superseded(run.input)
+    with suppress(OSError):
+        run.folder.remove_superseded(run.input)
     _cook(node)
     if run.job.cancelled:
         _status("tnst-mi was stopped; Resume goes on from what is done")

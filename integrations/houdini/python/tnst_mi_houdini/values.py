@@ -119,7 +119,7 @@ def _pattern(node: Any, key: str) -> str:
     first, *parts = node.parm(key).evalAsStringAtFrame(_RARE).split(str(_RARE))
     if len(parts) != len(digits):
         raise BadValue(f"{key}: cannot tell where the number of the frame is; write its files with ####")
-    pairs = zip(digits, parts)  # noqa: B905 (as many)
+    pairs = zip(digits, parts, strict=True)
     return first + "".join("#" * max(count, 1) + part for count, part in pairs)
 
 
@@ -153,7 +153,7 @@ def _length(text: str) -> Any:
 
 def _is_default(value: Any, default: Any) -> bool:
     if isinstance(value, list) and isinstance(default, list):
-        pairs = zip(value, default)  # noqa: B905 (as many)
+        pairs = zip(value, default, strict=True)
         return len(value) == len(default) and all(_is_default(*pair) for pair in pairs)
     if isinstance(value, (int, float)) and isinstance(default, (int, float)):
         return abs(value - default) <= _TOLERANCE * max(abs(value), abs(default))
