@@ -252,6 +252,19 @@ def test_two_nodes_of_one_folder_and_a_scene_that_is_opened_again(hou: Any, modu
     assert hou.ui.status[-1] == "tnst-mi was stopped; Resume goes on from what is done"
 
 
+def test_a_run_that_does_not_begin_leaves_the_earlier_one_with_its_input(
+    hou: Any, module: Any, node: FakeNode, tmp_path: Path
+) -> None:
+    module.stylize(node)
+    idle(hou)
+    (tmp_path / "bad").touch()
+    node["replace"] = 1
+    module.stylize(node)
+    idle(hou)
+    assert "no goal; give --style" in hou.ui.messages[-1]
+    assert inputs(tmp_path / "run 1") == ["input.1/smoke.1001.vdb", "input.1/smoke.1002.vdb"]
+
+
 def test_the_run_of_a_node_ends_with_it(hou: Any, module: Any, node: FakeNode, tmp_path: Path) -> None:
     (tmp_path / "slow").touch()
     module.stylize(node)

@@ -22,6 +22,7 @@ from tnst_mi_houdini import child, commands, environment, lock, pythons, sequenc
 from tnst_mi_houdini import recipe_text as recipe_texts
 from tnst_mi_houdini.job import Job
 from tnst_mi_houdini.recipe_text import Typed, recipe_text
+from tnst_mi_houdini.run_folder import Input, RunFolder
 from tnst_mi_houdini.work_items import work_items
 
 from tnst_mi.batch.jobs import jobs_of
@@ -214,8 +215,36 @@ def test_the_python_that_watches_is_houdinis_also_where_houdini_is_the_executabl
     monkeypatch.setattr(sys, "base_prefix", str(tmp_path / "python"))
     assert pythons.any_python() == own
     own.unlink()
-    monkeypatch.setenv("PATH", "/usr/bin")
-    assert pythons.any_python() == Path("/usr/bin/python3")
+    newer = tmp_path / "python3.12"
+    newer.touch(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert pythons.any_python() == newer
+
+
+def test_an_input_stays_as_long_as_its_run_may_need_it(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "deep" / "folder")
+    first, second, third = (folder.write_input(lambda to: (to / "recipe.toml").touch(), "/obj/a") for _ in range(3))
+    assert [each.path.name for each in (first, second, third)] == ["input.1", "input.2", "input.3"]
+    folder.out.mkdir()
+    (folder.out / "recipe.toml").touch()
+    folder.remove_superseded(third)  # it has begun, and does not say yet what it reads
+    assert all(each.recipe.is_file() for each in (first, second, third))
+    record = folder.out / "run.json"
+    record.write_text(json.dumps({"input": second.sequence}))
+    folder.remove_superseded(third)  # the run that is there is another
+    assert sorted(path.name for path in folder.path.glob("input.*")) == ["input.2"]
+    for damaged in ("", "[]", '{"input": 5}', json.dumps({"input": str(tmp_path / "input.9" / "smoke.####.vdb")})):
+        record.write_text(damaged)
+        folder.remove_superseded()
+    assert second.recipe.is_file()
+
+
+def test_a_damaged_list_of_files_removes_nothing_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "precious").touch()
+    (tmp_path / "input.1").mkdir()
+    (tmp_path / "input.1" / "tnst_mi_input.json").write_text(json.dumps({"files": ["../precious", "..", 5, ""]}))
+    Input(tmp_path / "input.1").remove()
+    assert [path.name for path in tmp_path.iterdir()] == ["precious"]
 
 
 def test_a_lock_file_names_nobody_by_itself(tmp_path: Path) -> None:

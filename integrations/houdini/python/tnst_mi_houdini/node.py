@@ -100,7 +100,6 @@ def _told(node: hou.SopNode, action: Callable[[hou.SopNode], None]) -> None:
 def _stylize(node: hou.SopNode) -> None:
     folder = _folder(node)
     _require_idle(node, folder)
-    folder.require_ours()
     program = _program(node)
     replace = bool(node.evalParm("replace"))
     if folder.has_run and not replace:

@@ -6,6 +6,9 @@ import shutil
 import sys
 from pathlib import Path
 
+#: On the PATH, where python3 may be too old: 3.10 is needed.
+_NAMES = ("python3.13", "python3.12", "python3.11", "python3.10", "python3", "python")
+
 
 def any_python() -> Path | None:
     """A Python; None if there is none."""
@@ -14,5 +17,5 @@ def any_python() -> Path | None:
     own = [folder / "bin" / f"python{version}", folder / "bin" / "python3", folder / "python.exe"]
     if Path(sys.executable or "").name.lower().startswith("python"):
         own.insert(0, Path(sys.executable))
-    on_path = [Path(found) for name in ("python3", "python") if (found := shutil.which(name)) is not None]
+    on_path = [Path(found) for name in _NAMES if (found := shutil.which(name)) is not None]
     return next((python for python in [*own, *on_path] if python.is_file()), None)

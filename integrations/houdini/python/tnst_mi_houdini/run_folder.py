@@ -56,7 +56,7 @@ class Input:
         """Remove what was written for it. What others have put there stays, and so what cannot be removed."""
         try:
             names = json.loads((self.path / _LIST).read_text(encoding="utf-8"))["files"]
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return
         for name in [*names, _LIST]:
             if isinstance(name, str) and name == Path(name).name:
@@ -111,6 +111,10 @@ class RunFolder:
         Args:
             write: writes its files into the folder that it is given: recipe.toml, and smoke.1001.vdb, ….
             node: the path of the node, for the marks.
+
+        Raises:
+            NotOurs: see `require_ours`.
+            OSError: it cannot be written; and all that `write` raises.
         """
         self.require_ours()
         self.path.mkdir(parents=True, exist_ok=True)
@@ -149,7 +153,7 @@ class RunFolder:
         """The input of the run that is here; None if it is none of this folder, or there is none that says it."""
         try:
             source = Path(json.loads((self.out / "run.json").read_text(encoding="utf-8"))["input"])
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
         found = Input(self.path / source.parent.name)
         same = os.path.realpath(found.path) == os.path.realpath(source.parent)
