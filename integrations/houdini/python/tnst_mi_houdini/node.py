@@ -20,7 +20,7 @@ from .bounds import require_goal
 from .commands import resume_command, stylize_command
 from .environment import PROGRAM, ProgramMissing, find_program
 from .job import Job
-from .lock import writer_of
+from .lock import LOCK, writer_of
 from .recipe_text import recipe_text
 from .run_folder import Input, NotOurs, RunFolder
 from .values import recipe_values
@@ -177,7 +177,7 @@ def _require_idle(node: hou.SopNode, folder: RunFolder) -> None:
     if writer is not None:
         raise CannotRun(
             f"{folder.out}: {writer} writes there; wait for its end, choose another Folder, or, if it has ended on "
-            "another machine, remove the file .lock"
+            f"another machine, remove {folder.out / LOCK}"
         )
 
 
