@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import held
 from tnst_mi.machine.terminal import quoted, some_of
+from tnst_mi.optimisation.glimpse import SmokeColour
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.fire import temperature_in_words
-from tnst_mi.rendering.smoke_colour import colour_name, colours_of, require_colour
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of, require_colour, shown_colours, shown_grid
 from tnst_mi.run.carry import chosen, with_colour
 from tnst_mi.run.measure import Measure
+from tnst_mi.run.work import Work
 
 _SHOWN = 3
 
@@ -69,6 +71,24 @@ def shown_temperature(recipe: Recipe, measures: Sequence[Measure]) -> tuple[str,
     hottest = [entry for measure in measures for entry in measure.hottest.items()]
     name = next((name for name, _ in hottest), None)
     return None if name is None else (name, max(largest for other, largest in hottest if other == name))
+
+
+def colour_before(work: Work, index: int) -> SmokeColour | None:
+    """The colours in which a run shows a frame, by its index, before it is stylized; None if that is in grey.
+
+    Raises:
+        InputError: the frame cannot be read again, or is not what it was.
+    """
+    recipe, measure = work.recipe, work.measures[index]
+    if recipe.colour == "off":
+        return None
+    source = work.unchanged[index]
+    if work.plan.colours is not None:
+        return SmokeColour(work.plan.colours.unstylized(source), work.plan.colours.grid(source) is not None)
+    names = held(source.name, work.suffix, chosen(recipe.carry, measure.movable))
+    name, hottest = shown_grid(names, shown_temperature(recipe, work.measures))
+    colours = shown_colours(source.grids, name, source.name, source.density.shape, hottest)
+    return None if colours is None else SmokeColour(colours, moves=True)
 
 
 def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[Frame]) -> ColourGrids:

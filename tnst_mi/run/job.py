@@ -27,6 +27,7 @@ from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.run.announcement import announcement
+from tnst_mi.run.colour import colour_before
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.kept_octaves import KeptOctaves
 from tnst_mi.run.live_pictures import LivePictures
@@ -174,11 +175,12 @@ class Run(Iterator[FinishedFrame]):
         done = [index for index, name in enumerate(names) if name in finished or index in prepared.context]
         live = None
         if folder is not None:
-            live = LivePictures(folder, {index: names[index] for index in wanted}, prepared.plan.full.size, finished)
+            shown, colours = {index: names[index] for index in wanted}, partial(colour_before, prepared)
+            live = LivePictures(folder, shown, prepared.plan.full.size, finished, colours)
             self._octave_listeners.append(live.octave_done)
             if prepared.recipe.keep_octaves and lock is not None:
-                shown, may_write = wanted[len(wanted) // 2], lock.require_held
-                kept = KeptOctaves(folder.out, prepared.recipe, self.record, shown, may_write)
+                middle, may_write = wanted[len(wanted) // 2], lock.require_held
+                kept = KeptOctaves(folder.out, prepared.recipe, self.record, middle, colours, may_write)
                 self._octave_listeners.append(kept.octave_done)
         with closing(self._computed(folder, store, live, done)) as frames:
             for frame in frames:
