@@ -87,6 +87,14 @@ def shown_colours(
     return srgb(glow_colours(grids[name].astype(np.float32), hottest))
 
 
+def own_colours(frame: Frame) -> np.ndarray | None:
+    """The colours of the grid of a frame that has some, as `shown_colours` gives them; None if none has."""
+    name = colour_name(frame.grids)
+    if name is None or frame.grids[name].ndim != 4:
+        return None
+    return shown_colours(frame.grids, name, frame.name, frame.density.shape)
+
+
 def shown_grid(names: Sequence[str], temperature: tuple[str, float] | None) -> tuple[str | None, float | None]:
     """The grid of a frame that colours it in pictures of a run, None for grey ones, and `hottest` of `shown_colours`.
 

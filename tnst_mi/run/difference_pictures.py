@@ -19,7 +19,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.rendering.levels import by_cell
-from tnst_mi.run.panels import difference, on_canvas, row, wipe
+from tnst_mi.run.panels import both_coloured, difference, on_canvas, row, wipe
 
 #: Shares of the proportions up to which grids of different numbers of cells show the same scene.
 _ALIKE = 0.02
@@ -66,11 +66,7 @@ class MainViews:
         thinner = replace(recipe, gamma=share * recipe.extinction)
         first = main_view(scaled(a.density, self.factor), recipe, colour=tints[0])
         second = share * main_view(scaled(b.density, self.factor), thinner, colour=tints[1])
-        if first.ndim != second.ndim:
-            first, second = (
-                image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2) for image in (first, second)
-            )
-        self.pairs.append((first, second))
+        self.pairs.append(both_coloured(first, second))
 
     @property
     def exposure(self) -> float:
@@ -108,10 +104,8 @@ def write_pictures(
     files, film = [], out / "diff.mp4"
     with open_video(film, frames_per_second) if len(pairs) > 1 else nullcontext() as video:
         for name, (a, b) in zip(names, pairs, strict=True):
-            if a.ndim == 3:
-                change = (f"|B - A| times {scale:.3g}, in each channel", np.abs(scale * (b - a)))
-            else:
-                change = (f"B - A times {scale:.3g}: orange where B is brighter", difference(a, b, scale))
+            grey = f"B - A times {scale:.3g}: orange where B is brighter"
+            change = (grey if a.ndim == 2 else f"|B - A| times {scale:.3g}", difference(a, b, scale))
             side = row([(f"A: {titles[0]}", a), (f"B: {titles[1]}", b), change])
             files += [f"{name}_side.png", f"{name}_wipe.png"]
             write_png(out / files[-2], side)

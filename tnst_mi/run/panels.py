@@ -55,9 +55,22 @@ def wipe(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def difference(a: np.ndarray, b: np.ndarray, scale: float) -> np.ndarray:
-    """Where the second picture (H, W) is brighter, in orange, and where the first is, in blue: (H, W, 3) in [0, 1]."""
+    """Where the second picture (H, W) is brighter, in orange, and where the first is, in blue: (H, W, 3) in [0, 1].
+
+    Of pictures (H, W, 3), the size of the difference of each channel.
+    """
+    if a.ndim == 3 or b.ndim == 3:
+        first, second = both_coloured(a, b)
+        return np.clip(np.abs(scale * (second - first)), 0.0, 1.0)
     signed = np.clip(scale * (b - a), -1.0, 1.0)[..., None]
     return np.where(signed > 0, signed * _BRIGHTER, -signed * _DARKER)
+
+
+def both_coloured(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two pictures, each (H, W) or (H, W, 3): both in colour if one of them is."""
+    if a.ndim == b.ndim:
+        return a, b
+    return (a, np.repeat(b[..., None], 3, axis=2)) if a.ndim == 3 else (np.repeat(a[..., None], 3, axis=2), b)
 
 
 def on_canvas(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, distance_of
-from tnst_mi.rendering.smoke_colour import colour_name, shown_colours, shown_grid
+from tnst_mi.rendering.smoke_colour import own_colours, shown_colours, shown_grid
 from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name
 from tnst_mi.run.inputs import FramesOnAccess, conventions_of
 from tnst_mi.run.resuming import recipe_of_run
@@ -73,13 +73,10 @@ class Reopened:
             InputError: the colours cannot be used.
         """
         if self.recipe is None:
-            name, hottest = colour_name(frame.grids), None
-            if name is not None and frame.grids[name].ndim != 4:
-                return None
-        elif self.recipe.colour == "off":
+            return own_colours(frame)
+        if self.recipe.colour == "off":
             return None
-        else:
-            name, hottest = shown_grid(tuple(frame.grids), self.temperature)
+        name, hottest = shown_grid(tuple(frame.grids), self.temperature)
         return shown_colours(frame.grids, name, frame.name, frame.density.shape, hottest)
 
 
