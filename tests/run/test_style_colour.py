@@ -100,6 +100,7 @@ def test_a_palette_without_strokes_leaves_the_density_alone(keys: dict) -> None:
     (frame,) = moving_smoke(1)
     result = tnst_mi.stylize([frame], Recipe(**keys, style_weight=0.0), progress=False)
     np.testing.assert_array_equal(result.densities[0], frame.density)
+    assert {tuple(entry["terms"]) for entry in result.history[0]} == {("palette stripes.png",)}
     terms = [result.run["frames"][0][key]["palette stripes.png"] for key in ("terms_before", "terms_after")]
     assert terms[1] < 0.8 * terms[0]
 
@@ -112,7 +113,10 @@ def test_a_palette_without_strokes_leaves_the_density_alone(keys: dict) -> None:
             "takes the colours of a style picture, and there is none; expected --style",
         ),
         ({"integrator": "prbvolpath"}, "colour = 'style' and integrator = 'prbvolpath', which shows grey smoke"),
-        ({"style_weight": 0.0, "colour_weight": 0.0}, "nothing of the pictures counts; expected one of them above 0"),
+        (
+            {"style_weight": 0.0, "colour_weight": 0.0},
+            "style_weight = 0 and colour_weight = 0: nothing of the goals counts",
+        ),
     ],
     ids=["no picture", "path traced", "no weight"],
 )
