@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.arrays import LARGEST
 from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
 from tnst_mi.io.pictures.srgb import srgb
@@ -36,7 +37,7 @@ def colour_name(names: Iterable[str]) -> str | None:
 
 
 def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.ndarray:
-    """A grid of colours as linear RGB, (D, H, W, 3) float32; unsigned numbers count as parts of their largest.
+    """A grid of colours as linear RGB, (D, H, W, 3) float32; uint8 and uint16 count as parts of their largest.
 
     Args:
         grids: of a frame, by name.
@@ -44,14 +45,19 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
         frame: name of the frame, for messages.
 
     Raises:
-        InputError: it is a scalar grid.
+        InputError: it is a scalar grid, or has other whole numbers.
     """
     values = grids[name]
     if values.ndim != 4:
         raise InputError(f"{frame}: grid {quoted(name)} has shape {values.shape}, expected colours, {values.shape} × 3")
-    if values.dtype.kind == "u":
-        return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
-    return values.astype(np.float32)
+    if values.dtype.kind == "f":
+        return values.astype(np.float32)
+    if values.dtype.name not in LARGEST:
+        raise InputError(
+            f"{frame}: grid {quoted(name)} has colours of {values.dtype}, expected floating-point numbers, linear RGB, "
+            "or uint8 or uint16 of which the largest counts as 1"
+        )
+    return values.astype(np.float32) / np.float32(LARGEST[values.dtype.name])
 
 
 def shown_colours(
