@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,11 +12,9 @@ from torch import Tensor
 from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.guided import Guide, LayerTarget
 from tnst_mi.losses.images import PIXELS
-from tnst_mi.losses.objective import Term
-from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.sliced import sliced_distance
 from tnst_mi.losses.style import require_opaque
-from tnst_mi.losses.terms import grey_image, parameter_of
+from tnst_mi.losses.terms import PictureTerm, parameter_of
 from tnst_mi.network.googlenet import GoogLeNet
 
 #: The golden ratio.
@@ -25,7 +22,7 @@ _PHI = (1 + np.sqrt(5)) / 2
 
 
 @dataclass(frozen=True, eq=False)
-class Palette(Term):
+class Palette(PictureTerm):
     """Give the smoke the colours of a picture: the sliced Wasserstein distance of their distributions in RGB.
 
     Pixels count by the opacity of the smoke, those of the picture by its alpha. Only the colours of the smoke follow
@@ -34,13 +31,6 @@ class Palette(Term):
     Args:
         image: a path or a `GreyImage`, cropped and resized as in `Style`.
     """
-
-    image: str | Path | GreyImage
-    picture: GreyImage = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Read the picture immediately; raises `InputError` if it cannot be used."""
-        object.__setattr__(self, "picture", grey_image(self.image))
 
     @property
     def name(self) -> str:

@@ -7,8 +7,7 @@ show smoke; `losses.gram`, `losses.sliced` and `losses.nearest` have the formula
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,10 +18,9 @@ from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.gram import gram_distance, paper_distance
 from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
-from tnst_mi.losses.objective import Term
-from tnst_mi.losses.pictures import GreyImage, resized
+from tnst_mi.losses.pictures import resized
 from tnst_mi.losses.sliced import directions, sliced_distance
-from tnst_mi.losses.terms import grey_image, picture_features
+from tnst_mi.losses.terms import PictureTerm, picture_features
 from tnst_mi.network.googlenet import GoogLeNet
 
 #: The seed of what a loss draws where none is given.
@@ -30,7 +28,7 @@ _SEED = (0,)
 
 
 @dataclass(frozen=True, eq=False)
-class Style(Term):
+class Style(PictureTerm):
     """Match the statistics that the features of a picture have in some layers: L = Σ_l w_l distance_l.
 
     Distances are relative to what the picture's features are, so that layers of equal weight contribute equally; only
@@ -51,18 +49,16 @@ class Style(Term):
         InputError: the picture cannot be used, or there is no layer.
     """
 
-    image: str | Path | GreyImage
     layers: Mapping[str, float]
     distance: str = "gram"
     statistics: str = "image"
     colour: bool = False
-    picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the picture immediately."""
+        """Read the picture."""
         if not self.layers:
             raise InputError("style layers: there is none; name at least one")
-        object.__setattr__(self, "picture", grey_image(self.image))
+        super().__post_init__()
 
     @property
     def name(self) -> str:
