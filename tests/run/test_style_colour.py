@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,14 @@ from PIL import Image
 
 import tnst_mi
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames
 from tnst_mi.io.pictures.exr import read_exr
 from tnst_mi.io.pictures.srgb import srgb
+from tnst_mi.optimisation.colouring import COLOUR
+from tnst_mi.optimisation.gradient import Evaluation, OctaveProblem
+from tnst_mi.optimisation.parameterisation import Fields
+from tnst_mi.optimisation.plan import FramePlan
 from tnst_mi.recipe.recipe import Recipe
 
 __all__ = ["optimiser"]
@@ -130,8 +136,7 @@ def test_colours_that_cannot_be_taken_are_refused_before_the_work(
 
 def test_smoke_takes_its_own_colour_along(keys: dict) -> None:
     (frame,) = moving_smoke(1)
-    right = np.broadcast_to((np.arange(SHAPE[2]) >= SHAPE[2] // 2)[:, None], (*SHAPE, 3))
-    given = dataclasses.replace(frame, grids={"Cd": np.where(right, np.float32([0.8, 0.4, 0.1]), np.float32(0.05))})
+    given = coloured(frame)
     result = tnst_mi.stylize(
         [given], Recipe(**(keys | {"eta": 0.05, "iterations": 6}), colour_eta=1e-6), progress=False
     )
@@ -139,7 +144,7 @@ def test_smoke_takes_its_own_colour_along(keys: dict) -> None:
     assert (np.abs(found - before).max(-1) > 0.05).mean() > 0.05
     for channel in range(3):
         own = np.ascontiguousarray(before[..., channel])
-        moved = tnst_mi.advect(own, result.velocities[0], trace="flow")
+        moved = tnst_mi.advect(own, result.velocities[0], outside="edge", trace="flow")
         np.testing.assert_allclose(found[..., channel], np.clip(moved, 0, 1), atol=1e-3)
 
 
@@ -199,3 +204,53 @@ def test_the_strokes_of_a_grey_picture_make_nothing_colourful(keys: dict, tmp_pa
     recipe = Recipe(**(keys | {"style": (str(tmp_path / "grey.png"),)}), colour_weight=0.0)
     colour = tnst_mi.stylize(moving_smoke(1), recipe, progress=False).grids[0]["Cd"]
     assert np.ptp(colour, axis=-1).max() < 1e-5 < 0.01 < np.ptp(colour[..., 0])
+
+
+def coloured(frame: Frame) -> Frame:
+    """The frame with a grid of colours, which differ in the two halves of it."""
+    right = np.broadcast_to((np.arange(SHAPE[2]) >= SHAPE[2] // 2)[:, None], (*SHAPE, 3))
+    return dataclasses.replace(frame, grids={"Cd": np.where(right, np.float32([0.8, 0.4, 0.1]), np.float32(0.05))})
+
+
+def test_a_frame_without_colours_is_what_it_is_beside_one_that_has_some(keys: dict) -> None:
+    """Scales of the loss are those of the whole sequence: here there are none."""
+    (first, second), recipe = moving_smoke(2), Recipe(**keys, loss_scaling="none")
+    beside = tnst_mi.stylize([first, coloured(second)], recipe, progress=False)
+    alone = tnst_mi.stylize([first, second], recipe, progress=False)
+    np.testing.assert_array_equal(beside.densities[0], alone.densities[0])
+    np.testing.assert_array_equal(beside.grids[0]["Cd"], alone.grids[0]["Cd"])
+    assert (beside.grids[1]["Cd"] != alone.grids[1]["Cd"]).any()
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["white", "own colours"])
+def test_a_result_that_is_the_input_has_its_loss(own: bool, keys: dict) -> None:
+    (frame,) = moving_smoke(1)
+    given = coloured(frame) if own else frame
+    (record,) = tnst_mi.stylize([given], Recipe(**keys, strength=0.0), progress=False).run["frames"]
+    assert record["loss_after"] == record["loss_before"] and record["terms_after"] == record["terms_before"]
+
+
+def test_strength_and_blend_both_lie_between_white_and_the_colours_found(keys: dict) -> None:
+    """Without steps of colours, a result is white but for strength · blend of the picture's mean."""
+    recipe = Recipe(**keys, strength=0.5, blend=0.4, colour_eta=1e-7)
+    colour = srgb(tnst_mi.stylize(moving_smoke(1), recipe, progress=False).grids[0]["Cd"])
+    expected = 1 + 0.2 * (np.array([127.5, 64, 32]) / 255 - 1)
+    np.testing.assert_allclose(colour, np.broadcast_to(expected, colour.shape), atol=1e-3)
+
+
+def test_colours_of_an_octave_that_are_some_stay_so(keys: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long steps end where display values do, in every iteration of an octave."""
+    seen = []
+    gradient = OctaveProblem.gradient
+
+    def watched(problem: OctaveProblem, frame: FramePlan, fields: Fields, *rest: Any) -> Evaluation:
+        seen.append(np.array([127.5, 64, 32]) / 255 + fields[COLOUR].numpy())
+        return gradient(problem, frame, fields, *rest)
+
+    monkeypatch.setattr(OctaveProblem, "gradient", watched)
+    recipe = Recipe(**(keys | {"octaves": 1, "iterations": 6}), colour_eta=1.0, colour_smoothness=0.0)
+    tnst_mi.stylize(moving_smoke(1), recipe, progress=False)
+    assert len(seen) == 6
+    for colours in seen:
+        assert colours.min() > -1e-3 and colours.max() < 1 + 1e-3
+    assert (np.minimum(seen[-1], 1 - seen[-1]) < 1e-3).any()

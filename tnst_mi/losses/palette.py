@@ -62,7 +62,7 @@ def _directions() -> Tensor:
     ends = []
     for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         for signs in itertools.product((1.0, -1.0), repeat=2):
-            corners = ((0.0, 1.0, signs[0] * _PHI), (0.0, 1 / _PHI, signs[0] * _PHI))
+            corners = ((0.0, signs[0] * _PHI, 1.0), (0.0, 1 / _PHI, signs[0] * _PHI))
             edges = (1.0, signs[0] * _PHI, signs[1] * _PHI**2)
             ends += [[of[i] for i in (a, b, c)] for of in (*corners, edges)]
         ends.append([float(i == a) for i in range(3)])

@@ -80,7 +80,7 @@ def _coloured(
     unstylized, start = plan.colours.unstylized(source), plan.colours.start(frame.index, source, masks)
     if plan.colours.grid(source) is not None and movement is not None:
         # Both are the colours that the smoke has, which move with it.
-        unstylized = start = movement.carried(OtherGrid(unstylized))
+        unstylized = start = movement.carried(OtherGrid(unstylized), of_colour=True)
     recipe = frame.recipe
     return final_colour(unstylized, start, change, recipe.strength * recipe.blend, recipe.blend, source.obstacle)
 

@@ -12,7 +12,7 @@ import numpy as np
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.optimisation.colouring import COLOUR, final_colour, on_octave
 from tnst_mi.optimisation.items.state import Current, Items
-from tnst_mi.optimisation.parameterisation import Transport
+from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.start import State
 from tnst_mi.rendering.driving import colour_renderer, driving_renderer
 
@@ -68,29 +68,29 @@ class Glimpses:
             InputError: the colours of a frame cannot be read again.
         """
         for now in self._items.current(frame for frame in self._items.plan.alive if frame.index in indices):
-            before, after = now.inputs.density, self._stylized(now, now.inputs.density)
+            before = now.inputs.density
+            after = self._changed(now, before, now.frame.parameterisation.density)
             given = colours(now.frame.index)
             tints = (None, None) if given is None else self._tints(now, given)
             views = [self._main_view(now, *smoke) for smoke in zip((before, after), tints, strict=True)]
             yield now.frame.name, views[0], views[1]
 
-    def _stylized(self, now: Current, values: mi.TensorXf) -> mi.TensorXf:
-        """A grid (D, H, W) of the frame, changed as its density is."""
+    def _changed(
+        self, now: Current, values: mi.TensorXf, change: Callable[[Fields, mi.TensorXf, float], mi.TensorXf]
+    ) -> mi.TensorXf:
+        """A grid of the frame, changed by its fields, with the strength and the blend of the frame."""
         recipe = now.frame.recipe
         with dr.suspend_grad():
-            fields = now.fields.times(recipe.strength)
-            stylized = now.frame.parameterisation.density(fields, values, self._items.octave.cell_size)
+            changed = change(now.fields.times(recipe.strength), values, self._items.octave.cell_size)
             share = opaque(recipe.blend)
-            return mi.TensorXf((1 - share) * values.array + share * stylized.array, tuple(values.shape))
+            return mi.TensorXf((1 - share) * values.array + share * changed.array, tuple(values.shape))
 
     def _tints(self, now: Current, given: SmokeColour) -> tuple[mi.TensorXf, mi.TensorXf]:
         """The colours of the frame on the octave's grid, (D, H, W, 3), before and after."""
         before = on_octave(given.values, self._items.octave)
-        moved = before
-        if given.moves and isinstance(now.frame.parameterisation.of_density, Transport):
-            channels = dr.unravel(mi.Vector3f, before.array)
-            each = [self._stylized(now, mi.TensorXf(one, tuple(before.shape[:3]))).array for one in channels]
-            moved = mi.TensorXf(dr.ravel(mi.Vector3f(*each)), tuple(before.shape))
+        moved, of_density = before, now.frame.parameterisation.of_density
+        if given.moves and isinstance(of_density, Transport):
+            moved = self._changed(now, before, of_density.colour)
         if now.inputs.colour is None:
             return before, moved
         recipe, unstylized = now.frame.recipe, moved.numpy()

@@ -104,14 +104,15 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        colour = frame.coloured(fields, start, self.octave.cell_size)
+        parts = [self._loss_of(frame, target).drawn(seed).apart() for target in range(len(self.losses))]
+        strokes = any(of_all is not None for of_all, _ in parts)
+        colour, pull_colour_back = frame.coloured(fields, start, self.octave.cell_size, strokes)
         dr.enable_grad(colour)
         views = self._views(frame, seed)
-        parts = [self._loss_of(frame, target).drawn(seed).apart() for target in range(len(self.losses))]
         exposure = opaque(frame.exposure)
-        raw = images = tinted = None
+        raw = images = tinted = of_strokes = None
         # Without strokes, colours alone are differentiated.
-        if any(of_all is not None for of_all, _ in parts):
+        if strokes:
             raw = self._unexposed(seen, views, frame, seed, colour)
             images = raw * exposure
         found: dict[str, torch.Tensor] = {}
@@ -139,14 +140,17 @@ class OctaveProblem:
                 if loss is not None and shown is not None:
                     dr.backward(loss_of(shown, loss, target, guides.needed(loss.of_smoke)), flags)
                     shares.append(frame.shares[target])
+                if strokes and shown is images and colour is not None:
+                    of_strokes = dr.grad(colour)
             gradients.append(pull_back(dr.grad(seen), last))
             dr.clear_grad(seen)
             if colour is not None:
-                gradients[-1][COLOUR] = dr.grad(colour)
+                of_colour = pull_colour_back(dr.grad(colour), of_strokes, last)
+                gradients[-1] = Fields({**(gradients[-1] + of_colour), COLOUR: of_colour[COLOUR]})
                 dr.clear_grad(colour)
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
         # collector, so the young generations are collected explicitly, which is cheap.
-        del raw, images, tinted, seen, pull_back, loss_of
+        del raw, images, tinted, seen, pull_back, pull_colour_back, loss_of
         gc.collect(1)
         return Evaluation(_total(values, shares), found, stylized, tuple(gradients))
 
@@ -163,7 +167,7 @@ class OctaveProblem:
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             views = self._views(frame, seed)
-            colour = frame.coloured(fields, start, self.octave.cell_size)
+            colour, _ = frame.coloured(fields, start, self.octave.cell_size, followed=False)
             images = self._rendered(stylized, views, frame, seed, colour).torch().clone()
             of_targets = self._guides(stylized, regions, views, frame)
         return {

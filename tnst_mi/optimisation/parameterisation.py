@@ -265,22 +265,36 @@ class Transport(Parameterisation):
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
+        return self._transported(fields, density, h, "zero", self.conservative)
+
+    def colour(self, fields: Fields, colour: mi.TensorXf, h: float) -> mi.TensorXf:
+        """The same transport of colours, (D, H, W, 3) or one component (D, H, W).
+
+        Smoke that is pressed together becomes denser and not brighter, so that it is never conservative; and what comes
+        in from beyond the grid has the colour of its border.
+        """
+        return self._transported(fields, colour, h, "edge", conservative=False)
+
+    def _transported(
+        self, fields: Fields, field: mi.TensorXf, h: float, outside: str, conservative: bool
+    ) -> mi.TensorXf:
         v = self._velocity(fields, h)
         if self.trace == "flow":
             stages = self.stages if isinstance(self.stages, int) else None
-            return flow(density, v, "maccormack", h, "zero", None, stages, self.conservative)
+            return flow(field, v, "maccormack", h, outside, None, stages, conservative)
         if self.substeps == 1:
-            return step(density, v, "maccormack", h, "zero")
-        return advect(density, self.velocity(fields, h), "maccormack", h, "zero", self.substeps)
+            return step(field, v, "maccormack", h, outside)
+        return advect(field, self.velocity(fields, h), "maccormack", h, outside, self.substeps)
 
-    def around_solids(self, density: mi.TensorXf, v: mi.TensorXf, h: float) -> mi.TensorXf:
-        """The same transport by a velocity (D, H, W, 3) that is 0 inside solids.
+    def around_solids(self, field: mi.TensorXf, v: mi.TensorXf, h: float, of_colour: bool = False) -> mi.TensorXf:
+        """The same transport of a density, or a colour, by a velocity (D, H, W, 3) that is 0 inside solids.
 
         Towards the centres of a solid's outermost cells, the interpolated velocity falls to 0 within one cell. The
         stages of "auto" may leap over that; the most stages do not, for any velocity of up to 44 cells per frame.
         """
         stages = MOST_STAGES if self.trace == "flow" and self.stages == "auto" else self.stages
-        return advect(density, v, "maccormack", h, "zero", self.substeps, self.trace, stages, self.conservative)
+        outside, conservative = ("edge", False) if of_colour else ("zero", self.conservative)
+        return advect(field, v, "maccormack", h, outside, self.substeps, self.trace, stages, conservative)
 
     def unit_step(self, rows: int, h: float) -> float:
         """(H/2) h: η is in units of the octave's own cells, so that a recipe's η means the same at every size."""

@@ -25,14 +25,14 @@ class ColourGrids:
     """Names of grids of colour.
 
     Attributes:
-        begins_with: of the input's colours, with which optimised ones begin; none if these begin with the pictures'
-            mean, or none are optimised.
+        begins_with: for each frame, of the colours that its optimised ones begin with, None if these begin with the
+            pictures' mean; none at all if none are optimised.
         written: of the grid in which optimised colours are written; None if none are.
         temperature: of the grid whose temperatures are shown as colours, and the largest of all frames; None if
             none are.
     """
 
-    begins_with: tuple[str, ...] = ()
+    begins_with: tuple[str | None, ...] = ()
     written: str | None = None
     temperature: tuple[str, float] | None = None
 
@@ -44,9 +44,10 @@ class ColourGrids:
                 f"note: colour: {temperature_in_words(*self.temperature)}, in the colours of black bodies; a grid Cd "
                 "would be shown in its place, and colour = 'off' shows grey smoke"
             ]
-        if not self.begins_with:
+        own = list(dict.fromkeys(name for name in self.begins_with if name is not None))
+        if not own:
             return []
-        names = some_of([quoted(name) for name in self.begins_with], _SHOWN)
+        names = some_of([quoted(name) for name in own], _SHOWN)
         return [
             f"note: colours begin with those of grid {names}, which move with the smoke and are cut to [0, 1]; with a "
             "carry that leaves it out, they begin with the mean of the pictures"
@@ -104,11 +105,11 @@ def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[F
     movable = list(dict.fromkeys(name for measure in measures for name in measure.movable))
     carried = chosen(recipe.carry, movable)
     name = require_colour(carried, movable) if recipe.colour == "keep" else colour_name(carried)
-    names: dict[str, None] = {}
+    each = []
     for index, measure in enumerate(measures):
         own = colour_name(chosen(recipe.carry, measure.movable))
-        names |= {} if own is None else {own: None}
+        each.append(own)
         if own is not None and own not in measure.vectors:
             # Raises: it is read again for the message alone.
             colours_of(frames[index].grids, own, measure.name)
-    return ColourGrids() if recipe.colour == "keep" else ColourGrids(tuple(names), name or "Cd")
+    return ColourGrids() if recipe.colour == "keep" else ColourGrids(tuple(each), name or "Cd")
