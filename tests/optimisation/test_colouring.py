@@ -18,6 +18,7 @@ from tnst_mi.fields.advection import advect
 from tnst_mi.fields.pyramid import gaussian
 from tnst_mi.frame import Frame
 from tnst_mi.geometry.other_grids import OtherGrid
+from tnst_mi.losses.images import PIXELS
 from tnst_mi.losses.palette import Palette, _directions
 from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.terms import Semantic
@@ -352,3 +353,13 @@ def test_a_start_without_a_grid_is_the_mean_of_the_pictures(network: GoogLeNet, 
     assert plan.colours is not None
     colours = plan.colours.start(0, Frame(smoke(), name="f"))
     np.testing.assert_allclose(colours, np.broadcast_to(used, colours.shape), atol=2e-2)
+
+
+def test_the_distance_of_a_palette_is_one_of_display_values(network: GoogLeNet, tmp_path: Path) -> None:
+    """White and red are (0, 1, 1) apart, of which the mean square along a line is 2/3, whatever is transparent."""
+    pixels = np.full((8, 8, 4), (255, 0, 0, 255), np.uint8)
+    pixels[:4] = (0, 255, 0, 0)
+    Image.fromarray(pixels).save(tmp_path / "red.png")
+    palette = Palette(tmp_path / "red.png")
+    (loss,) = palette.bind_term(network, 8, 8).loss({PIXELS: torch.ones(1, 3, 8, 8)}, None)
+    assert float(loss) * palette.mean_square(8, 8) / 3 == pytest.approx(2 / 3, rel=1e-5)

@@ -254,3 +254,27 @@ def test_colours_of_an_octave_that_are_some_stay_so(keys: dict, monkeypatch: pyt
     for colours in seen:
         assert colours.min() > -1e-3 and colours.max() < 1 + 1e-3
     assert (np.minimum(seen[-1], 1 - seen[-1]) < 1e-3).any()
+
+
+def test_the_record_tells_how_near_colours_are_and_how_they_flicker(keys: dict, tmp_path: Path) -> None:
+    """As computed from the files: the flicker of (c − start) d*, where smoke begins with the mean of the picture."""
+    recipe = Recipe(**(keys | {"octaves": 1, "window": 3}))
+    given = tnst_mi.stylize(moving_smoke(3), recipe, progress=False)
+    stored = tnst_mi.stylize(moving_smoke(3), recipe, tmp_path / "out", progress=False)
+    for record in stored.run["frames"]:
+        (found,) = record["palette_distances"].values()
+        assert 0 < found["after"] < found["before"] < 1
+    sequence = stored.run["sequence"]
+    assert sequence["colour_flicker"] == pytest.approx(given.run["sequence"]["colour_flicker"], rel=1e-4)
+    mean, light = np.array([127.5, 64, 32], np.float32) / 255, []
+    for frame, grids in zip(load_frames(tmp_path / "out" / "density"), stored.grids, strict=True):
+        light.append((srgb(grids["Cd"]) - mean) * frame.density[..., None])
+    pairs = []
+    for source, one, following in zip(moving_smoke(3), light, light[1:], strict=False):
+        moved = [
+            tnst_mi.advect(np.ascontiguousarray(one[..., i]), source.velocity, "semi_lagrangian", outside="edge")
+            for i in range(3)
+        ]
+        pairs.append(np.linalg.norm(np.stack(moved, -1) - following) / np.linalg.norm(following))
+    assert sequence["colour_flicker"] == pytest.approx(np.mean(pairs), rel=0.02)
+    assert len(sequence["colour_flicker_pairs"]) == 2

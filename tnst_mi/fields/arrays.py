@@ -95,7 +95,7 @@ def _as_parts(value: Any, what: str) -> Any:
             "as 1"
         )
     values = value.astype(np.float32) if isinstance(value, np.ndarray) else value.float()
-    return values / np.float32(LARGEST[kind])
+    return values / LARGEST[kind]
 
 
 def _carries_derivatives(value: Any) -> bool:

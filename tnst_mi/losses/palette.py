@@ -37,6 +37,14 @@ class Palette(PictureTerm):
         """The picture."""
         return f"palette {self.picture.name}"
 
+    def mean_square(self, height: int, width: int) -> float:
+        """The mean of ‖c‖² over the picture's colours c, for images of height x width pixels.
+
+        A third of it times the loss is the squared distance of display values, averaged over the directions.
+        """
+        picture = self.picture.fitted(height, width)
+        return float(np.average(np.square(picture.colours).sum(2), weights=picture.alpha))
+
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
         """Take the colours of the picture, of which the network sees nothing; raises `InputError` if none is seen."""
         picture, kind = self.picture.fitted(height, width), parameter_of(net)

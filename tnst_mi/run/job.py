@@ -28,6 +28,7 @@ from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.run.announcement import announcement
 from tnst_mi.run.colour import colour_before
+from tnst_mi.run.colour_record import colour_flicker
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.kept_octaves import KeptOctaves
 from tnst_mi.run.live_pictures import LivePictures
@@ -36,7 +37,7 @@ from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import run_identity, sequence_record
 from tnst_mi.run.results import recorded, write_results
 from tnst_mi.run.resuming import record_in
-from tnst_mi.run.stored_arrays import StoredArrays
+from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
 from tnst_mi.run.time_left import octave_sizes
 
 #: What else than the system's own words is said of why something could not be written.
@@ -233,7 +234,9 @@ class Run(Iterator[FinishedFrame]):
             frames = (prepared.moving[index] for index in prepared.wanted)
             densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]
+            grids = StoredGrids(folder.out, names, prepared.suffix, prepared.frames)
             self.record["sequence"] = sequence_record(prepared.recipe, frames, densities, records)
+            self.record["sequence"] |= colour_flicker(prepared, densities, grids)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
             self.record["results"] = folder.recorded_pictures()
         folder.write_run(self._progressed(started))
