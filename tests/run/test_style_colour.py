@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,64 @@ def test_a_palette_without_strokes_leaves_the_density_alone(keys: dict) -> None:
     assert terms[1] < 0.8 * terms[0]
 
 
+def picture_of(folder: Path, name: str, pixels: np.ndarray) -> str:
+    Image.fromarray(pixels.astype(np.uint8)).save(folder / name)
+    return str(folder / name)
+
+
+@pytest.mark.parametrize("loss", ["gram", "swd"])
+def test_a_black_picture_has_no_palette(loss: str, keys: dict, tmp_path: Path) -> None:
+    """Also beside others, in a target, with an alpha, and where what is not black is cut off."""
+    black = np.zeros((24, 24, 4))
+    black[..., 3] = 255
+    hidden = black.copy()
+    hidden[:8] = 0
+    wide = np.zeros((24, 72, 3))
+    wide[:, :8] = 255
+    files = [picture_of(tmp_path, f"{i}.png", pixels) for i, pixels in enumerate((black, hidden, wide))]
+    message = "black all over where it is used .*, which is no palette; use a picture with a colour there, or colour"
+    for style in ((files[0],), (keys["style"][0], files[0]), (files[1],), (files[2],)):
+        for weight in (0.0, 1.0):
+            recipe = Recipe(**(keys | {"style": style}), style_weight=weight, style_loss=loss)
+            with pytest.raises(InputError, match=message):
+                tnst_mi.stylize(moving_smoke(1), recipe, tmp_path / "out", progress=False)
+    target = Recipe.from_dict({**keys, "style": [], "target": [{"style": files[0]}]})
+    with pytest.raises(InputError, match=message):
+        tnst_mi.stylize(moving_smoke(1), target, tmp_path / "out", progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_palette_of_one_colour_is_reached(keys: dict, tmp_path: Path) -> None:
+    flat = picture_of(tmp_path, "flat.png", np.broadcast_to((40, 90, 160), (24, 24, 3)))
+    recipe = Recipe(**(keys | {"style": (flat,)}), style_loss="swd")
+    (record,) = tnst_mi.stylize(moving_smoke(1), recipe, progress=False).run["frames"]
+    assert np.isfinite(record["loss_after"]) and record["terms_after"]["palette flat.png"] < 0.5
+
+
+def test_targets_may_give_their_palettes_without_strokes(keys: dict) -> None:
+    (frame,) = moving_smoke(1)
+    targets = {"style": [], "target": [{"style": keys["style"][0]}], "style_weight": 0.0}
+    result = tnst_mi.stylize([frame], Recipe.from_dict({**keys, **targets}), progress=False)
+    np.testing.assert_array_equal(result.densities[0], frame.density)
+    terms = [result.run["frames"][0][key]["palette stripes.png"] for key in ("terms_before", "terms_after")]
+    assert terms[1] < 0.8 * terms[0]
+    assert not any("style_weight" in note for note in result.run.get("notes", []))
+    with pytest.raises(InputError, match="style_weight = 0 and colour_weight = 0: nothing of the targets"):
+        tnst_mi.stylize([frame], Recipe.from_dict({**keys, **targets, "colour_weight": 0.0}), progress=False)
+
+
+def test_only_colours_of_the_input_are_said_to_be_carried(
+    keys: dict, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (frame,), recipe = moving_smoke(1), Recipe(**(keys | {"octaves": 1, "iterations": 1}))
+    for name, given, expected in (("white", frame, False), ("own", coloured(frame), True)):
+        tnst_mi.stylize([given], recipe, tmp_path / name, progress=True)
+        said = capsys.readouterr().err
+        assert "colours of the smoke: written as grid Cd" in said
+        (carried,) = re.findall("carried with the smoke: (.*) \\(", said)
+        assert ("Cd" in carried) == expected
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
@@ -177,13 +236,18 @@ def test_a_frame_whose_colours_are_no_colours_is_refused_before_the_work(
     keys: dict, optimiser: FakeOptimiser, tmp_path: Path
 ) -> None:
     first, second = moving_smoke(2)
-    frames = [
-        dataclasses.replace(first, grids={"Cd": np.ones((*SHAPE, 3), np.float32)}),
-        dataclasses.replace(second, grids={"Cd": np.ones(SHAPE, np.float32)}),
-    ]
-    for colour in ("style", "keep"):
-        with pytest.raises(InputError, match=f"{second.name}: grid 'Cd' has shape .*, expected colours"):
-            tnst_mi.stylize(frames, Recipe(**(keys | {"colour": colour})), tmp_path / "out", progress=False)
+    remedy = "; leave it out with --carry NAMES, or take colour = 'off'"
+    for values, problem in (
+        (np.ones(SHAPE, np.float32), "has shape .*, expected colours"),
+        (np.full((*SHAPE, 3), 200, np.int32), "has colours of int32, expected floating-point numbers"),
+    ):
+        frames = [
+            dataclasses.replace(first, grids={"Cd": np.ones((*SHAPE, 3), np.float32)}),
+            dataclasses.replace(second, grids={"Cd": values}),
+        ]
+        for colour in ("style", "keep"):
+            with pytest.raises(InputError, match=f"{second.name}: grid 'Cd' {problem}.*{remedy}"):
+                tnst_mi.stylize(frames, Recipe(**(keys | {"colour": colour})), tmp_path / "out", progress=False)
     assert optimiser.calls == [] and not (tmp_path / "out").exists()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tnst_mi.errors import InputError
 from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.guided import Guide, LayerTarget
 from tnst_mi.losses.images import PIXELS
@@ -46,13 +47,22 @@ class Palette(PictureTerm):
         return float(np.average(np.square(picture.colours).sum(2), weights=picture.alpha))
 
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Take the colours of the picture, of which the network sees nothing; raises `InputError` if none is seen."""
+        """Take the colours of the picture, of which the network sees nothing.
+
+        Raises:
+            InputError: it is transparent where it is used, or black: distances are relative to how bright it is.
+        """
         picture, kind = self.picture.fitted(height, width), parameter_of(net)
         colours = torch.as_tensor(picture.colours).to(kind).permute(2, 0, 1)[None]
         guide = None
         if picture.alpha is not None:
             require_opaque(picture.alpha, picture.name, "where it is used")
             guide = Guide(torch.as_tensor(picture.alpha).to(kind)[None])
+        if not self.mean_square(height, width) > 0.0:
+            raise InputError(
+                f"{picture.name}: black all over where it is used (its centre, with the aspect {width}:{height}), which "
+                "is no palette; use a picture with a colour there, or colour = 'off'"
+            )
         distance = sliced_distance(LayerTarget(colours, guide), 1.0, _directions().to(kind))
 
         def loss(features: Features, guide: Guide | None) -> Tensor:

@@ -107,17 +107,18 @@ class Style(PictureTerm):
         for layer, values in picture_features(net, picture, layers, self.colour).items():
             if values.ndim != 4:
                 raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
-            guide = None
+            guide, seen = None, values
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 alpha = resized(picture.alpha, rows, columns)
                 require_opaque(alpha, picture.name, where)
                 opaque = torch.as_tensor(alpha).to(values)
+                seen = values * opaque
                 if self.statistics == "smoke":
                     guide = Guide(opaque[None])
                 else:
-                    values = values * opaque
-            if not values.any():
+                    values = seen
+            if not seen.any():
                 raise InputError(
                     f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
                     "the network's weights"

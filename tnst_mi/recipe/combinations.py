@@ -5,6 +5,7 @@ from __future__ import annotations
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
+from tnst_mi.recipe.targets import without_strokes
 
 
 def require_averageable(recipe: Recipe) -> None:
@@ -53,6 +54,11 @@ def require_weight(recipe: Recipe) -> None:
         InputError: all of their weights are 0.
     """
     if recipe.target:
+        if without_strokes(recipe) and "colour_weight" not in recipe.keyframes and recipe.colour_weight == 0.0:
+            raise InputError(
+                "style_weight = 0 and colour_weight = 0: nothing of the targets with a style counts; expected one of "
+                "them above 0, or colour = 'off'"
+            )
         return
     others = [goal for goal in GOALS if goal != "style" and getattr(recipe, goal)]
     weights = ["style_weight"] * bool(recipe.style) + ["semantic_weight"] * bool(others)

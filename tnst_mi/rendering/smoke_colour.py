@@ -60,6 +60,11 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
     return values.astype(np.float32) / np.float32(LARGEST[values.dtype.name])
 
 
+def are_colours(values: np.ndarray) -> bool:
+    """Whether `colours_of` takes the values of a grid."""
+    return values.ndim == 4 and (values.dtype.kind == "f" or values.dtype.name in LARGEST)
+
+
 def shown_colours(
     grids: Mapping[str, np.ndarray],
     name: str | None,

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.formats import held
 from tnst_mi.machine.terminal import quoted, some_of
@@ -109,7 +110,10 @@ def colour_grids(recipe: Recipe, measures: Sequence[Measure], frames: Sequence[F
     for index, measure in enumerate(measures):
         own = colour_name(chosen(recipe.carry, measure.movable))
         each.append(own)
-        if own is not None and own not in measure.vectors:
-            # Raises: it is read again for the message alone.
-            colours_of(frames[index].grids, own, measure.name)
+        if own is not None and own not in measure.colours:
+            try:
+                # Raises: it is read again for the message alone.
+                colours_of(frames[index].grids, own, measure.name)
+            except InputError as error:
+                raise InputError(f"{error}; leave it out with --carry NAMES, or take colour = 'off'") from None
     return ColourGrids() if recipe.colour == "keep" else ColourGrids(tuple(each), name or "Cd")
