@@ -60,8 +60,8 @@ class Palette(PictureTerm):
             guide = Guide(torch.as_tensor(picture.alpha).to(kind)[None])
         if not self.mean_square(height, width) > 0.0:
             raise InputError(
-                f"{picture.name}: black all over where it is used (its centre, with the aspect {width}:{height}), which "
-                "is no palette; use a picture with a colour there, or colour = 'off'"
+                f"{picture.name}: black all over where it is used (its centre, with the aspect {width}:{height}), "
+                "which is no palette; use a picture with a colour there, or colour = 'off'"
             )
         distance = sliced_distance(LayerTarget(colours, guide), 1.0, _directions().to(kind))
 
