@@ -95,8 +95,8 @@ def measured(folder: Path) -> str:
     recipe = run.recipe.located(folder)
     if not recipe.style:
         raise InputError(
-            f"{folder}: its pictures are those of [[target]], each with smoke of its own; expected a run with a style for "
-            "all smoke"
+            f"{folder}: its pictures are those of [[target]], each with smoke of its own; expected a run with a style "
+            "for all smoke"
         )
     views = [(azimuth, elevation) for azimuth in _beyond(recipe.azimuth) for elevation in _beyond(recipe.elevation)]
     lines, changes = [], []

@@ -268,7 +268,7 @@ def test_smoke_of_a_colour_shines_in_it_and_empty_air_does_not(dtype: type) -> N
     found = find_fire(frames, "Cd")
     assert found is not None and found.in_words == "fire: grid Cd as the colour of light, times the density"
     assert found.occupied == (slice(0, 2), slice(0, 3), slice(0, 3))
-    expected = fire.BRIGHTNESS * np.array([1, 1 / 2, 1 / 6]) * density[..., None] / 4
+    expected = fire.COLOUR_BRIGHTNESS * np.array([1, 1 / 2, 1 / 6]) * density[..., None] / 4
     np.testing.assert_allclose(found.emission(frames[0]), expected, rtol=1e-5)
     np.testing.assert_allclose(found.emission(frames[1]), expected / 2, rtol=1e-5)
 
@@ -279,7 +279,7 @@ def test_a_grid_of_light_shines_as_it_is() -> None:
     frame = Frame(np.zeros((2, 3, 4)), grids={"emission_color": light})
     found = find_fire([frame], "emission_color")
     assert found is not None and found.occupied == (slice(0, 2), slice(1, 3), slice(2, 4))
-    np.testing.assert_allclose(found.emission(frame), fire.BRIGHTNESS / 2 * light)
+    np.testing.assert_allclose(found.emission(frame), fire.COLOUR_BRIGHTNESS / 2 * light)
 
 
 def test_a_frame_without_the_grid_does_not_burn() -> None:

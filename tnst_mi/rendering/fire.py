@@ -4,7 +4,7 @@ A flame f, from 0 to its largest value over all frames, emits f times a warm col
 temperature emits as a black body: in kelvin if it reaches 200, else it is taken as 20 °C at 0 and 2200 K at its largest
 value. Colours c, if they are asked for, emit c times the density, so that air without smoke is dark; those of a grid
 whose name says emission are that already. All are relative: the brightest place of all frames emits `BRIGHTNESS` in its
-strongest colour.
+strongest colour, colours `COLOUR_BRIGHTNESS`.
 
 Temperatures also colour smoke that does not burn, with the hue of that light and not its strength: `glow_colours`.
 """
@@ -23,6 +23,8 @@ from tnst_mi.io.interpretation.grid_names import is_colour, listed, plain_name
 
 #: Largest emission, radiance per longest edge of the grid: a sixth of that edge is as bright as white.
 BRIGHTNESS = 6.0
+#: Likewise of smoke that shines in its colours: it fills far more space than flames, and would be white all over.
+COLOUR_BRIGHTNESS = 3.0
 
 #: Words in the names of grids. Caches call them flame or flame_noise, temperature or heat.
 _FLAME = {"flame", "flames", "fire", "burn", "burning"}
@@ -86,7 +88,7 @@ class Fire:
         if self.grid not in frame.grids:
             return np.zeros((*frame.density.shape, 3), np.float32)
         if self.colours:
-            return np.float32(BRIGHTNESS / self.largest) * _coloured_light(frame, self.grid)
+            return np.float32(COLOUR_BRIGHTNESS / self.largest) * _coloured_light(frame, self.grid)
         values = np.clip(_scalar(frame, self.grid), 0.0, self.largest)
         steps = np.linspace(0.0, 1.0, _COLOURS)
         colours = self._temperature_ramp(steps) if self.temperature else _flame_ramp(steps)
