@@ -77,10 +77,7 @@ class FramePlan:
     def coloured(
         self, fields: Fields, start: mi.TensorXf | None, h: float, followed: bool = True
     ) -> tuple[mi.TensorXf | None, ColourPullback]:
-        """The colours of the fields of an octave, and their adjoint; see `Coloured.colour_with_pullback`.
-
-        `start` are those with which the frame begins; None if there are none, and then there are none at all.
-        """
+        """`Coloured.colour_with_pullback` for the fields of an octave; no colours without a start."""
         if start is None or not isinstance(self.parameterisation, Coloured):
             return None, ColourPullback(None, None)
         return self.parameterisation.colour_with_pullback(fields, start, h, followed)
@@ -247,8 +244,7 @@ def plan_of(
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
         regions: the masks of its targets, see `regions_of`.
-        colour_names: where colours are optimised, for each frame the grid of those with which it begins, None if it has
-            none; none at all if no frame has any.
+        colour_names: where colours are optimised, the grid of those with which each frame begins, None if it has none.
         colour_written: the grid in which they are written.
 
     Raises:
@@ -294,8 +290,7 @@ def plan_of(
 def _parameterisation(recipe: Recipe, scalar: bool, vector: bool, coloured: bool) -> Parameterisation:
     """That of the recipe of a frame.
 
-    `scalar`, `vector`: whether frames of the sequence have a Φ and a Ψ; `coloured`: whether this one has colours of its
-    own.
+    `scalar`, `vector`: whether frames of the sequence have a Φ, a Ψ; `coloured`: whether this one has its own colours.
     """
     if recipe.parameterisation == "density":
         of_density: Parameterisation = DensityOffset()
