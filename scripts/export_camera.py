@@ -28,14 +28,19 @@ from typing import Any, NoReturn
 
 try:
     import bpy
+    import mathutils
 except ImportError:
-    bpy = None
+    bpy = mathutils = None
 
 #: Precision of what is written: numbers of a scene have no more.
 DIGITS = 9
 
 #: What the volume of a camera's three axes may lack of 1, where a scale that is not even makes them oblique.
 UNEVEN = 1e-6
+
+
+class UnusableCameraError(Exception):
+    """A camera that cannot be exported; the message is one line with the remedy."""
 
 
 def refuse(message: str) -> NoReturn:
@@ -70,19 +75,42 @@ def camera_at(frame: int, name: str | None, domain: bpy.types.Object | None) -> 
     camera = scene.camera if name is None else object_named("--camera", name)
     if camera is None:
         refuse(f"frame {frame}: the scene has no active camera; name one with --camera")
-    if camera.type != "CAMERA":
-        refuse(f"{camera.name}: is no camera, but {camera.type.lower()}")
-    if camera.data.type not in ("PERSP", "ORTHO"):
-        refuse(f"{camera.name}: is {camera.data.type.lower()}, expected a perspective or an orthographic camera")
     graph = bpy.context.evaluated_depsgraph_get()
+    space = None if domain is None else domain.evaluated_get(graph).matrix_world.normalized()
+    try:
+        return camera_table(camera, scene, graph, space)
+    except UnusableCameraError as error:
+        refuse(str(error))
+
+
+def camera_table(
+    camera: bpy.types.Object, scene: bpy.types.Scene, graph: bpy.types.Depsgraph, space: mathutils.Matrix | None
+) -> dict[str, Any]:
+    """The table of a camera as it is in the scene's current frame.
+
+    Args:
+        camera: the object.
+        scene: whose pictures it takes.
+        graph: the evaluated scene.
+        space: from the space in which the camera is written to the world, of one scale along all axes; None for the
+            world.
+
+    Raises:
+        UnusableCameraError: it is of a kind that files of cameras do not have, or an uneven scale distorts it.
+    """
+    if camera.type != "CAMERA":
+        raise UnusableCameraError(f"{camera.name}: is no camera, but {camera.type.lower()}")
+    if camera.data.type not in ("PERSP", "ORTHO"):
+        raise UnusableCameraError(
+            f"{camera.name}: is {camera.data.type.lower()}, expected a perspective or an orthographic camera"
+        )
     evaluated = camera.evaluated_get(graph)
     # Cameras see the same whatever scale they inherit, as long as it is the same along all axes.
-    matrix = evaluated.matrix_world.normalized()
-    axes = [matrix.col[i].to_3d() for i in range(3)]
-    if axes[0].cross(axes[1]).dot(axes[2]) < 1 - UNEVEN:
-        refuse(f"{camera.name}: is mirrored, or scaled unevenly by what it is attached to; apply that scale in Blender")
-    if domain is not None:
-        matrix = domain.evaluated_get(graph).matrix_world.normalized().inverted() @ matrix
+    matrix, scale = evaluated.matrix_world.normalized(), 1.0
+    require_even(camera.name, matrix)
+    if space is not None:
+        matrix, scale = (space.inverted() @ matrix).normalized(), abs(space.to_3x3().determinant()) ** (1 / 3)
+        require_even(camera.name, matrix)
     # The corners of the picture in the camera's own space: sensor fit, resolution, pixel aspect and shift are in them.
     corners = evaluated.data.view_frame(scene=scene)
     across, above = [corner.x for corner in corners], [corner.y for corner in corners]
@@ -92,21 +120,39 @@ def camera_at(frame: int, name: str | None, domain: bpy.types.Object | None) -> 
     if camera.data.type == "PERSP":
         table["fov"] = round(math.degrees(2 * math.atan(height / (2 * -corners[0].z))), DIGITS)
     else:
-        table["height"] = round(height, DIGITS)
+        table["height"] = round(height / scale, DIGITS)
     table["aspect"] = round(width / height, DIGITS)
     # Where the axis meets the picture, from its middle.
     table["shift"] = [round(-(low + high) / (2 * height), DIGITS) for low, high in ((left, right), (bottom, top))]
     return table
 
 
+def require_even(name: str, matrix: mathutils.Matrix) -> None:
+    """Require that the axes of a camera are those of a rotation.
+
+    Raises:
+        UnusableCameraError: they are not.
+    """
+    axes = [matrix.col[i].to_3d() for i in range(3)]
+    if axes[0].cross(axes[1]).dot(axes[2]) < 1 - UNEVEN:
+        raise UnusableCameraError(
+            f"{name}: is mirrored, or scaled unevenly by what it is attached to; apply that scale in Blender"
+        )
+
+
+def cameras_of(tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The content of a file of cameras from the tables of frames: one for all of them where these are the same."""
+    first, *others = tables.values()
+    return {"up_axis": "z"} | (first if all(table == first for table in others) else {"frames": tables})
+
+
 def export(given: argparse.Namespace) -> None:
     """Write the cameras of all frames, or the one that all of them have."""
     domain = None if given.relative_to is None else object_named("--relative-to", given.relative_to)
     tables = {str(frame): camera_at(frame, given.camera, domain) for frame in frames_of(given.frames)}
-    first, *others = tables.values()
-    cameras = first if all(table == first for table in others) else {"frames": tables}
+    cameras = cameras_of(tables)
     try:
-        given.out.write_text(json.dumps({"up_axis": "z"} | cameras, indent=1) + "\n", "utf-8")
+        given.out.write_text(json.dumps(cameras, indent=1) + "\n", "utf-8")
     except OSError as error:
         refuse(f"{given.out}: cannot be written ({error.strerror}); give another --out")
     print(f"cameras   {given.out}: {'one for all frames' if 'frames' not in cameras else f'{len(tables)} frames'}")

@@ -244,6 +244,22 @@ def test_the_origin_moves_results(tmp_path: Path) -> None:
     np.testing.assert_allclose(moved, sampled(tmp_path / "a.vdb", points), atol=1e-5)
 
 
+def test_the_origin_moves_every_grid(tmp_path: Path) -> None:
+    """Of those that are found again in the file too, moved with the smoke or not."""
+    ones, origin = np.ones((3, 4, 5), np.float32), (5.0, -1.0, 2.0)
+    kinds = {"density": "", "flame": "", "surface": "level set", "obstacle": ""}
+    grids = [DenseGrid(name, ones, (2, 0, 1), 0.5, (1.0, 0.0, 0.0), grid_class=kind) for name, kind in kinds.items()]
+    vectors = np.ones((3, 4, 5, 3), np.float32)
+    grids += [DenseGrid(name, vectors, (2, 0, 1), 0.5, (1.0, 0.0, 0.0)) for name in ("velocity", "force")]
+    write_vdb(tmp_path / "a.vdb", grids, {})
+    frame = open_frames(tmp_path / "a.vdb", given=Conventions(origin=origin))[0]
+    save_frames(tmp_path / "b.vdb", frame)
+    again = {grid.name: grid.affine(grid.topology.active_box()[0]) for grid in read_vdb(tmp_path / "b.vdb").grids}
+    assert set(again) == {grid.name for grid in grids}
+    for lowest in again.values():
+        np.testing.assert_allclose(lowest, [7.0, -1.0, 2.5])
+
+
 def test_placed_by_a_frustum(tmp_path: Path) -> None:
     written(tmp_path / "a.vdb", Affine.scaling(0.5))
     data = (tmp_path / "a.vdb").read_bytes()

@@ -205,7 +205,7 @@ def test_one_axis_is_up_in_a_sequence(tmp_path: Path) -> None:
     for number, creator in enumerate(("EmberGen 1.2", "Houdini/GU_PrimVDB"), start=1):
         write_vdb(tmp_path / f"s_{number:04d}.vdb", [DenseGrid("density", DENSITY)], {"creator": ("string", creator)})
     expected = (
-        r"s_0001.vdb has z up \(as EmberGen's metadata say\) and s_0002.vdb has y up \(no metadata say otherwise\), "
+        r"s_0001.vdb has z up \(as EmberGen's metadata say\) and s_0002.vdb has y up \(as Houdini's metadata say\), "
         "expected one axis in all files of a sequence; give --up y or --up z"
     )
     with pytest.raises(InputError, match=expected):

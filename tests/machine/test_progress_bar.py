@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from tnst_mi.errors import InputError
 from tnst_mi.machine.progress_bar import PlainProgress, SteadyProgress, progress_bar
 from tnst_mi.optimisation.result import Progress
 from tnst_mi.run.progress import ProgressBar
@@ -41,6 +42,22 @@ def test_a_log_has_a_line_for_each_tenth(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_slow_work_has_a_line_each_half_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(lines(monkeypatch, 100, 10.0)) == 34
+
+
+def test_programs_that_follow_a_log_choose_how_often_it_has_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    log, now = io.StringIO(), [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("sys.stderr", log)
+    monkeypatch.setenv("TNST_MI_PROGRESS_SECONDS", "2")
+    with progress_bar(total=100) as bar:
+        for _ in range(100):
+            now[0] += 1.0
+            bar.update()
+    assert len(log.getvalue().splitlines()) == 50
+    for text in ("often", "0", "-1", "nan", ""):
+        monkeypatch.setenv("TNST_MI_PROGRESS_SECONDS", text)
+        with pytest.raises(InputError, match=r"^\$TNST_MI_PROGRESS_SECONDS = '.*': expected seconds above 0"):
+            progress_bar(total=100)
 
 
 def test_short_work_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

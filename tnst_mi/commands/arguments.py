@@ -180,13 +180,14 @@ class ConvertArguments(Arguments):
     """Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb (OpenVDB).
 
     Velocities are written at the cell centres in cells per frame; npz and .vol have y up, .uni and .vdb z up, as in
-    Blender.
+    Blender. A stage of USD (.usda, .usdc, .usd) shows the frames as a volume: .vdb files stay where they are, others
+    are written as such beside it (docs/usd.md).
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
     """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
-    """File, whose extension selects the format, or new or empty folder."""
+    """File, whose extension selects the format, stage such as out.usda, or new or empty folder."""
     format: Annotated[str | None, tyro.conf.arg(metavar="npz|vol|uni|vdb", help_behavior_hint="(default: npz)")] = None
     """Format of the files in a folder."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)

@@ -1,4 +1,4 @@
-"""`tnst-mi convert`: density files from one format to another, or with other axes and units."""
+"""`tnst-mi convert`: density files from one format to another, with other axes and units, or on a stage of USD."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from tqdm import tqdm
 
 from tnst_mi.commands.arguments import ConvertArguments
 from tnst_mi.commands.base import checked, given, say
+from tnst_mi.commands.convert_stage import convert_to_stage
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import open_frames
 from tnst_mi.io.formats import FORMATS, files_around, held, require_format
 from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
+from tnst_mi.io.stages.usd_stage import STAGES
 from tnst_mi.machine.disk import require_names, require_writable
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.recipe import KINDS, Recipe
@@ -30,6 +32,8 @@ def run(arguments: ConvertArguments) -> int:
     # Other programs expect the whole grid, at rest.
     recipe = Recipe().updated_by_flags({"crop": "off"} | given(arguments.reading))
     every = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
+    if arguments.output.suffix.lower() in STAGES and not arguments.output.is_dir():
+        return convert_to_stage(arguments, recipe, every)
     _files(arguments, every)  # what is asked for is checked before anything is read
     readable = Readable(every, recipe.skip_bad)
     for _ in readable:  # damaged frames are to be found before the first is written
@@ -64,7 +68,7 @@ def _files(arguments: ConvertArguments, frames: FrameFiles) -> list[Path]:
         require_writable(output, arguments.input)
         require_names(output, [file.stem for file in frames.files])
         return [output / f"{file.stem}{suffix}" for file in frames.files]
-    suffix = require_format(output)
+    suffix = require_format(output, (*FORMATS, *STAGES))
     if arguments.format not in (None, suffix[1:]):
         raise InputError(f"--format {arguments.format}: {output} is named as a {suffix} file; give one of both")
     if len(frames) > 1:

@@ -24,6 +24,7 @@ class OwnVoxels:
         values: where cells and voxels do not coincide, the density (Z, Y, X) in `box`; else None.
         box: where these values lie.
         outside: the density of all other voxels.
+        moved: by what `scene` and `placed` differ from those of the file, (X, Y, Z).
     """
 
     scene: Affine
@@ -32,6 +33,7 @@ class OwnVoxels:
     values: np.ndarray | None = None
     box: Box | None = None
     outside: float = 0.0
+    moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -127,5 +129,6 @@ class Placement:
         own = self.own
         if own is not None:
             placed = None if own.placed is None else own.placed.moved(vector)
-            own = replace(own, scene=own.scene.moved(vector), placed=placed)
+            x_moved, y_moved, z_moved = (before + by for before, by in zip(own.moved, vector, strict=True))
+            own = replace(own, scene=own.scene.moved(vector), placed=placed, moved=(x_moved, y_moved, z_moved))
         return replace(self, corner=(x, y, z), own=own)

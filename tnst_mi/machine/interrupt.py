@@ -11,8 +11,10 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-#: By Ctrl-C; by `kill`, batch systems and machines that shut down; by a terminal that closes, where there is such.
-_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+#: By Ctrl-C; by `kill`, batch systems and machines that shut down; by a terminal that closes; by Ctrl-Break, which is
+#: what other programs can send on Windows. Those that the system has.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_ENDING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
 
 class Interrupt:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import os
 import sys
 import time
 from typing import Any
 
 from tqdm import tqdm
 
+from tnst_mi.errors import InputError
+
 #: Elsewhere than on a terminal: the share of the work or the seconds after which there is another line, and the least
 #: seconds between two, so that short work does not fill a log.
 _SHARE, _SECONDS, _LEAST = 0.1, 30.0, 1.0
+
+#: Takes the place of these seconds where a program follows the log, such as an add-on that shows progress of its own.
+VARIABLE = "TNST_MI_PROGRESS_SECONDS"
 
 #: Without a format of its own, a line of work whose end is known; the bar is left out of lines.
 _FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
@@ -29,7 +36,12 @@ class SteadyProgress(tqdm):
 
 
 class PlainProgress(SteadyProgress):
-    """tqdm for streams that are no terminals: lines after each tenth of the work or each 30 s, and at its end.
+    """tqdm for streams that are no terminals: lines after each tenth of the work or some seconds, and at its end.
+
+    Args:
+        arguments: of `tqdm`.
+        seconds: after which there is another line.
+        keywords: of `tqdm`.
 
     Example:
         >>> import io
@@ -40,8 +52,9 @@ class PlainProgress(SteadyProgress):
         (1, False, True)
     """
 
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+    def __init__(self, *arguments: Any, seconds: float = _SECONDS, **keywords: Any) -> None:
         self._written: tuple[float, float] | None = None
+        self._seconds = seconds
         # It is asked at each step whether a line is due.
         super().__init__(*arguments, **(keywords | {"dynamic_ncols": False, "mininterval": 0, "miniters": 1}))
 
@@ -53,7 +66,7 @@ class PlainProgress(SteadyProgress):
         seconds, steps = now - self._written[0], self.n - self._written[1]
         done = self.total is not None and self.n >= self.total
         tenth = self.total is not None and steps >= _SHARE * self.total
-        due = done or seconds >= _SECONDS or (tenth and seconds >= _LEAST)
+        due = done or seconds >= self._seconds or (tenth and seconds >= _LEAST)
         if msg is not None or steps == 0 or not due:
             return False
         self._written = now, self.n
@@ -84,6 +97,28 @@ class PlainProgress(SteadyProgress):
 
 
 def progress_bar(*arguments: Any, **keywords: Any) -> tqdm:
-    """tqdm's progress bar on stderr, or plain lines where that is no terminal; arguments are those of `tqdm.tqdm`."""
-    kind = SteadyProgress if sys.stderr is not None and sys.stderr.isatty() else PlainProgress
-    return kind(*arguments, **({"file": sys.stderr, "dynamic_ncols": True} | keywords))
+    """tqdm's progress bar on stderr, or plain lines where that is no terminal; arguments are those of `tqdm.tqdm`.
+
+    Raises:
+        InputError: $TNST_MI_PROGRESS_SECONDS is no number of seconds, and there is no terminal.
+    """
+    keywords = {"file": sys.stderr, "dynamic_ncols": True} | keywords
+    if sys.stderr is not None and sys.stderr.isatty():
+        return SteadyProgress(*arguments, **keywords)
+    return PlainProgress(*arguments, seconds=_line_seconds(), **keywords)
+
+
+def _line_seconds() -> float:
+    """The seconds after which there is another line.
+
+    Raises:
+        InputError: the environment has a value that is none.
+    """
+    text = os.environ.get(VARIABLE)
+    try:
+        seconds = _SECONDS if text is None else float(text)
+    except ValueError:
+        seconds = math.nan
+    if not seconds > 0:
+        raise InputError(f"${VARIABLE} = {text!r}: expected seconds above 0, such as 1")
+    return seconds

@@ -292,12 +292,13 @@ class Reading:
     """Leave out the frames of a sequence that cannot be read, rather than stop before the work begins."""
 
 
-_SECTIONS = (Goals, Method, Colouring, Resources, Reading)
+#: The parts of a recipe, in the order of its file.
+SECTIONS = (Goals, Method, Colouring, Resources, Reading)
 
 #: The kind of value that each key of a recipe holds, in the order of the file.
 KINDS: dict[str, Kind] = {
     name: hint.__metadata__[0]
-    for section in _SECTIONS
+    for section in SECTIONS
     for name, hint in get_type_hints(section, include_extras=True).items()
 }
 
@@ -306,7 +307,7 @@ KINDS: dict[str, Kind] = {
 def documentation() -> dict[str, str]:
     """The documentation of each key, one paragraph: the text below its field in this file."""
     paragraphs = {}
-    for section in _SECTIONS:
+    for section in SECTIONS:
         nodes = ast.walk(ast.parse(inspect.getsource(section)))
         (statements,) = (node.body for node in nodes if isinstance(node, ast.ClassDef))
         for pair in itertools.pairwise(statements):

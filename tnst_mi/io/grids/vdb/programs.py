@@ -83,9 +83,9 @@ def _up_by_evidence(file: VdbFile, blender: bool) -> tuple[str, str]:
             said = said or f"its {key[:_LONGEST_KEY]} is neither y nor z"
     if blender:
         return "z", "as Blender's metadata say"
-    program = _program(file)
-    if program is not None and _PROGRAMS[program][1] == "z":
-        return "z", f"as {_PROGRAMS[program][0]}'s metadata say"
+    if (program := _program(file)) is not None:
+        name, axis = _PROGRAMS[program]
+        return axis, f"as {name}'s metadata say"
     return "y", said or "no metadata say otherwise"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -126,8 +127,9 @@ def write_vdb_frame(
     def grids() -> Iterator[DenseGrid | Grid]:
         for role, array in arrays.items():
             if role == "obstacle" and again is not None and again.obstacle:
-                # It stays where it is.
-                yield from map(found_again, again.obstacle.values())
+                # It stays where it is in the scene.
+                for solid in again.obstacle.values():
+                    yield _moved(found_again(solid), own)
                 continue
             kept = None if source is None else source.grids.get(role)
             yield DenseGrid(
@@ -180,10 +182,15 @@ def _other(name: str, others: OtherGrids, source: FileSource | None, axes: Axes,
     kept = None if source is None else {**source.others, **source.velocity}.get(name)
     if kept is not None:
         grid = found_again(kept)
-        if not can_move(grid):
-            return grid
-        return grid_on_voxels(kept, axes.turned_back(others[name], not is_colour(name)))
+        if can_move(grid):
+            grid = grid_on_voxels(kept, axes.turned_back(others[name], not is_colour(name)))
+        return _moved(grid, own)
     return _plain_grid(name, others.read(name), axes, own)
+
+
+def _moved(grid: DenseGrid | Grid, own: OwnVoxels) -> DenseGrid | Grid:
+    """A grid of the file where the frame's voxels are now."""
+    return replace(grid, transform=grid.transform.moved(own.moved)) if isinstance(grid.transform, Affine) else grid
 
 
 def _plain_grid(name: str, grid: OtherGrid, axes: Axes, own: OwnVoxels) -> DenseGrid:

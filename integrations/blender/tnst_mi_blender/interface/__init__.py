@@ -1,0 +1,1 @@
+"""What artists see (`panel`, `lists`, `preferences`) and press (`run_operators`)."""

@@ -1,0 +1,136 @@
+"""The lists of looks and of advanced keys: adding and removing."""
+
+# Blender reads the annotations of classes: they are no texts here.
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..recipes.advanced import fill_in
+from ..recipes.parameters import parameters
+from .settings import OWN_KEYS
+
+_KEYS = [(key, key, parameter.help) for key, parameter in parameters().items() if key not in OWN_KEYS]
+
+
+class TNST_MI_UL_looks(bpy.types.UIList):
+    """What the smoke is stylized towards, a line each."""
+
+    bl_idname = "TNST_MI_UL_looks"
+
+    def draw_item(self, _context, layout, _data, look, _icon, _active, _property, _index=0, _flag=0) -> None:
+        """Draw a line: the goal and its region."""
+        row = layout.row(align=True)
+        picture = bpy.path.basename(look.picture) or "no picture"
+        names = {"MOTIF": look.motif.capitalize(), "PICTURE": picture, "CHANNEL": look.channel or "no channel"}
+        icon = {"MOTIF": "OUTLINER_OB_VOLUME", "PICTURE": "IMAGE_DATA", "CHANNEL": "NODE"}[look.goal]
+        row.label(text=names[look.goal], icon=icon)
+        row.label(text="everywhere" if look.region is None else look.region.name)
+
+
+class TNST_MI_OT_add_look(bpy.types.Operator):
+    """Add a motif or a picture"""
+
+    bl_idname = "tnst_mi.add_look"
+    bl_label = "Add Look"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add one at the end and select it."""
+        settings = context.object.tnst_mi
+        settings.looks.add()
+        settings.look_index = len(settings.looks) - 1
+        return {"FINISHED"}
+
+
+class TNST_MI_OT_remove_look(bpy.types.Operator):
+    """Remove this motif or picture"""
+
+    bl_idname = "tnst_mi.remove_look"
+    bl_label = "Remove Look"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove the selected one."""
+        settings = context.object.tnst_mi
+        settings.looks.remove(settings.look_index)
+        settings.look_index = max(0, settings.look_index - 1)
+        return {"FINISHED"}
+
+
+class TNST_MI_UL_overrides(bpy.types.UIList):
+    """Keys of the recipe with values of their own, a line each."""
+
+    bl_idname = "TNST_MI_UL_overrides"
+
+    def draw_item(self, _context, layout, _data, override, _icon, _active, _property, _index=0, _flag=0) -> None:
+        """Draw a line: the key and its value."""
+        split = layout.split(factor=0.45)
+        split.label(text=override.key)
+        parameter = parameters().get(override.key)
+        kind = "" if parameter is None else parameter.kind
+        split.prop(override, {"switch": "switch", "choice": "choice"}.get(kind, "text"), text="")
+
+
+class TNST_MI_OT_add_override(bpy.types.Operator):
+    """Choose a key of the recipe to give it a value"""
+
+    bl_idname = "tnst_mi.add_override"
+    bl_label = "Add Key"
+    bl_property = "key"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    key: EnumProperty(name="Key", items=_KEYS)
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Search for it by typing."""
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add it, or select the one that is there."""
+        settings = context.object.tnst_mi
+        index = settings.overrides.find(self.key)
+        if index < 0:
+            fill_in(settings.overrides.add(), self.key)
+            index = len(settings.overrides) - 1
+        settings.override_index = index
+        for area in context.screen.areas if context.screen else ():
+            area.tag_redraw()
+        return {"FINISHED"}
+
+
+class TNST_MI_OT_remove_override(bpy.types.Operator):
+    """Let this key have its default again"""
+
+    bl_idname = "tnst_mi.remove_override"
+    bl_label = "Remove Key"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove the selected one."""
+        settings = context.object.tnst_mi
+        settings.overrides.remove(settings.override_index)
+        settings.override_index = max(0, settings.override_index - 1)
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    TNST_MI_UL_looks,
+    TNST_MI_OT_add_look,
+    TNST_MI_OT_remove_look,
+    TNST_MI_UL_overrides,
+    TNST_MI_OT_add_override,
+    TNST_MI_OT_remove_override,
+)
+
+
+def register() -> None:
+    """Add the lists."""
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    """Remove them."""
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

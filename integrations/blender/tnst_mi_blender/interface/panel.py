@@ -1,0 +1,174 @@
+"""The panel: in the 3D view's sidebar, in the properties of volumes, and in the physics of fluid domains."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+
+from ..recipes.parameters import parameters
+from ..scene.smoke import can_be_stylized, domain_settings
+from ..versions import show_progress
+from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides
+from .running import running
+from .thumbnails import picture_icon
+
+#: Pixels of a character of the interface, for lines that are broken.
+_CHARACTER = 7
+
+
+class SmokePanel:
+    """What all three places show."""
+
+    bl_label = "Stylize Smoke"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel for the active object."""
+        layout, item = self.layout, context.object
+        layout.use_property_split, layout.use_property_decorate = True, False
+        settings = item.tnst_mi
+        _draw_looks(layout, settings)
+        column = layout.column()
+        column.prop(settings, "quality")
+        column.prop(settings, "strength")
+        column.prop(settings, "use_camera")
+        column.prop(settings, "steady")
+        column.prop(settings, "use_range")
+        if settings.use_range:
+            column.prop(settings, "frame_start")
+            column.prop(settings, "frame_end")
+        column = layout.column()
+        column.prop(settings, "source")
+        column.prop(settings, "out")
+        column.prop(settings, "place")
+        _draw_advanced(layout, settings, context.region.width)
+        _draw_buttons(layout, context)
+
+
+def _draw_looks(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """The looks, and below them the selected one."""
+    row = layout.row()
+    row.template_list(
+        TNST_MI_UL_looks.bl_idname, "", settings, "looks", settings, "look_index", rows=max(2, len(settings.looks))
+    )
+    buttons = row.column(align=True)
+    buttons.operator("tnst_mi.add_look", text="", icon="ADD")
+    if not settings.looks:
+        layout.operator("tnst_mi.add_look", text="Choose a Look", icon="ADD")
+        return
+    buttons.operator("tnst_mi.remove_look", text="", icon="REMOVE")
+    look = settings.looks[min(settings.look_index, len(settings.looks) - 1)]
+    row = layout.row()
+    row.use_property_split = False
+    row.prop(look, "goal", expand=True)
+    if look.goal == "MOTIF":
+        layout.template_icon_view(look, "motif", show_labels=True, scale=6.0, scale_popup=4.0)
+        layout.prop(look, "motif")
+    elif look.goal == "PICTURE":
+        icon = picture_icon(bpy.path.abspath(look.picture))
+        if icon:
+            layout.template_icon(icon, scale=6.0)
+        layout.prop(look, "picture")
+    else:
+        layout.prop(look, "channel")
+    layout.prop(look, "region")
+    if look.region is not None:
+        layout.prop(look, "edge")
+    if len(settings.looks) > 1:
+        layout.prop(look, "weight")
+
+
+def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, width: int) -> None:
+    """Keys of the recipe, with what the selected one does."""
+    box = layout.box()
+    icon = "DISCLOSURE_TRI_DOWN" if settings.show_advanced else "DISCLOSURE_TRI_RIGHT"
+    header = box.row()
+    header.use_property_split, header.alignment = False, "LEFT"
+    header.prop(settings, "show_advanced", icon=icon, emboss=False)
+    if not settings.show_advanced:
+        return
+    row = box.row()
+    row.template_list(TNST_MI_UL_overrides.bl_idname, "", settings, "overrides", settings, "override_index", rows=3)
+    buttons = row.column(align=True)
+    buttons.operator("tnst_mi.add_override", text="", icon="ADD")
+    if not settings.overrides:
+        return
+    buttons.operator("tnst_mi.remove_override", text="", icon="REMOVE")
+    override = settings.overrides[min(settings.override_index, len(settings.overrides) - 1)]
+    parameter = parameters().get(override.key)
+    lines = box.column(align=True)
+    scale = bpy.context.preferences.system.ui_scale or 1.0
+    for line in textwrap.wrap(parameter.help if parameter else "", max(20, int(width / (_CHARACTER * scale)) - 6)):
+        lines.label(text=line)
+
+
+def _draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What starts and stops."""
+    now = running()
+    if now is not None:
+        column = layout.column()
+        show_progress(column, now.progress.fraction, "stopping" if now.job.cancelled else now.progress.text)
+        column.operator("tnst_mi.cancel", icon="X")
+        return
+    row = layout.row()
+    row.scale_y = 1.4
+    row.operator("tnst_mi.stylize", icon="PLAY")
+    column = layout.column(align=True)
+    column.operator("tnst_mi.resume", icon="FILE_REFRESH")
+    column.operator("tnst_mi.bake_markers", icon="MARKER_HLT")
+
+
+class TNST_MI_PT_sidebar(SmokePanel, bpy.types.Panel):
+    """In the sidebar of the 3D view."""
+
+    bl_idname = "TNST_MI_PT_sidebar"
+    bl_space_type, bl_region_type = "VIEW_3D", "UI"
+    bl_category = "Stylize"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For volumes and domains."""
+        return can_be_stylized(context.object)
+
+
+class TNST_MI_PT_volume(SmokePanel, bpy.types.Panel):
+    """In the data properties of volumes."""
+
+    bl_idname = "TNST_MI_PT_volume"
+    bl_space_type, bl_region_type = "PROPERTIES", "WINDOW"
+    bl_context = "data"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For volumes."""
+        return context.object is not None and context.object.type == "VOLUME"
+
+
+class TNST_MI_PT_domain(SmokePanel, bpy.types.Panel):
+    """In the physics properties of domains."""
+
+    bl_idname = "TNST_MI_PT_domain"
+    bl_space_type, bl_region_type = "PROPERTIES", "WINDOW"
+    bl_context = "physics"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For domains of smoke."""
+        return domain_settings(context.object) is not None
+
+
+_CLASSES = (TNST_MI_PT_sidebar, TNST_MI_PT_volume, TNST_MI_PT_domain)
+
+
+def register() -> None:
+    """Add the panels."""
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    """Remove them."""
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

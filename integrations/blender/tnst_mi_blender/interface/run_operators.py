@@ -1,0 +1,154 @@
+"""The buttons that stylize: Stylize, Bake All Markers, Resume."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+
+from ..processes.job import Job
+from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
+from ..recipes.plan import Part, Plan, read_plan, write_plan
+from ..scene.results import load_result
+from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
+from ..scene.smoke import Smoke, can_be_stylized, smoke_of
+from .preferences import environment_of, preferences_of
+from .running import Running, RunsJob, TNST_MI_OT_cancel, end_job
+
+
+class OfSmoke(RunsJob):
+    """Works on the active object, which has smoke."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a volume or a domain of smoke, and while nothing runs."""
+        return super().poll(context) and can_be_stylized(context.object)
+
+
+class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
+    """Stylize the smoke of this object, while Blender stays usable, and show the result in place of an earlier one"""
+
+    bl_idname = "tnst_mi.stylize"
+    bl_label = "Stylize"
+
+    def begin(self, context: bpy.types.Context) -> Running:
+        """One run."""
+        return _started(context, [Take(bounds=frame_bounds(context.object.tnst_mi))], batch=False)
+
+
+class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
+    """Stylize each marker's shot: from its frame to the next marker, through its camera, in a folder of its own"""
+
+    bl_idname = "tnst_mi.bake_markers"
+    bl_label = "Bake All Markers"
+
+    def begin(self, context: bpy.types.Context) -> Running:
+        """One batch, with a run for each marker, one after the other."""
+        return _started(context, takes_of_markers(context.scene), batch=True)
+
+
+class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
+    """Go on with what was stopped, with the settings that it was started with"""
+
+    bl_idname = "tnst_mi.resume"
+    bl_label = "Resume"
+
+    def begin(self, context: bpy.types.Context) -> Running:
+        """The last run or batch of the object."""
+        item = context.object
+        program = environment_of(context)
+        plan = read_plan(results_folder(item))
+        out = Path(plan.out)
+        command = resume_command(program, out)
+        if plan.is_batch:
+            command = batch_command(program, Path(plan.source), [Path(recipe) for recipe in plan.recipes], out)
+        return _running(item, smoke_of(item, item.tnst_mi.source), plan, command)
+
+
+def results_folder(item: bpy.types.Object) -> Path:
+    """Where the results of an object are: as chosen, or beside the scene's file, or else beside the smoke.
+
+    Raises:
+        CannotStylizeError: the smoke has no files that it could be beside.
+    """
+    if item.tnst_mi.out:
+        return Path(bpy.path.abspath(item.tnst_mi.out))
+    name = f"{_plain(item.name)}_stylized"
+    if bpy.data.filepath:
+        return Path(bpy.data.filepath).parent / name
+    return smoke_of(item, item.tnst_mi.source).source.parent / name
+
+
+def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
+    """Write the recipes of takes and start their stylization."""
+    item, settings = context.object, context.object.tnst_mi
+    program = environment_of(context)
+    smoke = smoke_of(item, settings.source)
+    folder = results_folder(item)
+    out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
+    inputs = folder / f"{out.name}_inputs"
+    # Masks of earlier frames must not be taken for those of now.
+    shutil.rmtree(inputs, ignore_errors=True)
+    names = [f"{number:02}_{_plain(take.name)}" if batch else "recipe" for number, take in enumerate(takes, 1)]
+    recipes = [inputs / f"{name}.toml" for name in names]
+    for take, name, recipe in zip(takes, names, recipes, strict=True):
+        shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        write_recipe(shot, recipe)
+    if batch:
+        parts = tuple(
+            Part(take.name, str(batch_folder(out, recipe, smoke.source)))
+            for take, recipe in zip(takes, recipes, strict=True)
+        )
+        command = batch_command(program, smoke.source, recipes, out, overwrite=True)
+    else:
+        parts = (Part("", str(out)),)
+        command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
+    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
+    write_plan(plan, folder)
+    return _running(item, smoke, plan, command)
+
+
+def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str]) -> Running:
+    """Start a command, whose results are shown when it has ended."""
+    out = Path(plan.out)
+    job = Job(command, out.parent / f"{out.name}.log")
+    job.start()
+
+    def done() -> str:
+        place = item.tnst_mi.place
+        shown = [load_result(item, smoke, part, place) for part in plan.parts]
+        return f"Stylized: {', '.join(map(_in_words, shown))}"
+
+    return Running(job, f"Stylizing {item.name}", done)
+
+
+def _in_words(result: bpy.types.Object) -> str:
+    """A result and its frames."""
+    volume = result.data
+    if not volume.is_sequence:
+        return result.name
+    return f"{result.name} (frames {volume.frame_start} to {volume.frame_start + volume.frame_duration - 1})"
+
+
+def _plain(name: str) -> str:
+    """A name as that of a file."""
+    return re.sub(r"[^\w.-]+", "_", name).strip("._") or "shot"
+
+
+_CLASSES = (TNST_MI_OT_stylize, TNST_MI_OT_bake_markers, TNST_MI_OT_resume, TNST_MI_OT_cancel)
+
+
+def register() -> None:
+    """Add the operators."""
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    """Remove them; what runs is ended."""
+    end_job()
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

@@ -1,0 +1,213 @@
+"""The smoke of an object: which files it is in, and where their cells are in Blender's scene.
+
+A run of tnst-mi knows the space of the files alone: cell centres lie where OpenVDB's transform puts them, and results
+lie there too. `Smoke.space` leads from it to the world. So cameras and regions are written in the space of the files,
+results are placed by the same matrix, and nothing needs to be moved. Uneven scales and parents are in the matrix.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+from mathutils import Matrix, Vector
+
+from ..problems import CannotStylizeError
+from ..versions import DRAWN_OFF
+
+#: Grids of the smoke, the first of these that a file has.
+DENSITIES = ("density", "density_noise")
+
+#: The axes of a space whose scales differ by less than this share are of one scale, and in right angles likewise.
+EVEN = 1e-4
+
+
+@dataclass(frozen=True)
+class Smoke:
+    """The smoke of an object.
+
+    Attributes:
+        source: what tnst-mi reads: a file, a folder or a pattern.
+        numbers: of the frames that there are, in order; empty for one file without a number of frames.
+        shift: number of a file's frame less that of the scene's.
+        volume_space: from the space of the files to the world, as a volume object that shows them there has it.
+        space: from the space in which cell centres are to the world, as they are drawn.
+        cell: edge of a cell in the space of the files.
+        voxel_size: that edge, where the files do not tell it truly and tnst-mi has to be told; else None.
+        placed: whether the files say where they are, so that masks in files can lie among them.
+    """
+
+    source: Path
+    numbers: tuple[int, ...]
+    shift: int
+    volume_space: Matrix
+    space: Matrix
+    cell: float
+    voxel_size: float | None
+    placed: bool
+
+    @property
+    def scale(self) -> float:
+        """How much larger the smoke is in the world than in its files."""
+        return abs(self.space.to_3x3().determinant()) ** (1 / 3)
+
+    def require_even(self, what: str) -> None:
+        """Require that lengths in the world and in the files differ by one scale alone.
+
+        Raises:
+            CannotStylizeError: they do not.
+        """
+        if not is_even(self.space):
+            raise CannotStylizeError(
+                f"{what} cannot be brought into the space of smoke that is scaled unevenly: give the object, and what "
+                "it is attached to, the same scale along all axes"
+            )
+
+
+def is_even(matrix: Matrix) -> bool:
+    """Whether a matrix does nothing but rotate, mirror, move and scale by one number."""
+    axes = [matrix.col[axis].to_3d() for axis in range(3)]
+    length = max(axis.length for axis in axes)
+    alike = all(abs(axis.length - length) <= EVEN * length for axis in axes)
+    return alike and all(abs(axes[i].dot(axes[i - 1])) <= EVEN * length**2 for i in range(3))
+
+
+def domain_settings(item: bpy.types.Object | None) -> bpy.types.FluidDomainSettings | None:
+    """The settings of a domain of smoke; None of any other object."""
+    for modifier in () if item is None else item.modifiers:
+        if modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN":
+            found = modifier.domain_settings
+            return found if found is not None and found.domain_type == "GAS" else None
+    return None
+
+
+def can_be_stylized(item: bpy.types.Object | None) -> bool:
+    """Whether an object is a volume or a domain of smoke."""
+    return item is not None and (item.type == "VOLUME" or domain_settings(item) is not None)
+
+
+def smoke_of(item: bpy.types.Object, chosen: str = "") -> Smoke:
+    """The smoke of an object.
+
+    Args:
+        item: a volume or a domain.
+        chosen: folder or file that is read instead of its own; empty for none.
+
+    Raises:
+        CannotStylizeError: it has none in files.
+    """
+    settings = domain_settings(item)
+    if settings is not None:
+        return _of_domain(item, settings, chosen)
+    if item.type != "VOLUME":
+        raise CannotStylizeError(f"{item.name}: is no volume and no domain of smoke; select one")
+    return _of_volume(item, chosen)
+
+
+def _of_domain(item: bpy.types.Object, settings: bpy.types.FluidDomainSettings, chosen: str) -> Smoke:
+    """A domain's cache lies along the object's axes in the unit of the world, from its lowest corner on."""
+    cache = _path(chosen or settings.cache_directory, item)
+    finer = settings.noise_scale if _frames_in(cache / "noise") else 1
+    numbers = _frames_in(cache / "noise") or _frames_in(cache / "data")
+    if not numbers:
+        raise CannotStylizeError(
+            f"{item.name}: there is no baked smoke in {cache}: bake the domain, with Cache > Format Volumes OpenVDB"
+        )
+    # The mesh as it is stored: that of an adaptive domain is evaluated as the part around the smoke.
+    corners = [vertex.co for vertex in item.data.vertices]
+    low = Vector([min(corner[axis] for corner in corners) for axis in range(3)])
+    high = Vector([max(corner[axis] for corner in corners) for axis in range(3)])
+    scale = [abs(factor) or 1.0 for factor in item.scale]
+    longest = max((high[axis] - low[axis]) * scale[axis] for axis in range(3))
+    cell = longest / (settings.resolution_max * finer)
+    corner = item.matrix_world @ Matrix.Translation(low) @ Matrix.Diagonal([1 / factor for factor in scale]).to_4x4()
+    openvdb = bool(next((cache / "data").glob("*.vdb"), None))
+    untrue = settings.use_adaptive_domain or not openvdb
+    return Smoke(
+        source=cache,
+        numbers=numbers,
+        shift=-settings.cache_frame_offset,
+        volume_space=corner @ Matrix.Translation([(0.5 - DRAWN_OFF) * cell] * 3),
+        space=corner @ Matrix.Translation([0.5 * cell] * 3),
+        cell=cell,
+        voxel_size=cell if untrue else None,
+        placed=openvdb,
+    )
+
+
+def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
+    volume = item.data
+    file = _path(chosen or volume.filepath, item)
+    numbered = re.fullmatch(r"(.*?)(\d+)(\D*)", file.name) if volume.is_sequence else None
+    numbers: tuple[int, ...] = ()
+    source = file
+    if numbered is not None:
+        before, digits, after = numbered.groups()
+        source = file.with_name(f"{before}{'#' * len(digits)}{after}")
+        numbers = _numbers(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
+    if not file.is_file():
+        raise CannotStylizeError(f"{item.name}: there is no file {file}: choose another in its properties")
+    grids = grids_in(file)
+    axes = next((grids[name] for name in DENSITIES if name in grids), next(iter(grids.values()))).to_3x3()
+    return Smoke(
+        source=source,
+        numbers=numbers,
+        shift=1 - volume.frame_start + volume.frame_offset,
+        volume_space=item.matrix_world.copy(),
+        space=item.matrix_world @ Matrix.Translation(axes @ Vector([DRAWN_OFF] * 3)),
+        cell=abs(axes.determinant()) ** (1 / 3),
+        voxel_size=None,
+        placed=True,
+    )
+
+
+def grids_in(file: Path) -> dict[str, Matrix]:
+    """The grids of a VDB file by their names, with their transforms.
+
+    A volume of the scene has those of its current frame alone, and none where it has no frame.
+
+    Raises:
+        CannotStylizeError: it cannot be read, or has none.
+    """
+    volume = bpy.data.volumes.new("tnst_mi file")
+    try:
+        volume.filepath = str(file)
+        if not volume.grids.load() or not len(volume.grids):
+            raise CannotStylizeError(f"{file}: {volume.grids.error_message or 'has no grids'}; choose another file")
+        return {grid.name: grid.matrix_object.copy() for grid in volume.grids}
+    finally:
+        bpy.data.volumes.remove(volume)
+
+
+def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, ...]:
+    """The numbers of the files' frames that are in a range of the scene's frames, all of them for None.
+
+    Raises:
+        CannotStylizeError: there are none.
+    """
+    if bounds is None or not smoke.numbers:
+        return smoke.numbers
+    first, last = (bound + smoke.shift for bound in bounds)
+    found = tuple(number for number in smoke.numbers if first <= number <= last)
+    if not found:
+        has = f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}"
+        raise CannotStylizeError(
+            f"there is no smoke in the frames {bounds[0]} to {bounds[1]}, but in {has}: choose others, or bake these"
+        )
+    return found
+
+
+def _path(text: str, item: bpy.types.Object) -> Path:
+    return Path(bpy.path.abspath(text, library=item.library))
+
+
+def _frames_in(folder: Path) -> tuple[int, ...]:
+    """The frames that a folder of a domain's cache has."""
+    return _numbers(folder, r"(?:fluid_(?:data|noise)|density(?:_noise)?)_(\d+)\.(?:vdb|uni)")
+
+
+def _numbers(folder: Path, pattern: str) -> tuple[int, ...]:
+    names = (file.name for file in folder.iterdir()) if folder.is_dir() else ()
+    return tuple(sorted({int(found[1]) for name in names if (found := re.fullmatch(pattern, name))}))

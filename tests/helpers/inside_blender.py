@@ -1,0 +1,318 @@
+"""Runs inside Blender, or in a Python that has bpy: installs the add-on's zip, uses it, and tells what came of it.
+
+    blender --background --factory-startup --python inside_blender.py -- JSON
+
+The JSON names a scenario, which is a function of this file, and its arguments, of which `out` is a folder. What came of
+it is in told.json there.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+from mathutils import Vector
+
+# Blender looks for modules beside its own scripts alone.
+sys.path.insert(0, str(Path(__file__).parent))
+from drawn_layout import Layout
+
+#: Names of the add-on's package, as an extension and as an add-on.
+EXTENSION, ADDON = "bl_ext.user_default.tnst_mi_blender", "tnst_mi_blender"
+
+
+def install(zip_file: str, program: str) -> str:
+    """Install the zip as an artist does, and return the name of its package."""
+    if bpy.app.version >= (4, 2):
+        bpy.ops.extensions.package_install_files(filepath=zip_file, repo="user_default", enable_on_install=True)
+        package = EXTENSION
+    else:
+        bpy.ops.preferences.addon_install(filepath=zip_file)
+        bpy.ops.preferences.addon_enable(module=ADDON)
+        package = ADDON
+    bpy.context.preferences.addons[package].preferences.program = program
+    return package
+
+
+def module(package: str, name: str) -> Any:
+    """A module of the add-on."""
+    return sys.modules[f"{package}.{name}"]
+
+
+def look_at(target: Vector, place: tuple[float, float, float]) -> None:
+    """Give the scene a camera that looks at a point, a sun, and a small picture by Cycles."""
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.location = place
+    camera.rotation_euler = (target - camera.location).to_track_quat("-Z", "Y").to_euler()
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.rotation_euler = 4.0, (0.6, 0.3, 0.0)
+    for item in (camera, sun):
+        scene.collection.objects.link(item)
+    scene.camera = camera
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 16, False
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 120, 100, 100
+
+
+def smoke_material() -> bpy.types.Material:
+    """A material that shows the grid density."""
+    material = bpy.data.materials.new("thick smoke")
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    output, shader = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeVolumePrincipled")
+    shader.inputs["Density"].default_value = 8.0
+    material.node_tree.links.new(shader.outputs["Volume"], output.inputs["Volume"])
+    return material
+
+
+def volume_of(folder: str) -> bpy.types.Object:
+    """A moved, turned and scaled volume of the files smoke_0007.vdb to smoke_0009.vdb, from frame 21 on."""
+    data = bpy.data.volumes.new("Smoke")
+    data.filepath = str(Path(folder, "smoke_0007.vdb"))
+    data.is_sequence, data.frame_start, data.frame_offset, data.frame_duration = True, 21, 6, 3
+    item = bpy.data.objects.new("Smoke", data)
+    item.location, item.rotation_euler, item.scale = (3.0, 1.0, 2.0), (0.2, -0.1, 0.6), (0.1, 0.1, 0.1)
+    bpy.context.scene.collection.objects.link(item)
+    bpy.context.view_layer.objects.active = item
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = 21, 23
+    bpy.context.scene.frame_set(21)
+    data.materials.append(smoke_material())
+    return item
+
+
+def choose(item: bpy.types.Object, package: str, out: str, **keys: str) -> None:
+    """Settings of a short run towards a picture, and advanced keys by their texts."""
+    settings = item.tnst_mi
+    settings.looks.add()
+    settings.looks[0].goal, settings.looks[0].picture = "PICTURE", "spirals"
+    settings.out, settings.steady, settings.quality = out, False, "final"
+    for key, text in ({"octaves": "1", "iterations": "2", "views": "1", "weights": "patterns"} | keys).items():
+        override = settings.overrides.add()
+        module(package, "recipes.advanced").fill_in(override, key)
+        override.text = text
+
+
+def bounds(item: bpy.types.Object) -> list[list[float]]:
+    """The corners of an object's bounds in the world, in its current frame."""
+    bpy.context.view_layer.update()
+    evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    if item.type == "VOLUME":
+        evaluated.data.grids.load()
+    return [list(evaluated.matrix_world @ Vector(corner)) for corner in evaluated.bound_box]
+
+
+def picture(out: str) -> None:
+    """Render the current frame."""
+    bpy.context.scene.render.filepath = out
+    bpy.ops.render.render(write_still=True)
+
+
+def reported(operator: Any) -> str:
+    """What an operator that is refused reports."""
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error).strip()
+    return "was not refused"
+
+
+def shown_objects() -> dict[str, Any]:
+    """The volume objects of the scene."""
+    return {
+        item.name: {
+            "file": item.data.filepath,
+            "frames": [item.data.frame_start, item.data.frame_offset, item.data.frame_duration],
+            "materials": [material.name for material in item.data.materials],
+            "hidden": [item.hide_viewport, item.hide_render],
+        }
+        for item in bpy.data.objects
+        if item.type == "VOLUME"
+    }
+
+
+def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
+    """The panel is drawn; everything that is bad is refused."""
+    package = install(zip, str(Path(out, "no-such-program")))
+    item = volume_of(folder)
+    module(package, "interface.thumbnails")._cut_sheet()
+    settings, stylize = item.tnst_mi, bpy.ops.tnst_mi.stylize
+    told: dict[str, Any] = {"package": package, "environment": reported(stylize)}
+    program = Path(out, "tnst-mi")
+    program.write_text("#!/bin/sh\necho tnst-mi " + module(package, "version").VERSION + "\n")
+    program.chmod(0o755)
+    bpy.context.preferences.addons[package].preferences.program = str(program)
+    told["no look"] = reported(stylize)
+    settings.looks.add()
+    # Previews have no icons in the background, but pictures.
+    thumbnails = module(package, "interface.thumbnails")
+    shown = [thumbnails._Loaded.pictures[choice[0]] for choice in thumbnails.motif_items()]
+    told["motifs"] = [[*each.image_size, len(set(each.image_pixels_float)) > 2] for each in shown]
+    told["no camera"] = reported(stylize)
+    settings.use_camera = False
+    settings.looks[0].goal = "PICTURE"
+    told["no picture"] = reported(stylize)
+    settings.looks[0].picture = "spirals"
+    settings.looks[0].region = bpy.data.objects.new("somewhere", None)
+    told["region"] = reported(stylize)
+    settings.looks[0].region = None
+    settings.use_range, settings.frame_start, settings.frame_end = True, 30, 40
+    told["frames"] = reported(stylize)
+    settings.use_range = False
+    item.scale.x = 0.3
+    settings.use_camera = True
+    told["uneven"] = reported(stylize)
+    item.scale.x, settings.use_camera = 0.1, False
+    module(package, "recipes.advanced").fill_in(settings.overrides.add(), "lam")
+    settings.overrides[0].text = "1.5"
+    told["advanced"] = reported(stylize)
+    told["markers"] = reported(bpy.ops.tnst_mi.bake_markers)
+    told["resume"] = reported(bpy.ops.tnst_mi.resume)
+    settings.show_advanced = True
+    panels = module(package, "interface.panel")
+    layout = Layout()
+    for goal in ("MOTIF", "PICTURE", "CHANNEL"):
+        settings.looks[0].goal = goal
+        panels._draw_looks(layout, settings)
+    panels._draw_advanced(layout, settings, 300)
+    panels._draw_buttons(layout, bpy.context)
+    module(package, "interface.preferences").TnstMiPreferences.draw(
+        type(
+            "Drawn", (), {"layout": layout, "bl_rna": module(package, "interface.preferences").TnstMiPreferences.bl_rna}
+        )(),
+        bpy.context,
+    )
+    bpy.ops.preferences.addon_disable(module=package)
+    told["drawn"], told["left"] = layout.drawn, hasattr(bpy.types.Object, "tnst_mi")
+    return told
+
+
+def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
+    """A volume is stylized, twice, with a region; the original stays beside the second."""
+    package = install(zip, program)
+    item = volume_of(folder)
+    look_at(item.location + Vector((0.5, 0.5, 0.8)), (3.5, -6.0, 3.0))
+    choose(item, package, str(Path(out, "results")))
+    told: dict[str, Any] = {"original": bounds(item), "first": list(bpy.ops.tnst_mi.stylize())}
+    shown = bpy.data.objects["Smoke_stylized"]
+    told["in place"], told["objects"] = bounds(shown), shown_objects()
+    picture(str(Path(out, "seen.png")))
+    bpy.ops.mesh.primitive_cube_add(size=1.2, location=bounds(item)[0], rotation=(0.3, 0.2, 0.1))
+    item.tnst_mi.looks[0].region = bpy.context.object
+    item.tnst_mi.place = "BESIDE"
+    bpy.context.view_layer.objects.active = item
+    told["second"] = list(bpy.ops.tnst_mi.stylize())
+    told["beside"], told["again"] = bounds(shown), shown_objects()
+    return told
+
+
+def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
+    """The shots of two markers, each with a camera of its own."""
+    package = install(zip, program)
+    item = volume_of(folder)
+    look_at(item.location, (3.5, -6.0, 3.0))
+    other = bpy.context.scene.camera.copy()
+    bpy.context.scene.collection.objects.link(other)
+    other.location.x += 4.0
+    bpy.context.scene.timeline_markers.new("wide shot", frame=21).camera = bpy.context.scene.camera
+    bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
+    choose(item, package, str(Path(out, "results")))
+    # A frame without smoke.
+    bpy.context.scene.frame_set(5)
+    ended = list(bpy.ops.tnst_mi.bake_markers())
+    return {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+
+
+def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
+    """A run is cancelled once it iterates, and resumed."""
+    package = install(zip, program)
+    item = volume_of(folder)
+    look_at(item.location, (3.5, -6.0, 3.0))
+    choose(item, package, str(Path(out, "results")), iterations="60")
+    running = module(package, "interface.running")
+
+    def cancel() -> None:
+        while running.running() is None or "octave" not in running.running().progress.text:
+            time.sleep(0.05)
+        bpy.ops.tnst_mi.cancel.poll()
+        running.end_job()
+
+    thread = threading.Thread(target=cancel)
+    thread.start()
+    told: dict[str, Any] = {"cancelled": list(bpy.ops.tnst_mi.stylize())}
+    thread.join()
+    told["processes"] = [
+        process.name
+        for process in Path("/proc").iterdir()
+        if process.name.isdigit() and str(Path(out, "results")) in _command_line(process)
+    ]
+    told["objects"] = shown_objects()
+    told["resumed"] = list(bpy.ops.tnst_mi.resume())
+    told["then"] = shown_objects()
+    return told
+
+
+def _command_line(process: Path) -> str:
+    try:
+        line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+    except OSError:
+        return ""
+    return "" if "inside_blender" in line else line
+
+
+def domain(zip: str, program: str, out: str, adaptive: bool, noise: bool, format: str) -> dict[str, Any]:
+    """A small domain, moved, turned and scaled, is baked and stylized with strength 0: nothing may be seen of that."""
+    package = install(zip, program)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 3
+    bpy.ops.mesh.primitive_ico_sphere_add(radius=0.5, subdivisions=3, location=(3.4, 0.8, 1.9))
+    source = bpy.context.object
+    modifier = source.modifiers.new("Fluid", "FLUID")
+    modifier.fluid_type = "FLOW"
+    modifier.flow_settings.flow_type, modifier.flow_settings.flow_behavior = "SMOKE", "INFLOW"
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=(3.0, 1.0, 2.0), rotation=(0.2, -0.1, 0.6))
+    item = bpy.context.object
+    item.name, item.scale = "Domain", (4.0, 2.0, 3.0)
+    modifier = item.modifiers.new("Fluid", "FLUID")
+    modifier.fluid_type = "DOMAIN"
+    settings = modifier.domain_settings
+    settings.domain_type, settings.resolution_max, settings.use_adaptive_domain = "GAS", 24, adaptive
+    settings.use_noise, settings.noise_scale = noise, 2
+    settings.cache_type, settings.cache_frame_start, settings.cache_frame_end = "ALL", 1, 3
+    settings.cache_data_format, settings.cache_directory = format, str(Path(out, "cache"))
+    with bpy.context.temp_override(object=item, active_object=item, scene=scene):
+        bpy.ops.fluid.bake_all()
+    item.data.materials.append(smoke_material())
+    source.hide_render = True
+    look_at(Vector((3.4, 0.8, 1.9)), (3.5, -7.0, 3.0))
+    scene.camera.data.lens = 70.0
+    choose(item, package, str(Path(out, "results")))
+    item.tnst_mi.strength = 0.0
+    scene.frame_set(3)
+    picture(str(Path(out, "domain.png")))
+    told: dict[str, Any] = {"ended": list(bpy.ops.tnst_mi.stylize()), "objects": shown_objects()}
+    picture(str(Path(out, "stylized.png")))
+    told["hidden"], told["cell"] = item.hide_render, 4.0 / 24
+    shown = bpy.data.objects["Domain_stylized"]
+    told["bounds"] = bounds(shown)
+    item.hide_viewport = False
+    corners = [vertex.co for vertex in item.data.vertices]
+    told["box"] = [list(item.matrix_world @ corner) for corner in corners]
+    return told
+
+
+def main() -> None:
+    """Run the scenario that the arguments name."""
+    arguments = json.loads(sys.argv[sys.argv.index("--") + 1])
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scenarios = {each.__name__: each for each in (refusals, volume, markers, cancelled, domain)}
+    told = scenarios[arguments.pop("scenario")](**arguments)
+    Path(arguments["out"], "told.json").write_text(json.dumps(told), "utf-8")
+
+
+main()

@@ -1,0 +1,178 @@
+"""The Blender add-on in Blender, and in a Python that has bpy: its zip is installed and used as artists do.
+
+Python with bpy: this one, or the one that $TNST_MI_BPY_PYTHON names.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import build_blender_addon
+import numpy as np
+import pytest
+from jobs import frames
+from PIL import Image
+
+from tnst_mi.io import save_frames
+from tnst_mi.machine.blender import run_in_blender
+
+ROOT = Path(__file__).parents[3]
+SCRIPT = ROOT / "tests" / "helpers" / "inside_blender.py"
+BPY = os.environ.get("TNST_MI_BPY_PYTHON") or (sys.executable if importlib.util.find_spec("bpy") else None)
+
+needs_blender = pytest.mark.skipif(shutil.which("blender") is None, reason="the program blender is not installed")
+needs_bpy = pytest.mark.skipif(BPY is None, reason="no Python with bpy (TNST_MI_BPY_PYTHON names one)")
+HOSTS = [pytest.param("blender", marks=needs_blender), pytest.param("bpy", marks=needs_bpy)]
+
+Inside = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Inside:
+    """Runs a scenario of helpers/inside_blender.py in a new Blender with a user folder of its own."""
+    for name in ("RESOURCES", "CONFIG", "SCRIPTS", "DATAFILES", "EXTENSIONS"):
+        folder = tmp_path / "user" / name.lower()
+        folder.mkdir(parents=True)
+        monkeypatch.setenv(f"BLENDER_USER_{name}", str(folder))
+    monkeypatch.delenv("TNST_MI_PROGRAM", raising=False)
+    zip_file = tmp_path / "addon.zip"
+    build_blender_addon.write_zip(build_blender_addon.contents(None), zip_file)
+
+    def run(host: str, scenario: str, **arguments: Any) -> dict[str, Any]:
+        given = json.dumps({"scenario": scenario, "zip": str(zip_file), "out": str(tmp_path), **arguments})
+        said: list[str] = []
+        if host == "blender":
+            run_in_blender(SCRIPT, [given], said.append)
+        else:
+            command = [str(BPY), str(SCRIPT), "--", given]
+            environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+            ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=280, check=False)
+            said += (ran.stdout + ran.stderr).splitlines()
+        told = tmp_path / "told.json"
+        assert told.is_file(), "\n".join(said)
+        return json.loads(told.read_text("utf-8"))
+
+    return run
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> str:
+    """`tnst-mi` of this checkout."""
+    script = tmp_path / "program" / "tnst-mi"
+    script.parent.mkdir()
+    script.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m tnst_mi "$@"\n')
+    script.chmod(0o755)
+    return str(script)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> str:
+    """A folder with smoke_0007.vdb to smoke_0009.vdb."""
+    save_frames(tmp_path / "smoke", frames(0.2, 0.4, 0.3), format="vdb")
+    for number, file in enumerate(sorted((tmp_path / "smoke").glob("*.vdb")), 7):
+        file.rename(file.with_name(f"smoke_{number:04}.vdb"))
+    return str(tmp_path / "smoke")
+
+
+def corners(told: list[list[float]]) -> np.ndarray:
+    return np.array(told, np.float64)
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str, folder: str) -> None:
+    told = inside(host, "refusals", folder=folder)
+    assert told["package"] == ("tnst_mi_blender" if host == "blender" else "bl_ext.user_default.tnst_mi_blender")
+    assert told["motifs"] == [[64, 64, True]] * 64
+    expected = {
+        "environment": "no such program, expected tnst-mi or the folder of its environment",
+        "no look": "choose what the smoke is to look like: press +",
+        "no camera": "the scene has no camera: add one, or switch Camera off",
+        "no picture": "choose a picture",
+        "region": "somewhere: choose Sphere or Cube as what the empty is displayed as",
+        "frames": "there is no smoke in the frames 30 to 40, but in 21 to 23: choose others",
+        "uneven": "smoke that is scaled unevenly",
+        "advanced": "Advanced, lam = 1.5: expected ",
+        "markers": "the timeline has no markers",
+        "resume": "nothing was started here; press Stylize",
+    }
+    for what, words in expected.items():
+        assert told[what].startswith("Error: ") and words in told[what], (what, told[what])
+        assert "\n" not in told[what] and "Traceback" not in told[what]
+    assert {"motif", "picture", "channel", "region", "tnst_mi.stylize", "tnst_mi.resume", "tnst_mi.install"} <= set(
+        told["drawn"]
+    )
+    assert not told["left"]
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_volume_is_stylized_in_its_place(
+    inside: Inside, host: str, program: str, folder: str, tmp_path: Path
+) -> None:
+    told = inside(host, "volume", program=program, folder=folder)
+    assert told["first"] == told["second"] == ["FINISHED"]
+    result = told["objects"]["Smoke_stylized"]
+    assert result["file"] == str(tmp_path / "results" / "final" / "density" / "smoke_0007.vdb")
+    assert (result["frames"], result["materials"]) == ([21, 6, 3], ["thick smoke"])
+    assert told["objects"]["Smoke"]["hidden"] == [True, True] and result["hidden"] == [False, False]
+    half_voxel = 0.5 * 0.1
+    original = corners(told["original"])
+    assert np.ptp(original, axis=0).min() > 4 * half_voxel
+    np.testing.assert_allclose(corners(told["in place"]), original, rtol=0, atol=half_voxel)
+    seen = np.asarray(Image.open(tmp_path / "seen.png").convert("L"), float)
+    assert seen.std() > 2, "smoke is in the picture"
+    # Again, with a region: no second object, which is beside the original now.
+    assert set(told["again"]) == {"Smoke", "Smoke_stylized"} and told["again"]["Smoke"]["hidden"] == [False, False]
+    moved = corners(told["beside"]) - original
+    np.testing.assert_allclose(moved, np.broadcast_to([moved[0, 0], 0, 0], moved.shape), rtol=0, atol=half_voxel)
+    assert moved[0, 0] > np.ptp(original[:, 0])
+    recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
+    assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: str, tmp_path: Path) -> None:
+    told = inside(host, "markers", program=program, folder=folder)
+    assert (told["ended"], told["current"]) == (["FINISHED"], 5)
+    shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
+    assert shots == {"Smoke_stylized_wide shot": [21, 6, 2], "Smoke_stylized_close": [23, 8, 1]}
+    cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
+    assert len(cameras) == 2 and cameras[0]["matrix"] != cameras[1]["matrix"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
+@pytest.mark.parametrize("host", HOSTS)
+def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, program: str, folder: str) -> None:
+    told = inside(host, "cancelled", program=program, folder=folder)
+    assert (told["cancelled"], told["processes"]) == (["CANCELLED"], [])
+    assert set(told["objects"]) == {"Smoke"}
+    assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Smoke", "Smoke_stylized"}
+
+
+@needs_blender
+@pytest.mark.parametrize(
+    ("adaptive", "noise", "form"),
+    [(False, False, "OPENVDB"), (True, False, "OPENVDB"), (False, False, "UNI"), (True, True, "OPENVDB")],
+    ids=["whole", "adaptive", "uni", "noise"],
+)
+def test_the_smoke_of_a_domain_is_seen_where_it_was(
+    inside: Inside, program: str, tmp_path: Path, adaptive: bool, noise: bool, form: str
+) -> None:
+    told = inside("blender", "domain", program=program, adaptive=adaptive, noise=noise, format=form)
+    assert told["ended"] == ["FINISHED"] and told["hidden"]
+    result = told["objects"]["Domain_stylized"]
+    assert (result["frames"], result["materials"]) == ([1, 0, 3], ["thick smoke_noise" if noise else "thick smoke"])
+    before, after = (
+        np.asarray(Image.open(tmp_path / name).convert("L"), float) for name in ("domain.png", "stylized.png")
+    )
+    assert before.std() > 2
+    assert np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.99
+    # Half a voxel is 6 pixels.
+    assert np.corrcoef(before[:, 3:].ravel(), after[:, :-3].ravel())[0, 1] < 0.99
