@@ -50,7 +50,8 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     movement = None
     if isinstance(parameterisation.of_density, Transport):
         moving = parameterisation.of_density
-        movement = Movement(moving, fields, full.cell_size, source, exponent, frame.recipe.blend)
+        shown = frame.recipe.colour != "off"
+        movement = Movement(moving, fields, full.cell_size, source, exponent, frame.recipe.blend, shown)
         density, velocity = movement.density(source.density), movement.velocity.numpy()
     else:
         density = _offset(parameterisation, fields, source, exponent, full.cell_size, frame.recipe.blend)

@@ -31,15 +31,25 @@ class Movement:
         frame: the frame.
         exponent: the power of two that brings its density to about 1.
         blend: share of what has moved in the result.
+        shows_colours: whether grids called a colour are what the smoke is shown in, rather than grids like others.
 
     Attributes:
+        shows_colours: likewise.
         velocity: v*, (D, H, W, 3).
     """
 
     def __init__(
-        self, parameterisation: Transport, potentials: Fields, h: float, frame: Frame, exponent: int, blend: float
+        self,
+        parameterisation: Transport,
+        potentials: Fields,
+        h: float,
+        frame: Frame,
+        exponent: int,
+        blend: float,
+        shows_colours: bool = False,
     ) -> None:
         self._parameterisation, self._potentials, self._h = parameterisation, potentials, h
+        self.shows_colours = shows_colours
         self._name, self._shape, self._exponent, self._blend = frame.name, frame.density.shape, exponent, blend
         self._solid = None if frame.obstacle is None else mi.Bool(frame.obstacle.ravel())
         with dr.suspend_grad():

@@ -136,7 +136,8 @@ def carried(
             read_velocity = partial(_moved, partial(OtherGrid, frame.velocity), movement)
         else:
             readers |= own
-    moved = {name: partial(_moved, reader, movement, is_colour(name)) for name, reader in readers.items()}
+    shown = movement is not None and movement.shows_colours
+    moved = {name: partial(_moved, reader, movement, shown and is_colour(name)) for name, reader in readers.items()}
     if own_colour in names and stylized.colour is not None:
         moved[own_colour] = partial(OtherGrid, linear_of(stylized.colour))
     return Carried(OtherGrids(moved, frame.density.shape, frame.name), read_velocity, tuple(names))
