@@ -121,7 +121,7 @@ def _end(child: subprocess.Popen[bytes], asked: threading.Event, over: threading
     for step, patience in zip(steps, PATIENCE, strict=True):
         if over.is_set():
             return
-        # One that fails is followed by the next: Ctrl-Break may raise SystemError, https://github.com/python/cpython/issues/112190.
+        # One that fails is followed by the next: Ctrl-Break may raise SystemError (CPython 112190).
         with suppress(Exception):
             step(child)
         if over.wait(patience):
