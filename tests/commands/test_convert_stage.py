@@ -377,13 +377,11 @@ def test_of_a_full_disk_the_cause_and_the_remedy_are_told(
 
 
 def test_the_help_tells_of_stages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    overview = " ".join(capsys.readouterr().out.split())
-    assert "or a stage of USD. atlas" in overview
-    assert main(["convert", "--help"]) == 0
-    assert "Convert a density file, or a folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD." in (
-        " ".join(capsys.readouterr().out.split())
-    )
+    """In its first line, which the overview has too."""
+    for arguments in (["--help"], ["convert", "--help"]):
+        assert main(arguments) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD. " in said
 
 
 def test_without_the_library_the_remedy_is_said(
