@@ -3,9 +3,10 @@
     python scripts/measure_colour.py RUN…
 
 Of each folder of a run with colour = "style", by frame: the sliced Wasserstein distance in RGB, inside the smoke, of
-pictures from views that no iteration saw to the style's picture, before and after: of white smoke, of smoke that has
-the picture's mean everywhere, and of the result. And of a sequence the flicker of what its colours change, times the
-density, so that only smoke counts, beside that of its density (docs/sequences.md says what flicker is).
+pictures from views that no iteration saw to each of the style's pictures, before and after: of white smoke, of smoke in
+the colours with which the run began (the mean of the pictures, or those of the input, unmoved), and of the result. And
+of a sequence the flicker of what its colours change, times the density, so that only smoke counts, beside that of its
+density (docs/sequences.md says what flicker is).
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ import numpy as np
 
 import tnst_mi
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
 from tnst_mi.io.pictures.srgb import srgb
-from tnst_mi.losses.pictures import read_image
+from tnst_mi.losses.palette import Palette
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.smoke_colour import colour_name, colours_of
+from tnst_mi.run.carry import chosen
 from tnst_mi.run.flicker import flicker
 from tnst_mi.run.reopened import reopened
 
@@ -80,42 +83,68 @@ class Shown:
 
 
 def measured(folder: Path) -> str:
-    """The lines of the table about a run.
+    """The lines of the table about a run: for each frame with smoke, one of each picture of its style.
 
     Raises:
-        InputError: it is none with such colours, or its input is not there any more.
+        InputError: it is none with such colours, has a style for each of several regions, or its input is not there any
+            more.
     """
     run = reopened(folder)
     if run.record is None or run.recipe is None or run.recipe.colour != "style" or run.inputs is None:
         raise InputError(f"{folder}: expected a run with colour = 'style' whose input is still there")
     recipe = run.recipe.located(folder)
-    picture = read_image(recipe.style[0])
+    if not recipe.style:
+        raise InputError(
+            f"{folder}: its pictures are those of [[target]], each with smoke of its own; expected a run with a style "
+            "for all smoke"
+        )
     views = [(azimuth, elevation) for azimuth in _beyond(recipe.azimuth) for elevation in _beyond(recipe.elevation)]
     lines, changes = [], []
     for name, source, result in zip(run.names, run.inputs, run.frames, strict=True):
-        target = picture.fitted(*source.density.shape[1:]).colours.reshape(-1, 3)
-        record = run.recorded(name)
-        shown = Shown(recipe.at(source.number), record, run.record["density_scale"], views, target)
+        if not source.density.any():
+            lines.append(f"| {folder.name} | {name} | no smoke | | | | | |")
+            changes.append(None)
+            continue
+        record, at_frame = run.recorded(name), recipe.at(source.number)
+        pictures = [
+            (Palette(path), share)
+            for path, share in zip(at_frame.style, at_frame.style_shares, strict=True)
+            if share > 0
+        ]
         grid = colour_name(result.grids)
         colour = srgb(colours_of(result.grids, grid or "Cd", name))
-        mean = np.ascontiguousarray(np.broadcast_to(picture.mean_colour, colour.shape))
-        white = shown.distance(source.density, np.ones_like(colour))
-        begun, after = shown.distance(source.density, mean), shown.distance(result.density, colour)
-        lines.append(
-            f"| {folder.name} | {name} | {white:.3f} | {begun:.3f} | {after:.3f} | {after / white:.2f} | "
-            f"{after / begun:.2f} |"
-        )
-        light = (colour - mean) * result.density[..., None]
+        start = _start(source, at_frame, pictures)
+        for palette, _ in pictures:
+            target = palette.picture.fitted(*source.density.shape[1:]).colours.reshape(-1, 3)
+            shown = Shown(at_frame, record, run.record["density_scale"], views, target)
+            white = shown.distance(source.density, np.ones_like(colour))
+            begun, after = shown.distance(source.density, start), shown.distance(result.density, colour)
+            lines.append(
+                f"| {folder.name} | {name} | {palette.picture.name} | {white:.3f} | {begun:.3f} | {after:.3f} | "
+                f"{after / white:.2f} | {after / begun:.2f} |"
+            )
+        light = (colour - start) * result.density[..., None]
         changes.append((light, result.density - source.density, source.velocity))
     pairs = [
-        (_of_vectors(light, light_next, u), flicker(change, change_next, u) or 0.0)
-        for (light, change, u), (light_next, change_next, _) in itertools.pairwise(changes)
-        if u is not None
+        (_of_vectors(first[0], second[0], first[2]), flicker(first[1], second[1], first[2]) or 0.0)
+        for first, second in itertools.pairwise(changes)
+        if first is not None and second is not None and first[2] is not None
     ]
     if pairs:
         of_colour, of_density = np.mean(pairs, axis=0)
         lines.append(f"\n{folder.name}: flicker of colours {of_colour:.3f}, of the density {of_density:.3f}")
     return "\n".join(lines)
+
+
+def _start(source: Frame, recipe: Recipe, pictures: Sequence[tuple[Palette, float]]) -> np.ndarray:
+    """The colours (D, H, W, 3) with which a frame began: its own that moved with it, or else the pictures' mean."""
+    own = colour_name(chosen(recipe.carry, source.grids))
+    if own is not None:
+        return np.clip(srgb(colours_of(source.grids, own, source.name)), 0, 1)
+    size = source.density.shape[1:]
+    means = [palette.picture.fitted(*size).mean_colour for palette, _ in pictures]
+    mean = np.average(means, axis=0, weights=[share for _, share in pictures]).astype(np.float32)
+    return np.ascontiguousarray(np.broadcast_to(mean, (*source.density.shape, 3)))
 
 
 def _of_vectors(change: np.ndarray, following: np.ndarray, velocity: np.ndarray) -> float:
@@ -143,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"measure_colour: {error}", file=sys.stderr)
         return 2
-    print("| run | frame | white | mean | after | ÷ white | ÷ mean |\n|---|---|---|---|---|---|---|")
+    print("| run | frame | picture | white | start | after | ÷ white | ÷ start |\n|---|---|---|---|---|---|---|---|")
     print("\n".join(tables))
     return 0
 

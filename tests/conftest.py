@@ -80,6 +80,7 @@ SLOW = (
     "scripts/test_quality_script.py::test_of_several_styles_the_judge_finds_the_one_that_smoke_shows[flames]",
     "scripts/test_quality_script.py::test_of_several_styles_the_judge_finds_the_one_that_smoke_shows[net]",
     "scripts/test_train_patterns.py::test_an_interrupted_training_ends_as_an_uninterrupted_one",
+    "studio/test_browser.py::test_smoke_takes_on_colours_on_the_page",
     "studio/test_browser.py::test_motifs_are_found_by_a_picture_and_shown",
     "studio/test_browser.py::test_regions_are_shaped_and_painted_in_the_view",
     "studio/test_browser.py::test_a_frame_is_tried_again_and_again",

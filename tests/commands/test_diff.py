@@ -173,3 +173,44 @@ def test_a_run_that_has_not_finished_a_frame(run: RunCommand, smoke: Path, tmp_p
         refused(run, tmp_path, ["diff", out, smoke], r"run\.json: damaged, so it does not tell")
     (out / "run.json").write_text("[]")
     refused(run, tmp_path, ["diff", out, smoke], r"run\.json: not the record of a run, truncated, or damaged")
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_colours_that_runs_show_are_compared(run: RunCommand, tmp_path: Path) -> None:
+    """Red smoke and smoke that is red in its thin half and blue in the other, which has three quarters of the mass."""
+    red, blue = np.float32([1, 0, 0]), np.float32([0, 0, 1])
+    density = np.ones((4, 6, 8), np.float32)
+    density[..., 4:] = 3
+    right = (np.arange(8) >= 4)[:, None] & np.ones((4, 6, 1, 1), bool)
+    source = Frame(density, name="s", grids={"Cd": np.broadcast_to(red, (*density.shape, 3))})
+    save_frames(tmp_path / "s.npz", source)
+    a, grey = (stylized(tmp_path / "s.npz", tmp_path / c, replace(RECIPE, colour=c)) for c in ("keep", "off"))
+    b = stylized(tmp_path / "s.npz", tmp_path / "b", replace(RECIPE, colour="keep"))
+    save_frames(b / "density", replace(source, density=2 * density, grids={"Cd": np.where(right, blue, red)}))
+    found, said = difference(run, a, b, "--out", tmp_path / "out")
+    expected = np.sqrt(0.75 * 2 / 3)
+    assert found["frames"][0]["colour_difference"] == pytest.approx(expected, rel=1e-6)
+    assert found["mean"]["colour_difference"] == pytest.approx(expected, rel=1e-6)
+    assert "colour    B − A over the smoke, root mean square of display values: 0.707" in said
+    with Image.open(tmp_path / "out" / "s_side.png") as side:
+        pixels = np.asarray(side.convert("RGB"), int)[-200]
+    shown = [
+        pixels[round(share * pixels.shape[0])].tolist() for share in (1 / 12, 3 / 12, 5 / 12, 7 / 12, 9 / 12, 11 / 12)
+    ]
+    assert [[value > 10 for value in colour] for colour in shown] == [
+        *[[True, False, False]] * 3,
+        *[[False, False, True], [False, False, False], [True, False, True]],
+    ]
+    # A run whose pictures are grey has no colours, and smoke without any is white.
+    found, said = difference(run, grey, grey, "--out", tmp_path / "grey_out")
+    assert found["frames"][0]["colour_difference"] is None and "colour  " not in said
+    found, _ = difference(run, grey, a, "--out", tmp_path / "mixed")
+    assert found["frames"][0]["colour_difference"] == pytest.approx(np.sqrt(2 / 3), rel=1e-6)
+
+
+@pytest.mark.usefixtures("optimiser")
+def test_a_record_of_temperatures_that_is_damaged(run: RunCommand, smoke: Path, tmp_path: Path) -> None:
+    out = stylized(smoke, tmp_path / "a")
+    record = json.loads((out / "run.json").read_text()) | {"temperature": ["heat", "hot"]}
+    (out / "run.json").write_text(json.dumps(record))
+    refused(run, tmp_path, ["diff", out, out], "run.json: damaged")

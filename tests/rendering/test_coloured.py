@@ -198,6 +198,39 @@ def test_a_colour_of_another_shape_is_an_error(shape: tuple) -> None:
         tnst_mi.render(smoke(9), colour=np.ones(shape))
 
 
+@pytest.mark.parametrize(("kind", "largest"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_whole_numbers_without_a_sign_are_parts_of_their_largest(kind: type, largest: int) -> None:
+    whole = np.random.default_rng(0).integers(0, largest, (*SHAPE, 3), kind, endpoint=True)
+    found = tnst_mi.render(smoke(9), VIEW, GAMMA, colour=whole)
+    expected = tnst_mi.render(smoke(9), VIEW, GAMMA, colour=whole.astype(np.float32) / np.float32(largest))
+    np.testing.assert_array_equal(found, expected)
+    tensor = torch.as_tensor(whole.astype(np.int64)).to(torch.uint8 if kind is np.uint8 else torch.uint16)
+    from_torch = tnst_mi.render(torch.as_tensor(smoke(9)), VIEW, GAMMA, colour=tensor)
+    np.testing.assert_allclose(from_torch.cpu(), expected, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("colour", "message"),
+    [
+        (np.ones((*SHAPE, 3), np.int32), "render: colour of int32 given, expected floating-point numbers, or uint8"),
+        (torch.ones((*SHAPE, 3), dtype=torch.bool), "render: colour of bool given, expected floating-point numbers"),
+        (
+            np.full((*SHAPE, 3), np.nan),
+            r"colour has 3780 NaN or infinite values \(the first at \(0, 0, 0, 0\)\), expected",
+        ),
+    ],
+    ids=["whole numbers", "switches", "nan"],
+)
+def test_what_is_no_colour_is_refused_in_one_line(colour: object, message: str) -> None:
+    with pytest.raises(tnst_mi.InputError, match=message) as refused:
+        tnst_mi.render(smoke(9), colour=colour)
+    assert "\n" not in str(refused.value)
+    spoilt = np.ones((*SHAPE, 3), np.float32)
+    spoilt[2, 3, 4, 1] = np.inf
+    with pytest.raises(tnst_mi.InputError, match=r"render: colour has 1 NaN .* at \(2, 3, 4, 1\)"):
+        tnst_mi.render(smoke(9), colour=spoilt)
+
+
 # --------------------------------------------------------------------
 # The plugin in scenes
 # --------------------------------------------------------------------

@@ -251,10 +251,35 @@ def test_what_cannot_burn(grids: dict[str, float], choice: str, message: str) ->
 
 
 def test_vectors_do_not_burn() -> None:
+    """But colours do."""
     frame = Frame(np.ones((2, 3, 4)), grids={"fire": np.ones((2, 3, 4, 3))})
     assert find_fire([frame]) is None
     with pytest.raises(InputError, match=r"grid 'fire' has shape .* expected a scalar grid to burn"):
         find_fire([frame], "fire")
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
+def test_smoke_of_a_colour_shines_in_it_and_empty_air_does_not(dtype: type) -> None:
+    colours = np.full((2, 3, 4, 3), (120, 60, 20), dtype)
+    density = np.zeros((2, 3, 4), np.float32)
+    density[1, 1, 1], density[0, 1, 1] = 4.0, 2.0
+    frames = [Frame(density, grids={"Cd": colours}), Frame(density / 2, grids={"Cd": colours})]
+    assert find_fire(frames) is None
+    found = find_fire(frames, "Cd")
+    assert found is not None and found.in_words == "fire: grid Cd as the colour of light, times the density"
+    assert found.occupied == (slice(0, 2), slice(0, 3), slice(0, 3))
+    expected = fire.COLOUR_BRIGHTNESS * np.array([1, 1 / 2, 1 / 6]) * density[..., None] / 4
+    np.testing.assert_allclose(found.emission(frames[0]), expected, rtol=1e-5)
+    np.testing.assert_allclose(found.emission(frames[1]), expected / 2, rtol=1e-5)
+
+
+def test_a_grid_of_light_shines_as_it_is() -> None:
+    light = np.zeros((2, 3, 4, 3), np.float32)
+    light[1, 2, 3] = (0.5, 2.0, 0.0)
+    frame = Frame(np.zeros((2, 3, 4)), grids={"emission_color": light})
+    found = find_fire([frame], "emission_color")
+    assert found is not None and found.occupied == (slice(0, 2), slice(1, 3), slice(2, 4))
+    np.testing.assert_allclose(found.emission(frame), fire.COLOUR_BRIGHTNESS / 2 * light)
 
 
 def test_a_frame_without_the_grid_does_not_burn() -> None:

@@ -15,6 +15,7 @@ from networks import random_googlenet
 
 import tnst_mi
 from tnst_mi.errors import InputError
+from tnst_mi.fields.advection import advect
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
 from tnst_mi.io.grids.npz import read_arrays
@@ -362,3 +363,16 @@ def test_the_case_with_other_grids(asset: Callable[[str], Path], weights: str, t
     np.testing.assert_array_equal(grids["Cd"], np.stack([density] * 3, axis=-1))
     np.testing.assert_allclose(grids["flame"], 3 * density, atol=1e-5)
     np.testing.assert_allclose(grids["temperature"], 1500 * density, rtol=1e-5, atol=5e-3)
+
+
+def test_colours_that_the_smoke_is_shown_in_come_in_from_the_border(
+    asset: Callable[[str], Path], weights: str, tmp_path: Path
+) -> None:
+    """Where they are grids like others, nothing comes in, as nothing of the density does."""
+    file = asset("cases/41-other-grids/fire_0001.vdb")
+    before = load_frames(file)[0]
+    for colour, outside in (("off", "zero"), ("keep", "edge")):
+        recipe = Recipe(**GOAL | {"lam": 0.5, "transport": "flow", "colour": colour}, weights=weights)
+        result = tnst_mi.stylize(file, recipe, tmp_path / colour, progress=False)
+        moved = advect(before.grids["Cd"], result.velocities[0], outside=outside, trace="flow")
+        np.testing.assert_allclose(result.grids[0]["Cd"], moved, atol=1e-5)

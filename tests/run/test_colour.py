@@ -180,3 +180,9 @@ def test_bytes_are_parts_of_the_largest() -> None:
     found = colours_of({"Cd": values}, "Cd", "a")
     assert found.dtype == np.float32
     np.testing.assert_allclose(found[:, 0, 0, 0], [1, 1 / 3], rtol=1e-6)
+
+
+def test_other_whole_numbers_are_no_colours() -> None:
+    for kind in (np.int32, np.uint32, bool):
+        with pytest.raises(InputError, match=r"a: grid 'Cd' has colours of .*, expected floating-point numbers"):
+            colours_of({"Cd": np.ones((2, 2, 2, 3), kind)}, "Cd", "a")

@@ -35,7 +35,7 @@ class Rendered:
         self._names = names
         self.asked: list[list[int]] = []
 
-    def of(self, indices: Sequence[int]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    def of(self, indices: Sequence[int], colours: Any) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         self.asked.append(list(indices))
         return ((self._names[index], COARSE, COARSE) for index in indices)
 
@@ -120,8 +120,8 @@ def test_what_is_shown_is_the_draft(tiny_weights: Path, tmp_path: Path, monkeypa
     (frame,), seen = moving_smoke(1, SHAPE), []
     of = Glimpses.of
 
-    def noted(self: Glimpses, indices: Sequence[int]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        for name, before, after in of(self, indices):
+    def noted(self: Glimpses, indices: Sequence[int], colours: Any) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        for name, before, after in of(self, indices, colours):
             seen.append((name, before, after, self._items))
             yield name, before, after
 

@@ -32,7 +32,7 @@ print(peak_memory())
 """
 
 
-@pytest.mark.parametrize("keys", [{"transport": "step"}, {}, {"conservative": True}])
+@pytest.mark.parametrize("keys", [{"transport": "step"}, {}, {"conservative": True}, {"colour": "style"}])
 def test_a_run_takes_about_what_was_said(keys: dict) -> None:
     command = [sys.executable, "-c", RUN, json.dumps({"lam": 0.5} | keys)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -203,6 +203,17 @@ def test_an_uploaded_picture_becomes_a_style(studio: Studio) -> None:
     assert studio.session.recipe().style == ()
 
 
+def test_an_uploaded_picture_keeps_its_colours_and_transparency(studio: Studio) -> None:
+    pixels, sent = np.random.default_rng(2).integers(1, 256, (8, 6, 4), np.uint8), io.BytesIO()
+    Image.fromarray(pixels).save(sent, "PNG")
+    assert studio.request("POST", "/upload?name=red.png", sent.getvalue()).status == 200
+    with Image.open(studio.session.recipe().style[0]) as kept:
+        np.testing.assert_array_equal(np.asarray(kept), pixels)
+    (motif,) = [one for one in studio.get("/motifs", find="red").values if one["goal"].endswith("red.png")]
+    with Image.open(io.BytesIO(studio.request("GET", "/" + motif["thumbnail"]).body)) as thumbnail:
+        assert thumbnail.mode == "RGBA"
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [

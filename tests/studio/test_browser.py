@@ -831,3 +831,56 @@ def test_what_is_typed_painted_and_said_outlasts_other_tabs(tmp_path: Path, open
         page.locator("#add-painting").click()
         assert page.evaluate("painting.strokes.length") == 1
         page.context.close()
+
+
+def test_smoke_takes_on_colours_on_the_page(tmp_path: Path, weights: Path, opened: Callable[[str], Page]) -> None:
+    (tmp_path / "root").mkdir()
+    density = np.zeros((14, 20, 16), np.float32)
+    density[3:11, 4:16, 3:13] = np.random.default_rng(0).random((8, 12, 10), np.float32)
+    save_frames(tmp_path / "root", [Frame(density, name="smoke")])
+    pixels = np.full((40, 40, 3), (255, 90, 0), np.uint8)
+    pixels[::4] = (0, 0, 90)
+    Image.fromarray(pixels).save(tmp_path / "ember.png")
+    with running(tmp_path / "root", tmp_path / "out") as studio:
+        studio.session.settings.base = Recipe(weights=str(weights), octaves=1, iterations=8, views=2, colour_eta=0.2)
+        shown = opened(address(studio))
+        page = shown.page
+        studio.post("/open", path="smoke.npz")
+        page.locator("#picture").set_input_files(tmp_path / "ember.png")
+        page.locator("#goals .goal", has_text="ember").wait_for()
+        shown.settled()
+        assert page.locator("#in-colour").is_hidden()
+        page.locator("#knob-colour").select_option("style")
+        page.locator(".knob.set", has=page.locator("#knob-colour")).wait_for()
+        page.locator("#knob-colour_weight").fill("2")
+        page.locator("#try").click()
+        page.locator(".job.done").wait_for()
+        recipe = Recipe.from_toml(tmp_path / "out" / "tries" / "0001.toml")
+        assert (recipe.colour, recipe.colour_weight) == ("style", 2.0)
+        page.locator(".job button[data-action=open]").click()
+        page.locator("#mode-wipe.on").wait_for()
+        page.locator("#mode-after").click()
+        shown.settled()
+
+        def picture() -> np.ndarray:
+            seen = Image.open(io.BytesIO(page.locator("#view").screenshot())).convert("RGB")
+            return np.asarray(seen, int)[50:-40]
+
+        coloured = picture()
+        assert (coloured[..., 0] - coloured[..., 2]).max() > 60
+        assert page.locator("#knob-colour").input_value() == "style"
+        shown.photographed("13_in_colour")
+        page.locator("#mode-wipe").click()
+        shown.settled()
+        shown.photographed("14_wiped_in_colour")
+        page.locator("#mode-after").click()
+        page.locator("#coloured").uncheck()
+        shown.settled()
+        assert np.ptp(picture(), axis=-1).max() < 10
+        # What was chosen can be taken back.
+        back = page.locator(".knob", has=page.locator("#knob-colour")).get_by_title("as it was")
+        back.wait_for(state="hidden")
+        page.locator("#knob-colour").select_option("off")
+        back.click()
+        expect(page.locator("#knob-colour")).to_have_value("style")
+        page.context.close()

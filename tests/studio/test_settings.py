@@ -33,8 +33,23 @@ def test_every_end_of_a_slider_is_a_value_of_its_key(knob) -> None:
     assert settings.recipe == Recipe()
 
 
+def test_how_smoke_is_coloured_is_one_of_the_words_of_the_key() -> None:
+    settings = StudioSettings()
+    (pick,) = settings.described()["picks"]
+    assert (pick["key"], pick["words"], pick["value"]) == ("colour", ("off", "style", "keep"), "off")
+    for word in pick["words"]:
+        settings.set("colour", word)
+        assert settings.recipe.colour == settings.described()["picks"][0]["value"] == word
+    with pytest.raises(InputError, match="off, style or keep"):
+        settings.set("colour", "red")
+    assert settings.recipe.colour == "keep"
+    settings.set("colour", None)
+    assert settings.recipe == Recipe()
+
+
 def test_sliders_come_with_their_keys_help() -> None:
-    for told in StudioSettings().described()["knobs"]:
+    described = StudioSettings().described()
+    for told in [*described["knobs"], *described["picks"]]:
         assert KINDS[told["key"]].expected == told["expected"]
         assert len(told["help"]) > 40 and not told["set"]
 

@@ -53,10 +53,11 @@ def run(arguments: DiffArguments) -> int:
     frames = []
     for first, second in progress_bar(together, unit="frame", desc="comparing"):
         pair = a.frames[first], b.frames[second]
-        frames.append(frame_difference(a, b, (first, second), pair))
+        colours = a.colour(pair[0]), b.colour(pair[1])
+        frames.append(frame_difference(a, b, (first, second), pair, colours))
         if views is not None:
             seen = a if a.recipe is not None else b
-            views.add(*pair, seen.shots.get(seen.names[first if seen is a else second]))
+            views.add(*pair, seen.shots.get(seen.names[first if seen is a else second]), colours)
     results = _results(a, b, together, frames)
     for line in _in_words(a, b, results):
         print(printable(line))
@@ -119,6 +120,9 @@ def _in_words(a: Reopened, b: Reopened, results: Mapping[str, Any]) -> list[str]
         lines.append(f"density   ‖B − A‖/‖A‖ = {_spread([frame['relative_difference'] for frame in frames])}")
     if mean["change_correlation"] is not None:
         lines.append(f"change    correlation {_spread([frame['change_correlation'] for frame in frames])}")
+    if mean["colour_difference"] is not None:
+        found = _spread([frame["colour_difference"] for frame in frames])
+        lines.append(f"colour    B − A over the smoke, root mean square of display values: {found}")
     for key, text in (
         ("changes", "change    ‖d* − d‖/‖d‖"),
         ("masses", "mass      Σ d*"),

@@ -27,8 +27,8 @@ class StudioFlags:
         str | None,
         tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: the flame, or a temperature in kelvin)"),
     ] = None
-    """Grid that shines as fire, and lights smoke and ground: a flame, or a temperature as a black body; see
-    docs/looks.md."""
+    """Grid that shines as fire, and lights smoke and ground: a flame, a temperature as a black body, or colours such as
+    Cd; see docs/looks.md."""
     colour: Annotated[
         str | None, tyro.conf.arg(metavar="GRID|none", help_behavior_hint="(default: Cd, color or the like)")
     ] = None

@@ -136,6 +136,8 @@ def sequence_summary(sequence: dict[str, Any]) -> str:
         parts = ["flicker: too little changed to measure it"]
     else:
         parts = [f"flicker {_number(sequence['flicker'])} at window {sequence['window']}"]
+    if sequence.get("colour_flicker") is not None:
+        parts.append(f"of colours {sequence['colour_flicker']:.3g}")
     parts.append(f"mean loss in the fixed views {_number(sequence['loss_before'])} → {_number(sequence['loss_after'])}")
     parts.append(f"relative change {_number(change)}")
     return f"sequence  {', '.join(parts)}"
@@ -174,6 +176,8 @@ def summary(frame: job.FinishedFrame) -> str:
     change = "" if by is None else f" ({by:+.1%})"
     parts.append(f"mass {record['mass_before']:.5g} → {record['mass_after']:.5g}{change}")
     parts.append(f"largest displacement {record['largest_displacement']:.3g} cells")
+    for name, distance in record.get("palette_distances", {}).items():
+        parts.append(f"{name} {distance['before']:.3g} → {distance['after']:.3g}")
     if record["note"]:
         parts.append(record["note"])
     return f"{record['name']}: {', '.join(parts)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import drjit as dr
@@ -22,17 +22,24 @@ else:
     torch = LazyModule("torch")
 
 
+#: Whole numbers that count as parts of their largest where an array has values from 0 to 1, by type, as in pictures.
+LARGEST = {"uint8": 255, "uint16": 65535}
+
+
 def _is_torch(value: Any) -> TypeGuard[torch.Tensor]:
     """Whether a value is a torch tensor, without importing torch."""
     return type(value).__module__.partition(".")[0] == "torch"
 
 
-def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callable], Callable]:
+def any_array_kind(
+    *names: str, differentiable: bool = True, from_0_to_1: Collection[str] = ()
+) -> Callable[[Callable], Callable]:
     """Decorator for a function of `mi.TensorXf` arguments called `names` that returns one `mi.TensorXf`.
 
     Dr.Jit tensors pass through, with their derivatives. Torch's autograd differentiates the function of torch tensors.
     Numpy arrays (and anything numpy converts) give a numpy array back. A function that is not differentiable takes no
-    tensors with derivatives, rather than dropping these in silence.
+    tensors with derivatives, rather than dropping these in silence. Of arrays called `from_0_to_1`, whole numbers count
+    as parts of their largest, see `LARGEST`; those of other types are refused with InputError.
 
     Threads take turns. Another package's variant is put back after the call, so that derivatives need one of ours.
     """
@@ -45,6 +52,8 @@ def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callab
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = {name: bound.arguments[name] for name in names if bound.arguments[name] is not None}
+            for name in given.keys() & set(from_0_to_1):
+                given[name] = _as_parts(given[name], f"{function.__name__}: {name}")
             if any(_carries_derivatives(value) for value in given.values()):
                 if not differentiable:
                     raise TypeError(f"{function.__name__} is not differentiable: detach its arguments")
@@ -63,6 +72,30 @@ def any_array_kind(*names: str, differentiable: bool = True) -> Callable[[Callab
         return wrapper
 
     return decorate
+
+
+def _as_parts(value: Any, what: str) -> Any:
+    """An array whose whole numbers, if it has some, are parts of the largest of their type.
+
+    Raises:
+        InputError: they are of another type than those of `LARGEST`.
+    """
+    if dr.is_array_v(value):
+        kind = "float32" if dr.is_float_v(value) else dr.type_v(value).name.lower()
+    elif _is_torch(value):
+        kind = str(value.dtype).rpartition(".")[2]
+    else:
+        value = np.asarray(value)
+        kind = value.dtype.name
+    if "float" in kind:
+        return value
+    if kind not in LARGEST:
+        raise InputError(
+            f"{what} of {kind} given, expected floating-point numbers, or uint8 or uint16 of which the largest counts "
+            "as 1"
+        )
+    values = value.astype(np.float32) if isinstance(value, np.ndarray) else value.float()
+    return values / LARGEST[kind]
 
 
 def _carries_derivatives(value: Any) -> bool:

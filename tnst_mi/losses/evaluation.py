@@ -210,12 +210,14 @@ class BoundObjective:
         return other
 
     def apart(self) -> tuple[BoundObjective | None, BoundObjective | None]:
-        """What density and colours follow, and what the colours alone follow; None where there is no such term."""
+        """What density and colours follow, and what the colours alone follow; None where nothing counts."""
         if not self.of_colour:
             return self, None
-        of_colour = [name for name in self.names if self._terms[name].of_colour]
-        of_all = [name for name in self.names if name not in of_colour]
-        return self._part(of_all) if of_all else None, self._part(of_colour)
+        colours = [name for name in self.names if self._terms[name].of_colour]
+        others = [name for name in self.names if name not in colours]
+        counts = [any(self._weights[name] for name in names) for names in (others, colours)]
+        of_all = self._part(others) if counts[0] or (others and not counts[1]) else None
+        return of_all, self._part(colours) if counts[1] or not others else None
 
     def _part(self, names: list[str]) -> BoundObjective:
         """A copy with some of the terms; recordings are those of a part then, since all together are not evaluated."""

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from tnst_mi.errors import InputError
 from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.guided import Guide, LayerTarget
 from tnst_mi.losses.images import PIXELS
-from tnst_mi.losses.objective import Term
-from tnst_mi.losses.pictures import GreyImage
 from tnst_mi.losses.sliced import sliced_distance
 from tnst_mi.losses.style import require_opaque
-from tnst_mi.losses.terms import grey_image, parameter_of
+from tnst_mi.losses.terms import PictureTerm, parameter_of
 from tnst_mi.network.googlenet import GoogLeNet
 
 #: The golden ratio.
@@ -25,7 +23,7 @@ _PHI = (1 + np.sqrt(5)) / 2
 
 
 @dataclass(frozen=True, eq=False)
-class Palette(Term):
+class Palette(PictureTerm):
     """Give the smoke the colours of a picture: the sliced Wasserstein distance of their distributions in RGB.
 
     Pixels count by the opacity of the smoke, those of the picture by its alpha. Only the colours of the smoke follow
@@ -35,26 +33,36 @@ class Palette(Term):
         image: a path or a `GreyImage`, cropped and resized as in `Style`.
     """
 
-    image: str | Path | GreyImage
-    picture: GreyImage = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Read the picture immediately; raises `InputError` if it cannot be used."""
-        object.__setattr__(self, "picture", grey_image(self.image))
-
     @property
     def name(self) -> str:
         """The picture."""
         return f"palette {self.picture.name}"
 
+    def mean_square(self, height: int, width: int) -> float:
+        """The mean of ‖c‖² over the picture's colours c, for images of height x width pixels.
+
+        A third of it times the loss is the squared distance of display values, averaged over the directions.
+        """
+        picture = self.picture.fitted(height, width)
+        return float(np.average(np.square(picture.colours).sum(2), weights=picture.alpha))
+
     def bind_term(self, net: GoogLeNet, height: int, width: int) -> BoundTerm:
-        """Take the colours of the picture, of which the network sees nothing; raises `InputError` if none is seen."""
+        """Take the colours of the picture, of which the network sees nothing.
+
+        Raises:
+            InputError: it is transparent where it is used, or black: distances are relative to how bright it is.
+        """
         picture, kind = self.picture.fitted(height, width), parameter_of(net)
         colours = torch.as_tensor(picture.colours).to(kind).permute(2, 0, 1)[None]
         guide = None
         if picture.alpha is not None:
             require_opaque(picture.alpha, picture.name, "where it is used")
             guide = Guide(torch.as_tensor(picture.alpha).to(kind)[None])
+        if not self.mean_square(height, width) > 0.0:
+            raise InputError(
+                f"{picture.name}: black all over where it is used (its centre, with the aspect {width}:{height}), "
+                "which is no palette; use a picture with a colour there, or colour = 'off'"
+            )
         distance = sliced_distance(LayerTarget(colours, guide), 1.0, _directions().to(kind))
 
         def loss(features: Features, guide: Guide | None) -> Tensor:
@@ -72,7 +80,7 @@ def _directions() -> Tensor:
     ends = []
     for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         for signs in itertools.product((1.0, -1.0), repeat=2):
-            corners = ((0.0, 1.0, signs[0] * _PHI), (0.0, 1 / _PHI, signs[0] * _PHI))
+            corners = ((0.0, signs[0] * _PHI, 1.0), (0.0, 1 / _PHI, signs[0] * _PHI))
             edges = (1.0, signs[0] * _PHI, signs[1] * _PHI**2)
             ends += [[of[i] for i in (a, b, c)] for of in (*corners, edges)]
         ends.append([float(i == a) for i in range(3)])

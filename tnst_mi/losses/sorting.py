@@ -10,7 +10,8 @@ def order_of(values: Tensor) -> Tensor:
     """Like `values.argsort(dim=-1, stable=True)`: the indices (…, P) that sort rows (…, P) of numbers that are not NaN.
 
     Rows of float32 on a CPU become integers that hold the number above its index, which numpy sorts with vector
-    instructions; no two are equal, so that there is one order, on any machine. -0 comes before 0 there.
+    instructions; no two are equal, so that there is one order on any CPU. -0 comes before 0 there, whatever their
+    indices; elsewhere the two are equal numbers, of which the one with the lower index comes first.
     """
     if values.is_cuda or values.dtype != torch.float32:
         return values.argsort(dim=-1, stable=True)

@@ -7,8 +7,7 @@ show smoke; `losses.gram`, `losses.sliced` and `losses.nearest` have the formula
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,10 +18,9 @@ from tnst_mi.losses.evaluation import BoundTerm, Features
 from tnst_mi.losses.gram import gram_distance, paper_distance
 from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
-from tnst_mi.losses.objective import Term
-from tnst_mi.losses.pictures import GreyImage, resized
+from tnst_mi.losses.pictures import resized
 from tnst_mi.losses.sliced import directions, sliced_distance
-from tnst_mi.losses.terms import grey_image, picture_features
+from tnst_mi.losses.terms import PictureTerm, picture_features
 from tnst_mi.network.googlenet import GoogLeNet
 
 #: The seed of what a loss draws where none is given.
@@ -30,7 +28,7 @@ _SEED = (0,)
 
 
 @dataclass(frozen=True, eq=False)
-class Style(Term):
+class Style(PictureTerm):
     """Match the statistics that the features of a picture have in some layers: L = Σ_l w_l distance_l.
 
     Distances are relative to what the picture's features are, so that layers of equal weight contribute equally; only
@@ -51,18 +49,16 @@ class Style(Term):
         InputError: the picture cannot be used, or there is no layer.
     """
 
-    image: str | Path | GreyImage
     layers: Mapping[str, float]
     distance: str = "gram"
     statistics: str = "image"
     colour: bool = False
-    picture: GreyImage = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the picture immediately."""
+        """Read the picture."""
         if not self.layers:
             raise InputError("style layers: there is none; name at least one")
-        object.__setattr__(self, "picture", grey_image(self.image))
+        super().__post_init__()
 
     @property
     def name(self) -> str:
@@ -111,17 +107,18 @@ class Style(Term):
         for layer, values in picture_features(net, picture, layers, self.colour).items():
             if values.ndim != 4:
                 raise InputError(f"style layer {layer!r}: it has no positions to sum over; use a layer before it")
-            guide = None
+            guide, seen = None, values
             if picture.alpha is not None:
                 rows, columns = values.shape[2:]
                 alpha = resized(picture.alpha, rows, columns)
                 require_opaque(alpha, picture.name, where)
                 opaque = torch.as_tensor(alpha).to(values)
+                seen = values * opaque
                 if self.statistics == "smoke":
                     guide = Guide(opaque[None])
                 else:
-                    values = values * opaque
-            if not values.any():
+                    values = seen
+            if not seen.any():
                 raise InputError(
                     f"{picture.name}: no channel of style layer {layer!r} responds to it; use another layer, or check "
                     "the network's weights"

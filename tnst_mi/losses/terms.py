@@ -109,21 +109,32 @@ class Match(Term):
 
 
 @dataclass(frozen=True, eq=False)
-class Content(Term):
+class PictureTerm(Term):
+    """A term of a picture, a path or a `GreyImage`, which is read immediately.
+
+    Raises:
+        InputError: it cannot be used.
+    """
+
+    image: str | Path | GreyImage
+    picture: GreyImage = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the picture."""
+        picture = self.image if isinstance(self.image, GreyImage) else read_image(self.image)
+        object.__setattr__(self, "picture", picture)
+
+
+@dataclass(frozen=True, eq=False)
+class Content(PictureTerm):
     """Match the features of a picture: L = mean (F - F_picture)² (paper Eq. 5).
 
     The picture, a path or a `GreyImage`, is cropped and resized as in `Style`, and grey unless the smoke is in
     `colour`; its alpha is ignored.
     """
 
-    image: str | Path | GreyImage
     layer: str
     colour: bool = False
-    picture: GreyImage = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Read the picture immediately; raises `InputError` if it cannot be used."""
-        object.__setattr__(self, "picture", grey_image(self.image))
 
     @property
     def name(self) -> str:
@@ -143,11 +154,6 @@ def _match(layer: str, target: Tensor) -> BoundTerm:
         return mean_over_view((features[layer] - target).square(), guide)
 
     return BoundTerm((layer,), loss)
-
-
-def grey_image(image: str | Path | GreyImage) -> GreyImage:
-    """A picture, read if a path is given; raises `InputError` if it cannot be used."""
-    return image if isinstance(image, GreyImage) else read_image(image)
 
 
 def picture_features(net: GoogLeNet, picture: GreyImage, layers: Sequence[str], colour: bool = False) -> Features:

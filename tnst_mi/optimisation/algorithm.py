@@ -99,8 +99,8 @@ def step_along(gradients: Sequence[Fields], plan: Plan, now: Current, h: float) 
 def fields_after(plan: Plan, now: Current, items: Items) -> Fields:
     """A frame's fields after the iteration whose own steps have been found."""
     fields = now.fields - window_average(plan, now, items)
-    fields = now.frame.within_reach(fields, items.octave.cell_size, now.inputs.allowed)
-    return now.frame.in_gamut(fields, now.inputs.colour)
+    h = items.octave.cell_size
+    return now.frame.in_gamut(now.frame.within_reach(fields, h, now.inputs.allowed), now.inputs.colour, h)
 
 
 def window_average(plan: Plan, now: Current, items: Items) -> Fields:

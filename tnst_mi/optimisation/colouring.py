@@ -32,6 +32,9 @@ COLOUR = "colour"
 #: Gradients below this are none: on a GPU, quotients of smaller numbers may not be finite.
 _SMALLEST = 1e-30
 
+#: Colours that leave [0, 1] by no more are at its end, but for rounding.
+_ROUNDING = 1e-6
+
 
 class Coloured(Parameterisation):
     """The density of another parameterisation, and a change of the colour.
@@ -73,27 +76,70 @@ class Coloured(Parameterisation):
         """The stylized density, and the pull-back of its derivatives onto the fields without the colour."""
         return self._of_density.density_with_pullback(_of_density(fields), density, h)
 
-    def colour(self, fields: Fields, start: mi.TensorXf, h: float) -> mi.TensorXf:
-        """The colours (D, H, W, 3), display values, for those with which the smoke begins; not differentiable."""
-        with dr.suspend_grad():
-            if not self._moves:
-                return start + fields[COLOUR]
-            channels = dr.unravel(mi.Vector3f, start.array)
-            moved = [self.density(fields, mi.TensorXf(one, tuple(start.shape[:3])), h).array for one in channels]
-            change = dr.unravel(mi.Vector3f, fields[COLOUR].array)
-            return mi.TensorXf(dr.ravel(dr.clip(mi.Vector3f(*moved) + change, 0, 1)), tuple(start.shape))
+    def colour_with_pullback(
+        self, fields: Fields, start: mi.TensorXf, h: float, followed: bool = True
+    ) -> tuple[mi.TensorXf, ColourPullback]:
+        """The colours (D, H, W, 3), display values, detached, and the pull-back of their derivatives onto the fields.
 
-    def in_gamut(self, fields: Fields, start: mi.TensorXf) -> Fields:
-        """The fields, with a change of the colour that leaves none of the display values outside of [0, 1].
-
-        Where the start moves, it is not more than the whole range.
+        Args:
+            fields: on a grid.
+            start: the colours with which the smoke begins, (D, H, W, 3) likewise.
+            h: size of a cell.
+            followed: whether what moves the smoke follows derivatives of the colours that move with it.
         """
-        low, high = (mi.Float(-1), mi.Float(1)) if self._moves else (-start.array, 1 - start.array)
-        return Fields({**fields, COLOUR: mi.TensorXf(dr.clip(fields[COLOUR].array, low, high), tuple(start.shape))})
+        if not self._moves or not isinstance(self._of_density, Transport):
+            return dr.detach(start + fields[COLOUR]), ColourPullback(None, None)
+        leaves = _of_density(fields).attached() if followed else _of_density(fields)
+        moved = self._of_density.colour(leaves, start, h)
+        sum_ = dr.detach(moved) + fields[COLOUR]
+        inside = (sum_.array >= -_ROUNDING) & (sum_.array <= 1 + _ROUNDING)
+        colour = mi.TensorXf(dr.clip(sum_.array, 0, 1), tuple(start.shape))
+        return colour, ColourPullback(inside, Pullback(leaves, moved) if followed else None)
+
+    def in_gamut(self, fields: Fields, start: mi.TensorXf, h: float) -> Fields:
+        """The fields, with a change of the colour that leaves none of the display values outside of [0, 1]."""
+        if self._moves and isinstance(self._of_density, Transport):
+            with dr.suspend_grad():
+                start = self._of_density.colour(_of_density(fields), start, h)
+        change = dr.clip(fields[COLOUR].array, -start.array, 1 - start.array)
+        return Fields({**fields, COLOUR: mi.TensorXf(change, tuple(start.shape))})
 
     def unit_step(self, rows: int, h: float) -> float:
         """Change of the density's fields where η · mask · N(g) is 1."""
         return self._of_density.unit_step(rows, h)
+
+
+class ColourPullback:
+    """The adjoint of the map from fields to colours, at one point.
+
+    It can be called until the `last` call, which releases its memory.
+
+    Args:
+        inside: of each component, whether it is a display value as it is; others are cut to [0, 1], and follow
+            nothing. None if all are.
+        of_start: the adjoint of the colours with which the smoke begins; None if they do not move with it.
+    """
+
+    def __init__(self, inside: mi.Bool | None, of_start: Pullback | None) -> None:
+        self._inside, self._of_start = inside, of_start
+
+    def __call__(self, gradient: mi.TensorXf, of_strokes: mi.TensorXf | None, last: bool = True) -> Fields:
+        """The derivative with respect to the fields.
+
+        Args:
+            gradient: with respect to the colours.
+            of_strokes: the part of it that moves smoke too; None for nothing.
+            last: whether this is the last call.
+        """
+        found = Fields({COLOUR: self._within(gradient)})
+        if self._of_start is not None and of_strokes is not None:
+            found |= self._of_start(self._within(of_strokes), last)
+        return found
+
+    def _within(self, gradient: mi.TensorXf) -> mi.TensorXf:
+        if self._inside is None:
+            return gradient
+        return mi.TensorXf(dr.select(self._inside, gradient.array, 0), tuple(gradient.shape))
 
 
 def colour_step(gradient: mi.TensorXf, region: mi.TensorXf | None, size: float, smoothness: float) -> mi.TensorXf:

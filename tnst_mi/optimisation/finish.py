@@ -50,7 +50,8 @@ def stylized_frame(items: Items | None, frame: FramePlan, source: Frame) -> Styl
     movement = None
     if isinstance(parameterisation.of_density, Transport):
         moving = parameterisation.of_density
-        movement = Movement(moving, fields, full.cell_size, source, exponent, frame.recipe.blend)
+        shown = frame.recipe.colour != "off"
+        movement = Movement(moving, fields, full.cell_size, source, exponent, frame.recipe.blend, shown)
         density, velocity = movement.density(source.density), movement.velocity.numpy()
     else:
         density = _offset(parameterisation, fields, source, exponent, full.cell_size, frame.recipe.blend)
@@ -80,7 +81,7 @@ def _coloured(
     unstylized, start = plan.colours.unstylized(source), plan.colours.start(frame.index, source, masks)
     if plan.colours.grid(source) is not None and movement is not None:
         # Both are the colours that the smoke has, which move with it.
-        unstylized = start = movement.carried(OtherGrid(unstylized))
+        unstylized = start = movement.carried(OtherGrid(unstylized), of_colour=True)
     recipe = frame.recipe
     return final_colour(unstylized, start, change, recipe.strength * recipe.blend, recipe.blend, source.obstacle)
 

@@ -104,10 +104,17 @@ class OctaveProblem:
         seen, pull_back = parameterisation.density_with_pullback(fields, density, self.octave.cell_size)
         stylized = dr.detach(seen)
         dr.enable_grad(seen)
-        colour = frame.coloured(fields, start, self.octave.cell_size)
+        parts = [self._loss_of(frame, target).drawn(seed).apart() for target in range(len(self.losses))]
+        strokes = any(of_all is not None for of_all, _ in parts)
+        colour, pull_colour_back = frame.coloured(fields, start, self.octave.cell_size, strokes)
         dr.enable_grad(colour)
         views = self._views(frame, seed)
-        images = self._rendered(seen, views, frame, seed, colour)
+        exposure = opaque(frame.exposure)
+        raw = images = tinted = of_strokes = None
+        # Without strokes, colours alone are differentiated.
+        if strokes:
+            raw = self._unexposed(seen, views, frame, seed, colour)
+            images = raw * exposure
         found: dict[str, torch.Tensor] = {}
         values: list[torch.Tensor] = []
         gradients = []
@@ -120,28 +127,30 @@ class OctaveProblem:
             return value
 
         of_targets = self._guides(stylized, regions, views, frame)
-        # What colours alone follow is differentiated on images whose density is fixed.
-        tinted = None
-        if colour is not None and any(loss.of_colour for loss in self.losses):
-            tinted = self._rendered(stylized, views, frame, seed, colour)
+        # What colours alone follow is differentiated on the same images, of which the density is fixed.
+        if colour is not None and any(of_colour is not None for _, of_colour in parts):
+            tinted = self._unexposed(stylized, views, frame, seed, colour, None if raw is None else dr.detach(raw))
+            tinted = tinted * exposure
         shares = []
         for target, guides in enumerate(of_targets):
             # The images are those of all targets: their graph is kept until the last one has been differentiated.
             last = target == len(of_targets) - 1
             flags = dr.ADFlag.Default if last else dr.ADFlag.ClearVertices
-            of_all, of_colour = self._loss_of(frame, target).drawn(seed).apart()
-            for loss, shown in ((of_all, images), (of_colour, tinted)):
+            for loss, shown in zip(parts[target], (images, tinted), strict=True):
                 if loss is not None and shown is not None:
                     dr.backward(loss_of(shown, loss, target, guides.needed(loss.of_smoke)), flags)
                     shares.append(frame.shares[target])
+                if strokes and shown is images and colour is not None:
+                    of_strokes = dr.grad(colour)
             gradients.append(pull_back(dr.grad(seen), last))
             dr.clear_grad(seen)
             if colour is not None:
-                gradients[-1][COLOUR] = dr.grad(colour)
+                of_colour = pull_colour_back(dr.grad(colour), of_strokes, last)
+                gradients[-1] = Fields({**(gradients[-1] + of_colour), COLOUR: of_colour[COLOUR]})
                 dr.clear_grad(colour)
         # `dr.wrap` puts the torch graph into reference cycles. Arrays outside Python's heap do not trigger the garbage
         # collector, so the young generations are collected explicitly, which is cheap.
-        del images, tinted, seen, pull_back, loss_of
+        del raw, images, tinted, seen, pull_back, pull_colour_back, loss_of
         gc.collect(1)
         return Evaluation(_total(values, shares), found, stylized, tuple(gradients))
 
@@ -158,7 +167,7 @@ class OctaveProblem:
         with dr.suspend_grad():
             stylized = frame.parameterisation.density(fields, density, self.octave.cell_size)
             views = self._views(frame, seed)
-            colour = frame.coloured(fields, start, self.octave.cell_size)
+            colour, _ = frame.coloured(fields, start, self.octave.cell_size, followed=False)
             images = self._rendered(stylized, views, frame, seed, colour).torch().clone()
             of_targets = self._guides(stylized, regions, views, frame)
         return {
@@ -239,12 +248,24 @@ class OctaveProblem:
         colour: mi.TensorXf | None,
     ) -> mi.TensorXf:
         """The images (V, H, W) of grey smoke, or (V, H, W, 3) of smoke of a colour, as the network sees them."""
+        return self._unexposed(density, views, frame, seed, colour) * opaque(frame.exposure)
+
+    def _unexposed(
+        self,
+        density: mi.TensorXf,
+        views: Sequence[View],
+        frame: FramePlan,
+        seed: Sequence[int],
+        colour: mi.TensorXf | None,
+        known: mi.TensorXf | None = None,
+    ) -> mi.TensorXf:
+        """Those images before they are exposed; in colour, `known` are the same if they have been rendered already."""
         octave, recipe = self.octave, frame.recipe
         if colour is None:
             renderer = driving_renderer(recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
-            return renderer.render(density, views, seed) * opaque(frame.exposure)
+            return renderer.render(density, views, seed)
         coloured = colour_renderer(recipe, octave.shape, octave.cell_size, size=octave.size, pixel=octave.pixel)
-        return coloured.render_colour(density, colour, views) * opaque(frame.exposure)
+        return coloured.render_colour(density, colour, views, known)
 
 
 def problem_of(plan: Plan, octave: Level, network: GoogLeNet) -> OctaveProblem:

@@ -31,15 +31,25 @@ class Movement:
         frame: the frame.
         exponent: the power of two that brings its density to about 1.
         blend: share of what has moved in the result.
+        shows_colours: whether grids called a colour are what the smoke is shown in, rather than grids like others.
 
     Attributes:
+        shows_colours: likewise.
         velocity: v*, (D, H, W, 3).
     """
 
     def __init__(
-        self, parameterisation: Transport, potentials: Fields, h: float, frame: Frame, exponent: int, blend: float
+        self,
+        parameterisation: Transport,
+        potentials: Fields,
+        h: float,
+        frame: Frame,
+        exponent: int,
+        blend: float,
+        shows_colours: bool = False,
     ) -> None:
         self._parameterisation, self._potentials, self._h = parameterisation, potentials, h
+        self.shows_colours = shows_colours
         self._name, self._shape, self._exponent, self._blend = frame.name, frame.density.shape, exponent, blend
         self._solid = None if frame.obstacle is None else mi.Bool(frame.obstacle.ravel())
         with dr.suspend_grad():
@@ -53,11 +63,15 @@ class Movement:
         """A density (D, H, W) float32, moved."""
         return self._moved(density, self._exponent, floor=True)
 
-    def carried(self, grid: OtherGrid) -> np.ndarray:
+    def carried(self, grid: OtherGrid, of_colour: bool = False) -> np.ndarray:
         """Another grid, moved as the density is; vectors by components, which keep their directions.
 
         What has a value other than 0 beyond the grid is moved relative to this. Results are computed in single
         precision; whole numbers are rounded, and stay exact where nothing has moved.
+
+        Args:
+            grid: the grid.
+            of_colour: whether it has colours, which move as `Transport.colour` says, whatever is beyond the grid.
 
         Returns:
             The values, in the shape and type of the grid's.
@@ -73,7 +87,10 @@ class Movement:
         for channel, beyond in enumerate(outside):
             own = values[..., channel]
             before = own.astype(np.float32)
-            after = self._relative_to(beyond, before)
+            if of_colour:
+                after = self._moved(before, self._power_of(before), floor=bool(before.min() >= 0), of_colour=True)
+            else:
+                after = self._relative_to(beyond, before)
             if not np.isfinite(after).all():
                 raise InputError(f"{self._name}: a carried grid is not finite after its transport; try a smaller eta")
             carried[..., channel] = _typed(after, before, own)
@@ -89,13 +106,14 @@ class Movement:
         after = before + (self._moved(relative, self._power_of(relative), floor=False) - relative)
         return np.maximum(after, 0) if floor else after
 
-    def _moved(self, values: np.ndarray, exponent: int, floor: bool) -> np.ndarray:
-        before = mi.TensorXf(np.ldexp(values, exponent))
+    def _moved(self, values: np.ndarray, exponent: int, floor: bool, of_colour: bool = False) -> np.ndarray:
+        before, transport = mi.TensorXf(np.ldexp(values, exponent)), self._parameterisation
         with dr.suspend_grad():
             if self._solid is None:
-                moved = self._parameterisation.density(self._potentials, before, self._h).array
+                move = transport.colour if of_colour else transport.density
+                moved = move(self._potentials, before, self._h).array
             else:
-                moved = self._parameterisation.around_solids(before, self.velocity, self._h).array
+                moved = transport.around_solids(before, self.velocity, self._h, of_colour).array
             blend, moved = opaque(self._blend), dr.maximum(moved, 0) if floor else moved
             # Where nothing has changed, as outside a mask, it stays so to the bit.
             blended = dr.select(moved == before.array, moved, (1 - blend) * before.array + blend * moved)

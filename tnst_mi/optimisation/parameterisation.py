@@ -24,7 +24,6 @@ LARGEST_DERIVATIVE = 4.0
 #: Width of the blur of the gradient before it is normalised, in cells of the octave.
 GRADIENT_SIGMA = 1.2
 
-
 #: By how much velocities of scaled potentials may differ from scaled velocities, relative to the fastest one: they are
 #: differences of rounded values.
 _ROUNDING = 1e-5
@@ -265,22 +264,32 @@ class Transport(Parameterisation):
 
     def density(self, fields: Fields, density: mi.TensorXf, h: float) -> mi.TensorXf:
         """MacCormack transport of the density by the potentials' velocity."""
+        return self._moved(fields, density, h, "zero", self.conservative)
+
+    def colour(self, fields: Fields, colour: mi.TensorXf, h: float) -> mi.TensorXf:
+        """The same of colours, (D, H, W, 3) or a component: pressed together they are not brighter; what comes in has
+        that of the border.
+        """
+        return self._moved(fields, colour, h, "edge", conservative=False)
+
+    def _moved(self, fields: Fields, field: mi.TensorXf, h: float, outside: str, conservative: bool) -> mi.TensorXf:
         v = self._velocity(fields, h)
         if self.trace == "flow":
             stages = self.stages if isinstance(self.stages, int) else None
-            return flow(density, v, "maccormack", h, "zero", None, stages, self.conservative)
+            return flow(field, v, "maccormack", h, outside, None, stages, conservative)
         if self.substeps == 1:
-            return step(density, v, "maccormack", h, "zero")
-        return advect(density, self.velocity(fields, h), "maccormack", h, "zero", self.substeps)
+            return step(field, v, "maccormack", h, outside)
+        return advect(field, self.velocity(fields, h), "maccormack", h, outside, self.substeps)
 
-    def around_solids(self, density: mi.TensorXf, v: mi.TensorXf, h: float) -> mi.TensorXf:
-        """The same transport by a velocity (D, H, W, 3) that is 0 inside solids.
+    def around_solids(self, field: mi.TensorXf, v: mi.TensorXf, h: float, of_colour: bool = False) -> mi.TensorXf:
+        """The same transport of a density, or colour, by a velocity (D, H, W, 3) that is 0 inside solids.
 
         Towards the centres of a solid's outermost cells, the interpolated velocity falls to 0 within one cell. The
         stages of "auto" may leap over that; the most stages do not, for any velocity of up to 44 cells per frame.
         """
         stages = MOST_STAGES if self.trace == "flow" and self.stages == "auto" else self.stages
-        return advect(density, v, "maccormack", h, "zero", self.substeps, self.trace, stages, self.conservative)
+        outside, conservative = ("edge", False) if of_colour else ("zero", self.conservative)
+        return advect(field, v, "maccormack", h, outside, self.substeps, self.trace, stages, conservative)
 
     def unit_step(self, rows: int, h: float) -> float:
         """(H/2) h: η is in units of the octave's own cells, so that a recipe's η means the same at every size."""

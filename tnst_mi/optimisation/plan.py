@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from tnst_mi.fields.grid import Octave, Shape
 from tnst_mi.fields.resampling import resample_mask
 from tnst_mi.frame import Frame
 from tnst_mi.losses.objective import Objective
-from tnst_mi.optimisation.colouring import COLOUR, Coloured, Colours, colour_step, mean_colour
+from tnst_mi.optimisation.colouring import COLOUR, Coloured, ColourPullback, Colours, colour_step, mean_colour
 from tnst_mi.optimisation.goals import objective_of, term_weights
 from tnst_mi.optimisation.parameterisation import DensityOffset, Fields, Parameterisation, Transport
 from tnst_mi.optimisation.silhouette import displacement_allowed
@@ -74,17 +74,19 @@ class FramePlan:
         size = self.recipe.colour_eta * self.step_scale * share
         return Fields({COLOUR: colour_step(of_colour, region, size, self.recipe.colour_smoothness)})
 
-    def coloured(self, fields: Fields, start: mi.TensorXf | None, h: float) -> mi.TensorXf | None:
-        """The colours of the fields of an octave, for those that the frame begins with; None if there are none."""
+    def coloured(
+        self, fields: Fields, start: mi.TensorXf | None, h: float, followed: bool = True
+    ) -> tuple[mi.TensorXf | None, ColourPullback]:
+        """`Coloured.colour_with_pullback` for the fields of an octave; no colours without a start."""
         if start is None or not isinstance(self.parameterisation, Coloured):
-            return None
-        return dr.detach(self.parameterisation.colour(fields, start, h))
+            return None, ColourPullback(None, None)
+        return self.parameterisation.colour_with_pullback(fields, start, h, followed)
 
-    def in_gamut(self, fields: Fields, start: mi.TensorXf | None) -> Fields:
+    def in_gamut(self, fields: Fields, start: mi.TensorXf | None, h: float) -> Fields:
         """The fields, with colours that are some."""
         if start is None or not isinstance(self.parameterisation, Coloured):
             return fields
-        return self.parameterisation.in_gamut(fields, start)
+        return self.parameterisation.in_gamut(fields, start, h)
 
     @property
     def still(self) -> bool:
@@ -226,7 +228,7 @@ def plan_of(
     density_scale: float = 1.0,
     objective: Objective | None = None,
     regions: Regions | None = None,
-    colour_names: Collection[str] = (),
+    colour_names: Sequence[str | None] = (),
     colour_written: str = "Cd",
 ) -> Plan:
     """Plan a sequence.
@@ -242,7 +244,7 @@ def plan_of(
         density_scale: factor of the frames' densities.
         objective: what to minimise instead of the recipe's terms.
         regions: the masks of its targets, see `regions_of`.
-        colour_names: where colours are optimised, the grids of the frames that have those with which they begin.
+        colour_names: where colours are optimised, the grid of those with which each frame begins, None if it has none.
         colour_written: the grid in which they are written.
 
     Raises:
@@ -263,14 +265,14 @@ def plan_of(
             at_frame,
             float(scale > 0) if recipe.sigma == "loss" else scale,
             exposure,
-            _parameterisation(at_frame, max(lams) > 0, min(lams) < 1, bool(colour_names)),
+            _parameterisation(at_frame, max(lams) > 0, min(lams) < 1, own is not None),
             None if objective is not None else tuple(_weights(target, number) for target in targets),
             in_cells(recipe.reach, shape[1]),
             in_cells(recipe.keep_silhouette, shape[1]),
             tuple(target.weight(number) for target in targets),
         )
-        for index, (name, number, at_frame, scale, exposure) in enumerate(
-            zip(names, numbers, recipes, step_scales, exposures, strict=True)
+        for index, (name, number, at_frame, scale, exposure, own) in enumerate(
+            zip(names, numbers, recipes, step_scales, exposures, colour_names or [None] * len(names), strict=True)
         )
     )
     objectives = (objective,) if objective is not None else tuple(objective_of(target.recipe) for target in targets)
@@ -281,14 +283,14 @@ def plan_of(
             tuple(mean_colour(*pair, size) for pair in zip(objectives, frame.weights or unweighted, strict=True))
             for frame in frames
         )
-        colours = Colours(frozenset(colour_names), colour_written, means)
+        colours = Colours(frozenset(name for name in colour_names if name is not None), colour_written, means)
     return Plan(recipe, frames, shape, density_scale, objectives, regions, colours=colours)
 
 
 def _parameterisation(recipe: Recipe, scalar: bool, vector: bool, coloured: bool) -> Parameterisation:
     """That of the recipe of a frame.
 
-    `scalar`, `vector`, `coloured`: whether frames of the sequence have a Φ, a Ψ, and colours of their own.
+    `scalar`, `vector`: whether frames of the sequence have a Φ, a Ψ; `coloured`: whether this one has its own colours.
     """
     if recipe.parameterisation == "density":
         of_density: Parameterisation = DensityOffset()

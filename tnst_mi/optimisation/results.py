@@ -62,7 +62,9 @@ def result_of(
         before, after = (scaled(density, plan.density_scale) for density in (source.density, result.density))
         regions = () if plan.regions is None else plan.regions.masks(frame.index, source)
         result.loss_before, result.terms_before = problem.judge(frame, before, regions, colour)
-        result.loss_after, result.terms_after = problem.judge(frame, after, regions, result.colour)
+        # A result without colours of its own has those with which it began.
+        found = colour if result.colour is None else result.colour
+        result.loss_after, result.terms_after = problem.judge(frame, after, regions, found)
     return result
 
 

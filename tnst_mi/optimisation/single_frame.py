@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from tnst_mi.fields.density_unit import ReferenceDensity
 from tnst_mi.frame import Frame
-from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.losses.objective import Objective
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.items.store import MemoryStore
@@ -18,6 +17,7 @@ from tnst_mi.regions.regions import regions_of
 from tnst_mi.rendering.cameras.shots import shot_views, with_shots
 from tnst_mi.rendering.exposure import brightness
 from tnst_mi.rendering.levels import by_frame, levels_seen
+from tnst_mi.rendering.smoke_colour import colour_name
 
 
 def optimise(
@@ -64,7 +64,7 @@ def optimise(
         density_scale,
         objective,
         regions,
-        [name for name in frame.grids if is_colour(name)],
+        [colour_name(frame.grids)],
     )
     ((_, stylized),) = SequenceOptimisation(plan, [frame], network, MemoryStore()).run(on_iteration)
     return stylized

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from tnst_mi.errors import InputError
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import GOALS
+from tnst_mi.recipe.targets import without_strokes
 
 
 def require_averageable(recipe: Recipe) -> None:
@@ -29,7 +31,7 @@ def require_colour_driven(recipe: Recipe) -> None:
     """Check that the renderer of a recipe shows colours, if these are wanted, and that there are pictures to take.
 
     Raises:
-        InputError: it does not, or there are none, or nothing of them counts.
+        InputError: it does not, or there are none.
     """
     if recipe.colour != "off" and recipe.integrator != "emission_absorption":
         raise InputError(
@@ -43,12 +45,31 @@ def require_colour_driven(recipe: Recipe) -> None:
             "colour = 'style' takes the colours of a style picture, and there is none; expected --style PICTURE, or "
             "colour = 'off' or 'keep'"
         )
-    never = recipe.style_weight == 0 and "style_weight" not in recipe.keyframes and not recipe.target
-    if recipe.colour_weight == 0 and never:
-        raise InputError(
-            "colour = 'style' with style_weight = 0 and colour_weight = 0: nothing of the pictures counts; expected "
-            "one of them above 0"
-        )
+
+
+def require_weight(recipe: Recipe) -> None:
+    """Check that one of a recipe's goals counts: a run without would change nothing.
+
+    Raises:
+        InputError: all of their weights are 0.
+    """
+    if recipe.target:
+        if without_strokes(recipe) and "colour_weight" not in recipe.keyframes and recipe.colour_weight == 0.0:
+            raise InputError(
+                "style_weight = 0 and colour_weight = 0: nothing of the targets with a style counts; expected one of "
+                "them above 0, or colour = 'off'"
+            )
+        return
+    others = [goal for goal in GOALS if goal != "style" and getattr(recipe, goal)]
+    weights = ["style_weight"] * bool(recipe.style) + ["semantic_weight"] * bool(others)
+    if recipe.colour == "style":
+        weights.append("colour_weight")
+    if not weights or any(key in recipe.keyframes or getattr(recipe, key) > 0 for key in weights):
+        return
+    given = " and ".join(f"{key} = 0" for key in weights)
+    whose = "the goal" if len(weights) == 1 else "the goals"
+    expected = "it" if len(weights) == 1 else "one of them"
+    raise InputError(f"{given}: nothing of {whose} counts, so nothing would change; expected {expected} above 0")
 
 
 def require_unmirrored(flip: str | None) -> None:

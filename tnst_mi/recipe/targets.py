@@ -73,6 +73,11 @@ def targets_of(recipe: Recipe) -> list[Target]:
     return [_target(recipe, number, table) for number, table in enumerate(recipe.target, start=1)]
 
 
+def without_strokes(recipe: Recipe) -> bool:
+    """Whether smoke takes on the colours of pictures alone."""
+    return recipe.colour == "style" and "style_weight" not in recipe.keyframes and recipe.style_weight == 0.0
+
+
 def parts_of(mask: Any) -> tuple[Part, ...]:
     """The parts whose product a checked mask is."""
     if mask is None:
@@ -130,8 +135,9 @@ def is_path(text: str) -> bool:
 def _target(recipe: Recipe, number: int, table: Mapping[str, Any]) -> Target:
     own = {key: value for key, value in table.items() if key not in ("mask", "weight")}
     keyed = {key: dict(keys) for key, keys in recipe.keyframes.items()}
-    # The weights of the recipe weigh goals of one loss against each other, and a target's loss has a single one.
-    alone = {"target": (), "style_weight": 1.0, "semantic_weight": 1.0}
+    # The weights of the recipe weigh goals of one loss against each other, and a target's loss has a single one; but
+    # strokes that do not count leave the palettes of the targets.
+    alone = {"target": (), "style_weight": 0.0 if without_strokes(recipe) else 1.0, "semantic_weight": 1.0}
     goal = dataclasses.replace(recipe, **keyed | alone | own, keyframes={})
     weight = table.get("weight", 1.0)
     weights = tuple(weight.items()) if isinstance(weight, Mapping) else weight

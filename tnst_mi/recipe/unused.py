@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.recipe.sections import KINDS
+from tnst_mi.recipe.targets import without_strokes
 
 #: Keys of Mitsuba's path tracer, and of a window.
 _OF_THE_PATH_TRACER = ("albedo", "anisotropy", "light", "spp")
@@ -42,7 +43,8 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
     goals = {goal for goal in GOALS if getattr(recipe, goal) or any(goal in table for table in recipe.target)}
     other_goals = goals - {"style"}
     if recipe.target:
-        yield ("style_weight", "semantic_weight"), "each target has a weight of its own"
+        keys = ("semantic_weight",) if without_strokes(recipe) else ("style_weight", "semantic_weight")
+        yield keys, "each target has a weight of its own"
     if "style" not in goals:
         yield ("style_weight", "style_layers", "style_loss", "style_statistics"), "there is no style"
     elif not other_goals and recipe.colour != "style" and _only_scales(recipe, "style_weight"):

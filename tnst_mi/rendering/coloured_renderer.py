@@ -23,13 +23,20 @@ class ColouredRenderer(EmissionAbsorptionRenderer):
     #: Of the density and of three channels.
     samples_per_ray = 4
 
-    def render_colour(self, density: mi.TensorXf, colour: mi.TensorXf, views: Sequence[Viewpoint]) -> mi.TensorXf:
+    def render_colour(
+        self,
+        density: mi.TensorXf,
+        colour: mi.TensorXf,
+        views: Sequence[Viewpoint],
+        known: mi.TensorXf | None = None,
+    ) -> mi.TensorXf:
         """Images (V, H, W, 3) of a density (D, H, W) and its colour (D, H, W, 3), linear RGB, differentiable in both.
 
-        Row 0 is at the top.
+        Row 0 is at the top. `known` are the same images without derivatives, if they have been rendered before for
+        others: nothing is marched for them again.
         """
         varied = (dr.grad_enabled(density), dr.grad_enabled(colour))
-        return dr.custom(_RenderColour, density, colour, self, tuple(views), varied)
+        return dr.custom(_RenderColour, density, colour, self, tuple(views), varied, known)
 
     def colour_images(self, density: mi.TensorXf, colour: mi.TensorXf, views: Sequence[Viewpoint]) -> mi.TensorXf:
         """The images, without derivatives."""
@@ -101,11 +108,12 @@ class _RenderColour(dr.CustomOp):
         renderer: ColouredRenderer,
         views: tuple[Viewpoint, ...],
         varied: tuple[bool, bool],
+        known: mi.TensorXf | None,
     ) -> mi.TensorXf:
         self.renderer, self.varied = renderer, varied
         self.arguments = (dr.detach(density), dr.detach(colour), views)
         with turn(), dr.suspend_grad():
-            self.images = renderer.colour_images(*self.arguments)
+            self.images = renderer.colour_images(*self.arguments) if known is None else mi.TensorXf(known)
             # Evaluated now: the adjoint needs them again and should not march for them.
             dr.eval(self.images)
         return self.images

@@ -2,7 +2,9 @@
 
 A flame f, from 0 to its largest value over all frames, emits f times a warm colour, deep red where it is faint. A
 temperature emits as a black body: in kelvin if it reaches 200, else it is taken as 20 °C at 0 and 2200 K at its largest
-value. Both are relative: the brightest place of all frames emits `BRIGHTNESS` in its strongest colour.
+value. Colours c, if they are asked for, emit c times the density, so that air without smoke is dark; those of a grid
+whose name says emission are that already. All are relative: the brightest place of all frames emits `BRIGHTNESS` in its
+strongest colour, colours `COLOUR_BRIGHTNESS`.
 
 Temperatures also colour smoke that does not burn, with the hue of that light and not its strength: `glow_colours`.
 """
@@ -17,10 +19,12 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.frame import Frame
-from tnst_mi.io.interpretation.grid_names import listed, plain_name
+from tnst_mi.io.interpretation.grid_names import is_colour, listed, plain_name
 
 #: Largest emission, radiance per longest edge of the grid: a sixth of that edge is as bright as white.
 BRIGHTNESS = 6.0
+#: Likewise of smoke that shines in its colours: it fills far more space than flames, and would be white all over.
+COLOUR_BRIGHTNESS = 3.0
 
 #: Words in the names of grids. Caches call them flame or flame_noise, temperature or heat.
 _FLAME = {"flame", "flames", "fire", "burn", "burning"}
@@ -51,18 +55,24 @@ class Fire:
     Attributes:
         grid: the name of the grid whose values emit.
         temperature: whether they are temperatures, and not those of a flame.
-        largest: the largest of them.
+        largest: the largest of them; of colours, the strongest component of what they emit.
         occupied: the box that contains all values above 0.
+        colours: whether they are colours, of three components.
     """
 
     grid: str
     temperature: bool
     largest: float
     occupied: Region
+    colours: bool = False
 
     @property
     def in_words(self) -> str:
         """Which grid was taken as what."""
+        if self.colours:
+            return (
+                f"fire: grid {self.grid} as the colour of light{'' if _is_light(self.grid) else ', times the density'}"
+            )
         if not self.temperature:
             return f"fire: grid {self.grid} as a flame, up to {self.largest:.4g}"
         return f"fire: {temperature_in_words(self.grid, self.largest)}"
@@ -73,10 +83,12 @@ class Fire:
         A frame without the grid does not burn.
 
         Raises:
-            InputError: its grid is no scalar.
+            InputError: its grid is no scalar, or has no colours.
         """
         if self.grid not in frame.grids:
             return np.zeros((*frame.density.shape, 3), np.float32)
+        if self.colours:
+            return np.float32(COLOUR_BRIGHTNESS / self.largest) * _coloured_light(frame, self.grid)
         values = np.clip(_scalar(frame, self.grid), 0.0, self.largest)
         steps = np.linspace(0.0, 1.0, _COLOURS)
         colours = self._temperature_ramp(steps) if self.temperature else _flame_ramp(steps)
@@ -98,14 +110,14 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
 
     Args:
         frames: all frames that will be rendered together.
-        choice: the name of a grid; "none" for no fire; None for the flame where there is one, else for a temperature in
-            kelvin at which bodies glow: other temperatures are as often those of mere smoke.
+        choice: the name of a grid, which may have colours; "none" for no fire; None for the flame where there is one,
+            else for a temperature in kelvin at which bodies glow: other temperatures are as often those of mere smoke.
 
     Returns:
         The fire; None if nothing burns.
 
     Raises:
-        InputError: no frame has the grid that was chosen, it is no scalar, or it is 0 everywhere.
+        InputError: no frame has the grid that was chosen, it has vectors that are no colours, or is 0 everywhere.
     """
     if choice == "none":
         return None
@@ -117,13 +129,14 @@ def find_fire(frames: Iterable[Frame], choice: str | None = None) -> Fire | None
             wanted = name == choice if choice is not None else _says(name, _FLAME | _TEMPERATURE)
             if not wanted or (choice is None and frame.grids[name].ndim != 3):
                 continue
-            values = _scalar(frame, name)
+            colours = frame.grids[name].ndim == 4 and is_colour(name)
+            values = _coloured_light(frame, name).max(axis=-1) if colours else _scalar(frame, name)
             box = smoke_box(np.maximum(values, 0.0), 1)
             if box is not None:
                 largest, boxes = float(values.max()), [box]
                 if name in found:
                     largest, boxes = max(largest, found[name].largest), [box, found[name].occupied]
-                found[name] = Fire(name, is_temperature(name), largest, hull(boxes))
+                found[name] = Fire(name, is_temperature(name), largest, hull(boxes), colours)
     if choice is not None and choice not in names:
         others = f"expected one of {listed(list(names))}, or none" if names else "there is none beside the density"
         raise InputError(f"--fire {choice}: no frame has such a grid; {others}")
@@ -214,5 +227,21 @@ def _says(name: str, words: set[str]) -> bool:
 def _scalar(frame: Frame, name: str) -> np.ndarray:
     values = frame.grids[name]
     if values.ndim != 3:
-        raise InputError(f"{frame.name}: grid {name!r} has shape {values.shape}, expected a scalar grid to burn")
+        raise InputError(
+            f"{frame.name}: grid {name!r} has shape {values.shape}, expected a scalar grid to burn, or colours"
+        )
     return values.astype(np.float32)
+
+
+def _coloured_light(frame: Frame, name: str) -> np.ndarray:
+    """What colours emit, (D, H, W, 3) in any unit: that of a grid of light, or that of smoke of these colours."""
+    values = frame.grids[name]
+    if values.ndim != 4:
+        raise InputError(f"{frame.name}: grid {name!r} has shape {values.shape}, expected colours as in other frames")
+    light = np.maximum(values.astype(np.float32), 0.0)
+    return light if _is_light(name) else light * frame.density[..., None]
+
+
+def _is_light(name: str) -> bool:
+    """Whether the name of a grid of colours says that they are those of light, and not of smoke."""
+    return _says(name, {"emission"})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -19,7 +20,7 @@ from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 
-@any_array_kind("density", "colour")
+@any_array_kind("density", "colour", from_0_to_1=["colour"])
 def render(
     density: mi.TensorXf,
     view: View | Sequence[View] = (0.0, 0.0),
@@ -55,8 +56,9 @@ def render(
         camera: what to render from instead of a view; lengths are in full-resolution cells, and the world's origin is
             the grid's centre.
         size: rows and columns of the image; (H, W) if None, and of a camera H and what its aspect makes of that.
-        colour: (D, H, W, 3) of what the smoke emits, linear RGB, finite and usually in [0, 1] (not checked); the
-            outermost cells repeat outside the grid. Extinction stays the same in all channels. None for a grey image.
+        colour: (D, H, W, 3) of what the smoke emits, linear RGB, finite and usually in [0, 1]; uint8 and uint16
+            count as parts of 255 and 65535. The outermost cells repeat outside the grid. Extinction stays the same in
+            all channels. None for a grey image.
 
     Returns:
         Image (H, W), or (V, H, W) for a sequence of views, row 0 at the top, in the array kind of the input. "exact"
@@ -97,6 +99,8 @@ def render(
             f"render: colour of shape {tuple(colour.shape)} given, expected {(*density.shape, 3)}: a red, a "
             "green and a blue part for every cell of the density"
         )
+    if colour is not None:
+        _require_colours(colour)
     if quadrature not in QUADRATURES:
         raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
     if not (0 < gamma < math.inf and 0 < h < math.inf):
@@ -111,6 +115,19 @@ def render(
     else:
         images = ColouredRenderer(*arguments, size=size).render_colour(density, colour, viewpoints)
     return images if several else mi.TensorXf(images.array, tuple(images.shape)[1:])
+
+
+def _require_colours(colour: mi.TensorXf) -> None:
+    """Check that all are finite; those outside of [0, 1] occur where colours are optimised."""
+    values = dr.detach(colour.array)
+    bad = ~dr.isfinite(values)
+    if dr.any(bad):
+        indices = dr.compress(bad)
+        place = tuple(int(n) for n in np.unravel_index(indices[0], tuple(colour.shape)))
+        raise InputError(
+            f"render: colour has {len(indices)} NaN or infinite values (the first at {place}), expected finite ones, "
+            "usually from 0 to 1"
+        )
 
 
 def _viewpoints(view: View | Sequence[View], camera: Camera | None) -> tuple[list[Viewpoint], bool]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.fields.arrays import LARGEST
 from tnst_mi.frame import Frame
 from tnst_mi.io.interpretation.grid_names import is_colour, plain_name
 from tnst_mi.io.pictures.srgb import srgb
@@ -36,7 +37,7 @@ def colour_name(names: Iterable[str]) -> str | None:
 
 
 def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.ndarray:
-    """A grid of colours as linear RGB, (D, H, W, 3) float32; unsigned numbers count as parts of their largest.
+    """A grid of colours as linear RGB, (D, H, W, 3) float32; uint8 and uint16 count as parts of their largest.
 
     Args:
         grids: of a frame, by name.
@@ -44,14 +45,24 @@ def colours_of(grids: Mapping[str, np.ndarray], name: str, frame: str) -> np.nda
         frame: name of the frame, for messages.
 
     Raises:
-        InputError: it is a scalar grid.
+        InputError: it is a scalar grid, or has other whole numbers.
     """
     values = grids[name]
     if values.ndim != 4:
         raise InputError(f"{frame}: grid {quoted(name)} has shape {values.shape}, expected colours, {values.shape} × 3")
-    if values.dtype.kind == "u":
-        return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
-    return values.astype(np.float32)
+    if values.dtype.kind == "f":
+        return values.astype(np.float32)
+    if values.dtype.name not in LARGEST:
+        raise InputError(
+            f"{frame}: grid {quoted(name)} has colours of {values.dtype}, expected floating-point numbers, linear RGB, "
+            "or uint8 or uint16 of which the largest counts as 1"
+        )
+    return values.astype(np.float32) / np.float32(LARGEST[values.dtype.name])
+
+
+def are_colours(values: np.ndarray) -> bool:
+    """Whether `colours_of` takes the values of a grid."""
+    return values.ndim == 4 and (values.dtype.kind == "f" or values.dtype.name in LARGEST)
 
 
 def shown_colours(
@@ -85,6 +96,14 @@ def shown_colours(
     if grids[name].ndim != 3:
         raise InputError(f"{frame}: grid {quoted(name)} has shape {grids[name].shape}, expected a temperature")
     return srgb(glow_colours(grids[name].astype(np.float32), hottest))
+
+
+def own_colours(frame: Frame) -> np.ndarray | None:
+    """The colours of the grid of a frame that has some, as `shown_colours` gives them; None if none has."""
+    name = colour_name(frame.grids)
+    if name is None or frame.grids[name].ndim != 4:
+        return None
+    return shown_colours(frame.grids, name, frame.name, frame.density.shape)
 
 
 def shown_grid(names: Sequence[str], temperature: tuple[str, float] | None) -> tuple[str | None, float | None]:

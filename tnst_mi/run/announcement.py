@@ -8,7 +8,7 @@ from tnst_mi.fields.density_unit import is_unusual
 from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.losses.pictures import read_image
 from tnst_mi.machine import environment
-from tnst_mi.machine.terminal import some_of
+from tnst_mi.machine.terminal import shortened, some_of
 from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.targets import Target, targets_of
@@ -90,6 +90,10 @@ def _of_other_grids(prepared: Prepared) -> Iterator[str]:
     """What moves with the smoke, and what does not."""
     carry, carried = prepared.recipe.carry, prepared.record["carried"]
     movable = dict.fromkeys(name for measure in prepared.measures for name in measure.movable)
+    if (colours := prepared.plan.colours) is not None:
+        yield f"colours of the smoke: written as grid {shortened(colours.written)}"
+        # They are carried where they are made from those of the input.
+        carried = [name for name in carried if name != colours.written or colours.names]
     names = listed(carried, in_quotes=False)
     if carried and prepared.recipe.parameterisation == "density":
         yield f"note: densities change in place, so other grids come back as they are: {names}"

@@ -19,6 +19,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
 from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
+from tnst_mi.run.colour_record import colour_flicker
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -149,5 +150,6 @@ def _stylized(
     elif len(densities) == len(prepared.wanted) > 1:
         moving = (prepared.moving[index] for index in prepared.wanted)
         record["sequence"] = sequence_record(prepared.recipe, moving, densities, record["frames"])
+        record["sequence"] |= colour_flicker(prepared, densities, grids)
     frames = prepared.frames_named(names)
     return Result(densities, velocities, grids, frames, history, record, prepared.out, prepared.recipe)

@@ -13,6 +13,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.geometry.other_grids import OtherGrid, OtherGrids
 from tnst_mi.io.formats import held
 from tnst_mi.io.grids.vdb.other_grids import stored_velocity
+from tnst_mi.io.interpretation.grid_names import is_colour
 from tnst_mi.io.pictures.srgb import linear_of
 from tnst_mi.machine.terminal import quoted, some_of
 from tnst_mi.optimisation.movement import Movement
@@ -135,7 +136,8 @@ def carried(
             read_velocity = partial(_moved, partial(OtherGrid, frame.velocity), movement)
         else:
             readers |= own
-    moved = {name: partial(_moved, reader, movement) for name, reader in readers.items()}
+    shown = movement is not None and movement.shows_colours
+    moved = {name: partial(_moved, reader, movement, shown and is_colour(name)) for name, reader in readers.items()}
     if own_colour in names and stylized.colour is not None:
         moved[own_colour] = partial(OtherGrid, linear_of(stylized.colour))
     return Carried(OtherGrids(moved, frame.density.shape, frame.name), read_velocity, tuple(names))
@@ -157,6 +159,6 @@ def _unchanged(frame: Frame, name: str, digest: str | None) -> OtherGrid:
     return grid
 
 
-def _moved(read: Callable[[], OtherGrid], movement: Movement | None) -> OtherGrid:
+def _moved(read: Callable[[], OtherGrid], movement: Movement | None, of_colour: bool = False) -> OtherGrid:
     grid = read()
-    return grid if movement is None else replace(grid, values=movement.carried(grid))
+    return grid if movement is None else replace(grid, values=movement.carried(grid, of_colour))

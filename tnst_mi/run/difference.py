@@ -28,6 +28,9 @@ _PROVENANCE = (
     ("seconds",),
 )
 
+#: Numbers of a frame of which one is of both results.
+_MEANS = ("relative_difference", "change_correlation", "colour_difference")
+
 #: What the record of a frame says.
 _RECORDED = ("loss_before", "loss_after", "largest_displacement", "folded")
 
@@ -57,7 +60,13 @@ def provenance_differences(a: Mapping[str, Any] | None, b: Mapping[str, Any] | N
     return found
 
 
-def frame_difference(a: Reopened, b: Reopened, at: tuple[int, int], frames: tuple[Frame, Frame]) -> dict[str, Any]:
+def frame_difference(
+    a: Reopened,
+    b: Reopened,
+    at: tuple[int, int],
+    frames: tuple[Frame, Frame],
+    colours: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+) -> dict[str, Any]:
     """The numbers of a frame that both have.
 
     Args:
@@ -65,10 +74,12 @@ def frame_difference(a: Reopened, b: Reopened, at: tuple[int, int], frames: tupl
         b: the other.
         at: index of the frame in each.
         frames: the frame of each.
+        colours: in which each is shown, (D, H, W, 3) display values; None for a grey one.
 
     Returns:
         names; relative_difference ‖d_b − d_a‖/‖d_a‖ and change_correlation, Pearson's of d_a − d and d_b − d where both
-        have the same input d (None where they do not, where there is no change, or on different grids); changes
+        have the same input d (None where they do not, where there is no change, or on different grids);
+        colour_difference, see `colour_difference` (None without colours, and likewise on different grids); changes
         ‖d* − d‖/‖d‖ of each; masses; and of runs loss_before, loss_after, largest_displacement and folded.
     """
     names = a.names[at[0]], b.names[at[1]]
@@ -89,6 +100,7 @@ def frame_difference(a: Reopened, b: Reopened, at: tuple[int, int], frames: tupl
         "relative_difference": relative_change(frames[0].density, frames[1].density) if alike else None,
         "same_input": same,
         "change_correlation": _correlation(changes[0], changes[1]) if same and alike else None,
+        "colour_difference": colour_difference(frames, colours) if alike else None,
         "changes": tuple(
             None if before is None or change is None else relative_change(before, before + change)
             for before, change in zip(inputs, changes, strict=True)
@@ -98,9 +110,25 @@ def frame_difference(a: Reopened, b: Reopened, at: tuple[int, int], frames: tupl
     }
 
 
+def colour_difference(
+    frames: tuple[Frame, Frame], colours: tuple[np.ndarray | None, np.ndarray | None]
+) -> float | None:
+    """How much colours of smoke differ: the root mean square of the difference of display values, over the smoke.
+
+    Cells count by the mean of both densities. A grey frame is white; None if both are, or there is no smoke.
+    """
+    if colours[0] is None and colours[1] is None:
+        return None
+    a, b = (1.0 if of_one is None else of_one for of_one in colours)
+    weights = frames[0].density.astype(np.float64) + frames[1].density
+    total = weights.sum()
+    square = np.square(b - a, dtype=np.float64).mean(-1)
+    return float(np.sqrt((weights * square).sum() / total)) if total > 0 else None
+
+
 def summary(frames: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Means over the frames of `frame_difference`, of those that have a value; pairs where frames have pairs."""
-    means = {key: _mean([frame[key] for frame in frames]) for key in ("relative_difference", "change_correlation")}
+    means = {key: _mean([frame[key] for frame in frames]) for key in _MEANS}
     pairs = {
         key: tuple(_mean([frame[key][side] for frame in frames]) for side in (0, 1))
         for key in ("changes", "masses", "loss_before", "loss_after", "largest_displacement")

@@ -19,7 +19,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.rendering.levels import by_cell
-from tnst_mi.run.panels import difference, on_canvas, row, wipe
+from tnst_mi.run.panels import both_coloured, difference, on_canvas, row, wipe
 
 #: Shares of the proportions up to which grids of different numbers of cells show the same scene.
 _ALIKE = 0.02
@@ -28,6 +28,8 @@ _ALIKE = 0.02
 @dataclass
 class MainViews:
     """The main views of frames that two results have, both as the recipe of the first sees them.
+
+    They are in colour where one of the two is.
 
     Grids of the same proportions but other numbers of cells are taken as the same scene: optical thickness and
     brightness are equal, and the smaller picture is enlarged. Other grids are shown cell by cell.
@@ -41,8 +43,18 @@ class MainViews:
     factor: float
     pairs: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
-    def add(self, a: Frame, b: Frame, shot: View | None = None) -> None:
-        """Render a frame of each, from around where the camera of the shot saw it, if there is one."""
+    def add(
+        self,
+        a: Frame,
+        b: Frame,
+        shot: View | None = None,
+        colours: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    ) -> None:
+        """Render a frame of each, from around where the camera of the shot saw it, if there is one.
+
+        `colours` are those in which each is shown, (D, H, W, 3) display values, None for a grey one. Path tracing shows
+        all smoke in grey.
+        """
         recipe = by_cell(self.recipe.at(a.number), a.density.shape)
         recipe = replace(recipe, shots=() if shot is None else (shot,))
         finer = max(b.density.shape) / max(a.density.shape)
@@ -50,9 +62,11 @@ class MainViews:
             abs(n / m / finer - 1) <= _ALIKE for n, m in zip(b.density.shape, a.density.shape, strict=True)
         )
         share = 1 / finer if same_scene else 1.0
-        first = main_view(scaled(a.density, self.factor), recipe)
-        second = share * main_view(scaled(b.density, self.factor), replace(recipe, gamma=share * recipe.extinction))
-        self.pairs.append((first, second))
+        tints = colours if recipe.integrator == "emission_absorption" else (None, None)
+        thinner = replace(recipe, gamma=share * recipe.extinction)
+        first = main_view(scaled(a.density, self.factor), recipe, colour=tints[0])
+        second = share * main_view(scaled(b.density, self.factor), thinner, colour=tints[1])
+        self.pairs.append(both_coloured(first, second))
 
     @property
     def exposure(self) -> float:
@@ -90,7 +104,8 @@ def write_pictures(
     files, film = [], out / "diff.mp4"
     with open_video(film, frames_per_second) if len(pairs) > 1 else nullcontext() as video:
         for name, (a, b) in zip(names, pairs, strict=True):
-            change = (f"B - A times {scale:.3g}: orange where B is brighter", difference(a, b, scale))
+            grey = f"B - A times {scale:.3g}: orange where B is brighter"
+            change = (grey if a.ndim == 2 else f"|B - A| times {scale:.3g}", difference(a, b, scale))
             side = row([(f"A: {titles[0]}", a), (f"B: {titles[1]}", b), change])
             files += [f"{name}_side.png", f"{name}_wipe.png"]
             write_png(out / files[-2], side)

@@ -21,7 +21,7 @@ def flicker(change: np.ndarray, next_change: np.ndarray, velocity: np.ndarray) -
     """Flicker of a pair of frames.
 
     Args:
-        change: d* − d of a frame, (D, H, W).
+        change: d* − d of a frame, (D, H, W); or of something of several components, (D, H, W, C), all of which count.
         next_change: the same of the next frame.
         velocity: the first frame's simulation velocity, (D, H, W, 3) in cells per frame.
 
@@ -31,7 +31,9 @@ def flicker(change: np.ndarray, next_change: np.ndarray, velocity: np.ndarray) -
     Raises:
         InputError: the velocity and the change are on different grids.
     """
-    carried = advect(change, velocity, method="semi_lagrangian", outside="edge")
+    channels = [change] if change.ndim == 3 else list(np.ascontiguousarray(np.moveaxis(change, -1, 0)))
+    each = [advect(one, velocity, method="semi_lagrangian", outside="edge") for one in channels]
+    carried = each[0] if change.ndim == 3 else np.stack(each, axis=-1)
     return _ratio(_norm(carried - next_change), _norm(next_change))
 
 
@@ -57,7 +59,7 @@ class FlickerMeter:
 
         Args:
             name: its name in `pairs`.
-            before: d, (D, H, W).
+            before: d, (D, H, W), or (D, H, W, C).
             after: d*, likewise.
             velocity: the simulation velocity, (D, H, W, 3) in cells per frame; without one, this frame and the
                 next form no pair.

@@ -27,6 +27,8 @@ from tnst_mi.optimisation.plan import Plan
 from tnst_mi.optimisation.result import Progress, Stylized
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.run.announcement import announcement
+from tnst_mi.run.colour import colour_before
+from tnst_mi.run.colour_record import colour_flicker
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.kept_octaves import KeptOctaves
 from tnst_mi.run.live_pictures import LivePictures
@@ -35,7 +37,7 @@ from tnst_mi.run.progress import ProgressBar
 from tnst_mi.run.record import run_identity, sequence_record
 from tnst_mi.run.results import recorded, write_results
 from tnst_mi.run.resuming import record_in
-from tnst_mi.run.stored_arrays import StoredArrays
+from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
 from tnst_mi.run.time_left import octave_sizes
 
 #: What else than the system's own words is said of why something could not be written.
@@ -174,11 +176,12 @@ class Run(Iterator[FinishedFrame]):
         done = [index for index, name in enumerate(names) if name in finished or index in prepared.context]
         live = None
         if folder is not None:
-            live = LivePictures(folder, {index: names[index] for index in wanted}, prepared.plan.full.size, finished)
+            shown, colours = {index: names[index] for index in wanted}, partial(colour_before, prepared)
+            live = LivePictures(folder, shown, prepared.plan.full.size, finished, colours)
             self._octave_listeners.append(live.octave_done)
             if prepared.recipe.keep_octaves and lock is not None:
-                shown, may_write = wanted[len(wanted) // 2], lock.require_held
-                kept = KeptOctaves(folder.out, prepared.recipe, self.record, shown, may_write)
+                middle, may_write = wanted[len(wanted) // 2], lock.require_held
+                kept = KeptOctaves(folder.out, prepared.recipe, self.record, middle, colours, may_write)
                 self._octave_listeners.append(kept.octave_done)
         with closing(self._computed(folder, store, live, done)) as frames:
             for frame in frames:
@@ -231,7 +234,9 @@ class Run(Iterator[FinishedFrame]):
             frames = (prepared.moving[index] for index in prepared.wanted)
             densities = StoredArrays(folder.out, "density", names, prepared.suffix, prepared.frames)
             records = self.record["frames"]
+            grids = StoredGrids(folder.out, names, prepared.suffix, prepared.frames)
             self.record["sequence"] = sequence_record(prepared.recipe, frames, densities, records)
+            self.record["sequence"] |= colour_flicker(prepared, densities, grids)
             folder.write_sequence(self.record, prepared.recipe.fps or FRAMES_PER_SECOND)
             self.record["results"] = folder.recorded_pictures()
         folder.write_run(self._progressed(started))

@@ -13,7 +13,7 @@ from typing import Any
 
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.pictures.png import write_png
-from tnst_mi.optimisation.glimpse import Glimpses
+from tnst_mi.optimisation.glimpse import Glimpses, SmokeColour
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.before_after import side_by_side
 from tnst_mi.run.folder import OCTAVES, holds_run
@@ -40,14 +40,21 @@ class KeptOctaves:
         recipe: of the run.
         record: the contents of its run.json so far.
         shown: index of the frame whose picture is kept.
+        colours: those of a frame by its index, before it is stylized; None for a grey one.
         may_write: called before anything is written; raises if that must not happen any more.
     """
 
     def __init__(
-        self, out: Path, recipe: Recipe, record: Mapping[str, Any], shown: int, may_write: Callable[[], None]
+        self,
+        out: Path,
+        recipe: Recipe,
+        record: Mapping[str, Any],
+        shown: int,
+        colours: Callable[[int], SmokeColour | None],
+        may_write: Callable[[], None],
     ) -> None:
         self._out, self._recipe, self._record = out, recipe, record
-        self._shown, self._may_write = shown, may_write
+        self._shown, self._colours, self._may_write = shown, colours, may_write
 
     def octave_done(self, glimpses: Glimpses) -> None:
         """An octave of all frames is done, and it is not the last one.
@@ -58,7 +65,7 @@ class KeptOctaves:
         self._may_write()
         folder = octave_folder(self._out, glimpses.octave)
         frames = [{"name": name, "state": write_state(folder, name, state)} for name, state in glimpses.states()]
-        for name, before, after in glimpses.of([self._shown]):
+        for name, before, after in glimpses.of([self._shown], self._colours):
             write_png(folder / "images" / f"{name}_comparison.png", side_by_side(before, after))
         with written_whole(folder / "recipe.toml") as temporary:
             temporary.write_text(self._recipe.to_toml(), "utf-8")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 import numpy as np
 
 from tnst_mi.losses.pictures import resized
-from tnst_mi.optimisation.glimpse import Glimpses
+from tnst_mi.optimisation.glimpse import Glimpses, SmokeColour, grey
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.report import on_sheet
 
@@ -27,6 +27,7 @@ class LivePictures:
         names: of the frames that have results, by their indices, in their order.
         size: rows and columns of the pictures of results, to which those of coarser octaves are enlarged.
         finished: names of the frames that have been written already.
+        colours: those of a frame by its index, before it is stylized; None for a grey one.
         clock: seconds that pass.
     """
 
@@ -36,9 +37,11 @@ class LivePictures:
         names: Mapping[int, str],
         size: tuple[int, int],
         finished: Collection[str] = (),
+        colours: Callable[[int], SmokeColour | None] = grey,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._names, self._size, self._clock = folder, names, size, clock
+        self._colours = colours
         every = list(names)
         self._chosen, self._finished = [every[place] for place in on_sheet(len(every))], set(finished)
         #: The pictures of the contact sheet so far.
@@ -53,7 +56,7 @@ class LivePictures:
         if not self._due:
             return
         left = [index for index in self._chosen if self._names[index] not in self._finished]
-        for name, *views in glimpses.of(left):
+        for name, *views in glimpses.of(left, self._colours):
             before, after = (resized(view, *self._size) for view in views)
             self._folder.write_glimpse(name, before, after)
             self._shown[name] = before, after

@@ -22,6 +22,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.targets import Target, mask_files, targets_of
 from tnst_mi.rendering.cameras.shots import ShotView
 from tnst_mi.rendering.fire import is_temperature
+from tnst_mi.rendering.smoke_colour import are_colours
 from tnst_mi.run.carry import movable, read_chosen
 from tnst_mi.run.folder import DAMAGE, ELSEWHERE, is_file_name
 from tnst_mi.run.inputs import frame_digest, grid_digest
@@ -41,7 +42,7 @@ class Measure:
         movable: the names of all that can move with the smoke.
         others: the SHA-256 of its other grids that do, by name.
         placement: where it lies in its scene, without what results keep of its file.
-        vectors: the names of those that have three components.
+        colours: the names of its other grids that can be colours.
         hottest: the largest value of each of its other grids that has temperatures, if it is above 0, by name.
     """
 
@@ -55,7 +56,7 @@ class Measure:
     others: Mapping[str, str] = field(default_factory=dict)
     placement: Placement | None = None
     hottest: Mapping[str, float] = field(default_factory=dict)
-    vectors: tuple[str, ...] = ()
+    colours: tuple[str, ...] = ()
 
     @property
     def identity(self) -> str:
@@ -80,10 +81,10 @@ def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure
     for frame in checked_shapes(frames):
         reference.add(frame.density)
         densest, moves = float(frame.density.max()), frame.velocity is not None
-        others, hottest, vectors = {}, {}, []
+        others, hottest, colours = {}, {}, []
         for name, values in read_chosen(frame, carry):
             others[name] = grid_digest(values)
-            vectors += [name] if values.ndim == 4 else []
+            colours += [name] if are_colours(values) else []
             if values.ndim == 3 and is_temperature(name) and 0 < (largest := float(values.max())) < math.inf:
                 hottest[name] = largest
         place = None if frame.placement is None else replace(frame.placement, own=None, source=None)
@@ -100,7 +101,7 @@ def measured(frames: Iterable[Frame], carry: str = "none") -> tuple[list[Measure
                 others,
                 place,
                 hottest,
-                tuple(vectors),
+                tuple(colours),
             )
         )
     counts = Counter(measure.name for measure in measures)

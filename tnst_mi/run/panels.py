@@ -48,23 +48,36 @@ def row(panels: Sequence[tuple[str, np.ndarray]], least: int = _LEAST_HEIGHT) ->
 
 
 def wipe(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The left half of one picture (H, W), the right half of another, and a white line between them, enlarged."""
+    """The left half of one picture (H, W) or (H, W, 3), the right half of another, and a white line, enlarged."""
     a, b = (_enlarged(picture, _factor(picture.shape[0], picture.shape[1], _LEAST_HEIGHT)) for picture in (a, b))
     middle = a.shape[1] // 2
     return np.concatenate([a[:, :middle], np.ones((a.shape[0], _LINE, 3)), b[:, middle:]], axis=1)
 
 
 def difference(a: np.ndarray, b: np.ndarray, scale: float) -> np.ndarray:
-    """Where the second picture (H, W) is brighter, in orange, and where the first is, in blue: (H, W, 3) in [0, 1]."""
+    """Where the second picture (H, W) is brighter, in orange, and where the first is, in blue: (H, W, 3) in [0, 1].
+
+    Of pictures (H, W, 3), the size of the difference of each channel.
+    """
+    if a.ndim == 3 or b.ndim == 3:
+        first, second = both_coloured(a, b)
+        return np.clip(np.abs(scale * (second - first)), 0.0, 1.0)
     signed = np.clip(scale * (b - a), -1.0, 1.0)[..., None]
     return np.where(signed > 0, signed * _BRIGHTER, -signed * _DARKER)
 
 
+def both_coloured(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two pictures, each (H, W) or (H, W, 3): both in colour if one of them is."""
+    if a.ndim == b.ndim:
+        return a, b
+    return (a, np.repeat(b[..., None], 3, axis=2)) if a.ndim == 3 else (np.repeat(a[..., None], 3, axis=2), b)
+
+
 def on_canvas(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """A picture (H, W) in the middle of a black one that is at least as large."""
+    """A picture (H, W) or (H, W, 3) in the middle of a black one that is at least as large."""
     above, left = (rows - picture.shape[0]) // 2, (columns - picture.shape[1]) // 2
     below, right = rows - picture.shape[0] - above, columns - picture.shape[1] - left
-    return np.pad(picture, ((above, below), (left, right)))
+    return np.pad(picture, ((above, below), (left, right), *[(0, 0)] * (picture.ndim - 2)))
 
 
 def _factor(rows: int, columns: int, least: int) -> int:

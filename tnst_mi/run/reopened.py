@@ -19,6 +19,7 @@ from tnst_mi.io.sequence import FrameFiles
 from tnst_mi.machine.terminal import displayable, one_line
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import View, distance_of
+from tnst_mi.rendering.smoke_colour import own_colours, shown_colours, shown_grid
 from tnst_mi.run.folder import DAMAGE, holds_run, is_file_name
 from tnst_mi.run.inputs import FramesOnAccess, conventions_of
 from tnst_mi.run.resuming import recipe_of_run
@@ -36,6 +37,7 @@ class Reopened:
         record: the contents of run.json; None for densities.
         recipe: of the run; None likewise.
         shots: where the camera of the run's shot sees each frame from, by its name; empty without one.
+        temperature: the grid whose temperatures a run shows as colours, and the largest; None if it shows none.
         inputs: the frames that were stylized, in the same order; None where they cannot be read.
         notes: what is to be said.
     """
@@ -47,6 +49,7 @@ class Reopened:
     record: Mapping[str, Any] | None = None
     recipe: Recipe | None = None
     shots: Mapping[str, View] = field(default_factory=dict)
+    temperature: tuple[str, float] | None = None
     inputs: Sequence[Frame] | None = None
     notes: tuple[str, ...] = ()
 
@@ -60,6 +63,21 @@ class Reopened:
         """The record of a frame of a run; empty for densities."""
         frames = () if self.record is None else self.record["frames"]
         return next((frame for frame in frames if frame["name"] == name), {})
+
+    def colour(self, frame: Frame) -> np.ndarray | None:
+        """The colours in which a frame is shown, (D, H, W, 3) display values, 0 or more; None for a grey one.
+
+        Runs show colours as their recipe says, other densities those that they have.
+
+        Raises:
+            InputError: the colours cannot be used.
+        """
+        if self.recipe is None:
+            return own_colours(frame)
+        if self.recipe.colour == "off":
+            return None
+        name, hottest = shown_grid(tuple(frame.grids), self.temperature)
+        return shown_colours(frame.grids, name, frame.name, frame.density.shape, hottest)
 
 
 def reopened(path: Path) -> Reopened:
@@ -79,6 +97,7 @@ def reopened(path: Path) -> Reopened:
         _require_numbers(record)
         source = record.get("input")
         shots = {str(name): _view(view) for name, view in record.get("shots", {}).items()}
+        temperature = _temperature(record.get("temperature"))
     except DAMAGE:
         raise InputError(f"{path / 'run.json'}: damaged, so it does not tell what its run has finished") from None
     names = [name for name in finished if is_file_name(name) and (path / "density" / f"{name}{suffix}").is_file()]
@@ -87,7 +106,7 @@ def reopened(path: Path) -> Reopened:
     inputs, notes = _inputs(path, source, recipe, names)
     results = _results(path, names, suffix, inputs)
     numbers = tuple(finished[name] for name in names)
-    return Reopened(path, results, tuple(names), numbers, record, recipe, shots, inputs, notes)
+    return Reopened(path, results, tuple(names), numbers, record, recipe, shots, temperature, inputs, notes)
 
 
 def _require_numbers(record: Mapping[str, Any]) -> None:
@@ -137,6 +156,20 @@ def _view(numbers: Sequence[float]) -> View:
     view: View = (azimuth, elevation, distance[0]) if distance else (azimuth, elevation)
     distance_of(view)
     return view
+
+
+def _temperature(grid: Sequence[Any] | None) -> tuple[str, float] | None:
+    """What a record says of the temperatures that are shown as colours.
+
+    Raises:
+        ValueError, TypeError: it is damaged.
+    """
+    if grid is None:
+        return None
+    name, hottest = grid
+    if not isinstance(name, str) or not 0 < float(hottest) < np.inf:
+        raise ValueError(f"{grid} are not a grid and its largest value")
+    return name, float(hottest)
 
 
 class _Results(FramesOnAccess):

@@ -12,7 +12,12 @@ from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.lock import require_unlocked
-from tnst_mi.recipe.combinations import require_averageable, require_colour_driven, require_one_transport
+from tnst_mi.recipe.combinations import (
+    require_averageable,
+    require_colour_driven,
+    require_one_transport,
+    require_weight,
+)
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.folder import frame_names, holds_run
 from tnst_mi.run.inputs import Frames, sequence_of
@@ -48,6 +53,7 @@ def requested_frames(
     require_averageable(recipe)
     require_one_transport(recipe)
     require_colour_driven(recipe)
+    require_weight(recipe)
     if resume and overwrite:
         raise InputError("--resume and --overwrite: expected only one of them")
     if resume and start_from is not None:

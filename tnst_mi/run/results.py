@@ -11,8 +11,9 @@ from tnst_mi.frame import Frame
 from tnst_mi.optimisation.result import Stylized
 from tnst_mi.rendering.driving import main_view
 from tnst_mi.rendering.smoke_colour import shown_colours, shown_grid
-from tnst_mi.run.carry import carried
+from tnst_mi.run.carry import Carried, carried
 from tnst_mi.run.colour import shown_temperature
+from tnst_mi.run.colour_record import palette_distances
 from tnst_mi.run.folder import RunFolder
 from tnst_mi.run.record import frame_record
 from tnst_mi.run.work import Work
@@ -21,7 +22,7 @@ from tnst_mi.run.work import Work
 def recorded(work: Work, index: int, source: Frame, stylized: Stylized) -> dict[str, Any]:
     """The record of a frame whose results are not written."""
     carry = carried(source, stylized, work.recipe.carry, None, work.measures[index].others)
-    return frame_record(source, work.plan.frames[index], stylized) | {"carried": list(carry.names)}
+    return _record(work, index, source, stylized, carry)
 
 
 def write_results(
@@ -41,7 +42,7 @@ def write_results(
     plan = work.plan.frames[index]
     recipe, exposure, history = plan.recipe, plan.exposure, stylized.history
     carry = carried(source, stylized, work.recipe.carry, work.suffix, work.measures[index].others)
-    record = frame_record(source, plan, stylized) | {"carried": list(carry.names)}
+    record = _record(work, index, source, stylized, carry)
     name, hottest = None, None
     if recipe.colour != "off":
         name, hottest = shown_grid(carry.names, shown_temperature(recipe, work.measures))
@@ -69,3 +70,10 @@ def write_results(
     record.update(folder.recorded(source.name, carry.names, history))
     stylized.potential, stylized.colour = (None, None), None
     return record, before, after
+
+
+def _record(work: Work, index: int, source: Frame, stylized: Stylized, carry: Carried) -> dict[str, Any]:
+    """What the record of a frame says of it, but for its files."""
+    record = frame_record(source, work.plan.frames[index], stylized) | {"carried": list(carry.names)}
+    distances = palette_distances(work.plan, stylized)
+    return record | ({"palette_distances": distances} if distances else {})

@@ -46,6 +46,7 @@ def opened_told(shown: Shown, places: Places, recipe: Recipe, work: str | None) 
         "of_several": source is not None and len(source.numbers) > 1,
         "painted_size": list(image_size(recipe, found.shape)),
         "shape": [d, h, w],
+        "coloured": found.coloured,
         "main_view": list(own.main_view[:2]),
         "notes": list(results.notes),
     }

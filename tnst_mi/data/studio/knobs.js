@@ -49,32 +49,56 @@ async function allIsSet() {
   return all;
 }
 
-function knobRow(knob) {
+// The row of a key with something that sets it, and its parts: name, help and what takes the value back.
+function rowOf(knob, control) {
   const row = element("div", undefined, { className: "knob" });
-  const name = element("button", knob.key, { title: `${knob.label}: ${knob.help}`, className: "key" }), value = element("output");
-  const slider = element("input", undefined, { type: "range", id: `knob-${knob.key}` });
+  const name = element("button", knob.key, { title: `${knob.label}: ${knob.help}`, className: "key" });
   const help = element("p", `${knob.help} (${knob.expected})`, { hidden: true });
-  slider.setAttribute("aria-label", knob.label);
-  const ends = knob.logarithmic ? [Math.log10(knob.low), Math.log10(knob.high)] : [knob.low, knob.high];
-  [slider.min, slider.max] = ends;
-  slider.step = knob.step;
+  control.setAttribute("aria-label", knob.label);
   name.addEventListener("click", () => {
     help.hidden = !help.hidden;
     row.scrollIntoView({ block: "nearest" });
   });
+  const back = element("button", "↺", { title: "as it was" });
+  back.addEventListener("click", () => setKnob(knob.key, null));
+  row.append(name, control, back, help);
+  $("knobs").append(row);
+  return { row, back };
+}
+
+function pickRow(pick) {
+  const select = element("select", undefined, { id: `knob-${pick.key}` });
+  select.append(...pick.words.map((word) => element("option", word, { value: word })));
+  select.addEventListener("change", () => setKnob(pick.key, select.value));
+  return { ...rowOf(pick, select), control: select };
+}
+
+function knobRow(knob) {
+  const value = element("output"), slider = element("input", undefined, { type: "range", id: `knob-${knob.key}` });
+  const ends = knob.logarithmic ? [Math.log10(knob.low), Math.log10(knob.high)] : [knob.low, knob.high];
+  [slider.min, slider.max] = ends;
+  slider.step = knob.step;
   const asked = () => Number((knob.logarithmic ? 10 ** slider.value : Number(slider.value)).toPrecision(3));
   slider.addEventListener("input", () => {
     value.textContent = asked();
     sendSoon(knob.key, asked());
   });
-  row.append(name, slider, value);
   const word = element("button", knob.word || "", { title: `${knob.key} = "${knob.word}"`, hidden: !knob.word });
   word.addEventListener("click", () => setKnob(knob.key, knob.word));
-  const back = element("button", "↺", { title: "as it was" });
-  back.addEventListener("click", () => setKnob(knob.key, null));
-  row.append(word, back, help);
-  $("knobs").append(row);
+  const { row, back } = rowOf(knob, slider);
+  slider.after(value, word);
   return { row, slider, value, word, back };
+}
+
+function showPicks() {
+  for (const pick of state.picks) {
+    const { row, control, back } = rows[pick.key] = rows[pick.key] || pickRow(pick);
+    row.classList.toggle("set", pick.set);
+    control.disabled = back.disabled = Boolean(state.start) && !pick.free;
+    control.title = control.disabled ? "stays as it was in what is gone on from" : "";
+    back.hidden = !pick.set;
+    if (!isNewerHere(pick.key)) control.value = pick.value;
+  }
 }
 
 function showRecipe() {
@@ -88,6 +112,7 @@ function showRecipe() {
     value.textContent = knob.keyframed ? "changes over the frames" : knob.value;
     if (typeof knob.value === "number") slider.value = knob.logarithmic ? Math.log10(knob.value) : knob.value;
   }
+  showPicks();
   const goals = state.goals.map((goal) => {
     const chip = element("span", undefined, { className: "goal" });
     const remove = element("button", "×", { title: "remove" });

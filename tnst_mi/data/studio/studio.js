@@ -15,7 +15,7 @@ function showSameFrame(before) {
 
 function told(next) {
   if (!next.opened && shownKey) { location.reload(); return; } // what was shown is gone, and its input too
-  const shownParts = (of) => JSON.stringify([of.knobs, of.opened, of.masks]);
+  const shownParts = (of) => JSON.stringify([of.knobs, of.picks, of.opened, of.masks]);
   const before = state;
   state = next;
   const key = state.opened && JSON.stringify([state.opened.title, state.opened.path, state.opened.names]);

@@ -38,6 +38,7 @@ function query(side, coarse, lit) {
     frame: $("frame").value, mode: side, look: $("look").value, lit: lit ? 1 : 0,
     azimuth: view.azimuth, elevation: view.elevation, height: view.height, right: view.right, up: view.up,
     perspective: $("perspective").checked ? 1 : 0, cut: $("cut").value, at: $("at").value, coarse: coarse ? 1 : 0,
+    coloured: $("coloured").checked ? 1 : 0,
     rows: Math.max(8, Math.round(height * shrink)), columns: Math.max(8, Math.round(width * shrink)),
     ...alsoAsked,
   });
@@ -225,11 +226,12 @@ function shownMode() {
   const cut = $("cut").value !== "none";
   $("at").hidden = !cut;
   for (const id of ["lit", "perspective"]) $(id).parentElement.hidden = cut;
+  $("in-colour").hidden = !(shown && shown.coloured);
   $("lit").disabled = $("look").value === "network";
   if ($("lit").disabled) $("lit").checked = false;
 }
 
-for (const id of ["look", "lit", "cut", "perspective", "moved-as"]) $(id).addEventListener("change", () => { shownMode(); look(); });
+for (const id of ["look", "lit", "coloured", "cut", "perspective", "moved-as"]) $(id).addEventListener("change", () => { shownMode(); look(); });
 $("at").addEventListener("input", () => look());
 $("home").addEventListener("click", home);
 

@@ -27,7 +27,7 @@ from tnst_mi.recipe.paths import STYLES, shipped_styles
 from tnst_mi.studio.choices.atlas_channels import ATLAS, PICTURE, channels_of
 from tnst_mi.studio.choices.examples import ATLASES, channel_of
 from tnst_mi.studio.choices.similarity import COMPARED, PictureAnswer
-from tnst_mi.studio.choices.uploads import as_png, read_upload
+from tnst_mi.studio.choices.uploads import picture_as_png, read_upload
 from tnst_mi.studio.places import Places
 from tnst_mi.studio.plain import is_plain
 
@@ -203,7 +203,7 @@ class MotifBrowser:
         return _thumbnail(read_image(path))
 
     def upload(self, name: str, body: bytes) -> str:
-        """Keep an uploaded picture, as what is read of it: grey, with its transparency; returns it as a goal.
+        """Keep an uploaded picture, as what is read of it, with its colours and transparency; returns it as a goal.
 
         Raises:
             InputError: it cannot be read as a picture, or there are too many.
@@ -217,7 +217,7 @@ class MotifBrowser:
         while file.exists():
             file, number = self._pictures / f"{stem}_{number}.png", number + 1
         with written_whole(file) as temporary:
-            temporary.write_bytes(as_png(image.grey, image.alpha))
+            temporary.write_bytes(picture_as_png(image))
         return str(file.resolve())
 
     def require_offered(self, key: str, goal: str, weights: str | None) -> None:
@@ -314,5 +314,4 @@ def _by_deviation(wanted: str, answer: PictureAnswer) -> Iterator[Motif]:
 
 
 def _thumbnail(image: GreyImage) -> bytes:
-    fitted = image.fitted(_EDGE, _EDGE)
-    return as_png(fitted.grey, fitted.alpha)
+    return picture_as_png(image.fitted(_EDGE, _EDGE))

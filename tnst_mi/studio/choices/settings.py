@@ -10,7 +10,7 @@ from typing import Any
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import one_line
 from tnst_mi.network.shipped import PATTERNS
-from tnst_mi.recipe.keys import Integer
+from tnst_mi.recipe.keys import Choice, Integer
 from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import KINDS, Recipe, documentation
 from tnst_mi.run.going_on import FREE
@@ -45,6 +45,26 @@ class Knob:
     word: str | None = None
 
 
+@dataclass(frozen=True)
+class Pick:
+    """A key that is one of a few words.
+
+    Attributes:
+        key: of the recipe.
+        label: in a word or two.
+    """
+
+    key: str
+    label: str
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What it may be."""
+        kind = KINDS[self.key]
+        assert isinstance(kind, Choice)
+        return kind.options
+
+
 #: In the order of the page.
 KNOBS = (
     Knob("strength", "strength", 0.0, 1.0, 0.05),
@@ -57,9 +77,11 @@ KNOBS = (
     Knob("octaves", "octaves", 1, 5, 1),
     Knob("iterations", "iterations", 1, 60, 1),
     Knob("views", "views", 1, 16, 1),
+    Knob("colour_weight", "weight of colours", 0.0, 4.0, 0.25),
 )
+PICKS = (Pick("colour", "colour of the smoke"),)
 
-_KNOBS = {knob.key: knob for knob in KNOBS}
+_SETTABLE = {control.key: control for control in (*KNOBS, *PICKS)}
 
 
 class StudioSettings:
@@ -96,13 +118,13 @@ class StudioSettings:
         self._base = base
 
     def set(self, key: str, value: object) -> None:
-        """Set a key of a slider, or take what was set back if the value is None.
+        """Set a key of a slider or a choice, or take what was set back if the value is None.
 
         Raises:
-            InputError: there is no such slider, or the key does not allow the value.
+            InputError: there is no such slider or choice, or the key does not allow the value.
         """
-        if key not in _KNOBS:
-            raise InputError(one_line(f"studio: no slider {key!r}, expected one of {', '.join(_KNOBS)}"))
+        if key not in _SETTABLE:
+            raise InputError(one_line(f"studio: no slider {key!r}, expected one of {', '.join(_SETTABLE)}"))
         if isinstance(KINDS[key], Integer) and isinstance(value, float) and value.is_integer():
             value = int(value)
         values = {name: old for name, old in self.values.items() if name != key}
@@ -112,7 +134,7 @@ class StudioSettings:
 
     def free(self) -> dict[str, Any]:
         """What has been set of sliders that may differ from what is gone on from."""
-        return {key: value for key, value in self.values.items() if key in _KNOBS and key in FREE}
+        return {key: value for key, value in self.values.items() if key in _SETTABLE and key in FREE}
 
     def set_again(self, values: Mapping[str, Any]) -> list[str]:
         """Set what was set before of keys that have other values now; returns these keys."""
@@ -182,27 +204,29 @@ class StudioSettings:
             raise InputError(f"{error}; bring it back, or remove the goal or the region that needs it") from None
 
     def described(self) -> dict[str, Any]:
-        """What the page shows: sliders with their help, goals, and the keys that have others."""
-        recipe, texts = self.recipe, documentation()
-        knobs = [
-            vars(knob)
-            | {
-                "value": getattr(recipe, knob.key),
-                "set": knob.key in self.values,
-                "free": knob.key in FREE,
-                "keyframed": knob.key in recipe.keyframes,
-                "help": texts[knob.key],
-                "expected": KINDS[knob.key].expected,
-            }
-            for knob in KNOBS
-        ]
+        """What the page shows: sliders and choices with their help, goals, and the keys that have others."""
+        recipe = self.recipe
+        knobs = [vars(knob) | self._told(knob.key) for knob in KNOBS]
+        picks = [vars(pick) | {"words": pick.words} | self._told(pick.key) for pick in PICKS]
         goals = [{"key": key, "goal": shipped_name(name)} for key in GOAL_KEYS for name in getattr(recipe, key)]
         return {
             "knobs": knobs,
+            "picks": picks,
             "goals": goals,
             "other_goals": [key for key in OTHER_GOALS if getattr(recipe, key)],
             "masks": masks_described(recipe, self.parts),
             "frames": recipe.frames,
+        }
+
+    def _told(self, key: str) -> dict[str, Any]:
+        """What the page shows of a key."""
+        return {
+            "value": getattr(self.recipe, key),
+            "set": key in self.values,
+            "free": key in FREE,
+            "keyframed": key in self.recipe.keyframes,
+            "help": documentation()[key],
+            "expected": KINDS[key].expected,
         }
 
     def _take(self, values: dict[str, Any]) -> None:

@@ -34,10 +34,15 @@ def read_upload(name: str, body: bytes) -> GreyImage:
             raise InputError(one_line(str(error).replace(str(path), displayable(name)))) from None
 
 
-def as_png(grey: np.ndarray, alpha: np.ndarray | None = None) -> bytes:
-    """A picture (H, W) in [0, 1] as PNG of 8 bits, with its transparency (H, W) in [0, 1] if there is some."""
-    picture, encoded = Image.fromarray(eight_bits(grey)), io.BytesIO()
+def as_png(pixels: np.ndarray, alpha: np.ndarray | None = None) -> bytes:
+    """A picture (H, W) or (H, W, 3) in [0, 1] as PNG of 8 bits, with its transparency (H, W) in [0, 1] if any."""
+    picture, encoded = Image.fromarray(eight_bits(pixels)), io.BytesIO()
     if alpha is not None:
         picture.putalpha(Image.fromarray(eight_bits(alpha)))
     picture.save(encoded, "PNG")
     return encoded.getvalue()
+
+
+def picture_as_png(picture: GreyImage) -> bytes:
+    """A picture as PNG of 8 bits, with its colours and its transparency."""
+    return as_png(picture.colours if picture.coloured else picture.grey, picture.alpha)

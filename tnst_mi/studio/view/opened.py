@@ -19,6 +19,7 @@ from tnst_mi.io.formats import FORMATS
 from tnst_mi.machine.environment import free_memory
 from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.rendering.smoke_colour import colour_name, own_colours
 from tnst_mi.run.reopened import Reopened, reopened
 from tnst_mi.run.stored_arrays import StoredArrays
 from tnst_mi.studio.source import among_all_frames, stylized_frames
@@ -29,23 +30,30 @@ BEFORE, AFTER = "before", "after"
 #: Cells of the grid that is rendered while the camera moves, at most.
 _COARSE_CELLS = 1 << 20
 
+#: Of the largest density, what cells without smoke count for in the colours of the coarser grid.
+_FAINT = 1e-6
+
 #: Part of the free memory that frames may take.
 _SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class ShownGrid:
-    """A density that is rendered, in the unit of the run.
+    """Smoke that is rendered, in the unit of the run.
 
     Attributes:
         density: (D, H, W) float32.
         tensor: the same on the device.
         h: size of a cell in full-resolution cells, 1 or more.
+        colour: display values (D, H, W, 3) float32; None for grey smoke.
+        tint: the same on the device.
     """
 
     density: np.ndarray
     tensor: mi.TensorXf
     h: float
+    colour: np.ndarray | None = None
+    tint: mi.TensorXf | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +74,7 @@ class Opened:
         shape: (D, H, W) of the frames.
         density_scale: factor from their densities to those that γ and looks mean.
         size_limit: bytes that frames in memory may take, but for the latest one.
+        coloured: whether smoke is shown in colour, by what one of the frames has.
     """
 
     results: Reopened
@@ -73,6 +82,7 @@ class Opened:
     shape: Shape
     density_scale: float
     size_limit: int
+    coloured: bool = False
     _frames: OrderedDict[tuple[str, int], GridPair] = field(default_factory=OrderedDict)
     _reading: threading.RLock = field(default_factory=threading.RLock)
 
@@ -92,7 +102,8 @@ class Opened:
             if key in self._frames:
                 self._frames.move_to_end(key)
                 return self._frames[key]
-            shown = _shown(scaled(self._source(key[0])[index].density, self.density_scale))
+            frame = self._source(key[0])[index]
+            shown = _shown(scaled(frame.density, self.density_scale), self._colour(frame))
             self._frames[key] = shown
             while len(self._frames) > 1 and sum(_bytes(frame) for frame in self._frames.values()) > self.size_limit:
                 self._frames.popitem(last=False)
@@ -124,6 +135,12 @@ class Opened:
         arrays = StoredArrays(results.path, "velocity", results.names, suffix, results.inputs or ())
         return arrays[index]
 
+    def _colour(self, frame: Frame) -> np.ndarray | None:
+        """The colours of a frame as they are shown: those of the run's pictures, or else its own."""
+        if self.recipe is None or self.recipe.colour == "off":
+            return own_colours(frame)
+        return self.results.colour(frame)
+
     def _source(self, side: str) -> Sequence[Frame]:
         before = self.results.inputs if self.has_after else None
         return self.results.frames if side == AFTER or before is None else before
@@ -151,22 +168,29 @@ def opened(path: Path, all_frames: bool = False) -> Opened:
     else:
         factor = float(record["density_scale"])
     d, h, w = middle.density.shape
-    return Opened(results, results.recipe, (d, h, w), factor, int(_SHARE * free_memory()))
+    coloured = colour_name(middle.grids) is not None or results.temperature is not None
+    return Opened(results, results.recipe, (d, h, w), factor, int(_SHARE * free_memory()), coloured)
 
 
-def _shown(density: np.ndarray) -> GridPair:
-    full = _shown_grid(density, 1.0)
+def _shown(density: np.ndarray, colour: np.ndarray | None) -> GridPair:
+    full = _shown_grid(density, 1.0, colour)
     factor = 1
     while density.size > _COARSE_CELLS * factor**3:
         factor *= 2
     if factor == 1:
         return GridPair(full, full)
-    return GridPair(full, _shown_grid(pooled(density, factor), float(factor)))
+    mean = pooled(density, factor)
+    if colour is not None:
+        # Colours count by their smoke, since those beyond it are not seen; without any, by its cells alike.
+        weights = density + np.float32(_FAINT) * max(float(density.max()), np.finfo(np.float32).tiny)
+        total = pooled(weights, factor)
+        colour = np.stack([pooled(weights * colour[..., i], factor) / total for i in range(3)], axis=-1)
+    return GridPair(full, _shown_grid(mean, float(factor), colour))
 
 
-def _shown_grid(density: np.ndarray, h: float) -> ShownGrid:
+def _shown_grid(density: np.ndarray, h: float, colour: np.ndarray | None) -> ShownGrid:
     with turn():
-        return ShownGrid(density, mi.TensorXf(density), h)
+        return ShownGrid(density, mi.TensorXf(density), h, colour, None if colour is None else mi.TensorXf(colour))
 
 
 def pooled(density: np.ndarray, factor: int) -> np.ndarray:
@@ -179,4 +203,5 @@ def pooled(density: np.ndarray, factor: int) -> np.ndarray:
 
 def _bytes(frame: GridPair) -> int:
     # Of each grid one copy is on the host, and one on the device.
-    return 2 * (frame.full.density.nbytes + (0 if frame.coarse is frame.full else frame.coarse.density.nbytes))
+    grids = (frame.full,) if frame.coarse is frame.full else (frame.full, frame.coarse)
+    return 2 * sum(grid.density.nbytes + (0 if grid.colour is None else grid.colour.nbytes) for grid in grids)

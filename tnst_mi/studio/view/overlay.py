@@ -138,5 +138,11 @@ class MaskOverlay:
 
 
 def tinted(picture: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A picture (rows, columns) in the colour of masks as far as the share (rows, columns) in [0, 1] says."""
-    return picture[..., None] * (1 - share[..., None] * (1 - _COLOUR))
+    """A picture, (rows, columns) or (rows, columns, 3), in the colour of masks in place of its own.
+
+    As far as the share (rows, columns) in [0, 1] says.
+    """
+    if picture.ndim == 2:
+        picture = picture[..., None]
+    share = share[..., None]
+    return (1 - share) * picture + share * picture.max(2, keepdims=True) * _COLOUR

@@ -15,10 +15,11 @@ from tnst_mi.machine.turns import turn
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering import looks
 from tnst_mi.rendering.cameras.camera import Viewpoint
+from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 from tnst_mi.rendering.exposure import exposure_for
 from tnst_mi.rendering.levels import by_cell
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
-from tnst_mi.run.panels import difference, on_canvas
+from tnst_mi.run.panels import both_coloured, difference, on_canvas
 from tnst_mi.studio.view.movement import Arrows, MovingSmoke, arrows_on, cut_movement, lattice_of
 from tnst_mi.studio.view.opened import AFTER, BEFORE, Opened, ShownGrid
 from tnst_mi.studio.view.overlay import MaskedSmoke, MaskOverlay, tinted
@@ -50,7 +51,7 @@ class SightPainter:
         self._moving: tuple[int, MovingSmoke] | None = None
         #: What has been measured, by γ and quadrature; a cache of methods would keep the frames for as long as itself.
         self._exposures: dict[tuple[float, str], float] = {}
-        self._differences: dict[tuple[int, float, str], float] = {}
+        self._differences: dict[tuple[int, float, str, bool], float] = {}
 
     def index(self, frame: int) -> int:
         """The index of a frame, if it is one.
@@ -122,15 +123,15 @@ class SightPainter:
         gamma, quadrature = self.optics(sight, recipe)
         exposure = self.exposure(sight, recipe)
 
-        def image(side: str) -> np.ndarray:
+        def image(side: str, coloured: bool = sight.coloured) -> np.ndarray:
             grid, size = self._grid(side, sight), (sight.rows, sight.columns)
-            return exposure * self._image(grid, grid.tensor, gamma, quadrature, sight.camera, size)
+            return exposure * self._seen(grid, gamma, quadrature, sight.camera, size, coloured)
 
         if sight.mode == "difference":
-            largest = exposure * self._largest_difference(sight.frame, gamma, quadrature)
+            largest = exposure * self._largest_difference(sight.frame, gamma, quadrature, sight.coloured)
             return difference(image(BEFORE), image(AFTER), 1.0 / largest if largest > 0 else 1.0)
         if sight.mode in ("movement", "depth"):
-            return self._movement(sight, np.clip(image(AFTER), 0, 1))
+            return self._movement(sight, np.clip(image(AFTER, False), 0, 1))
         return image(sight.mode)
 
     def optics(self, sight: Sight, recipe: Recipe) -> tuple[float, str]:
@@ -168,12 +169,14 @@ class SightPainter:
             )
         return self._exposures[key]
 
-    def _largest_difference(self, frame: int, gamma: float, quadrature: str) -> float:
+    def _largest_difference(self, frame: int, gamma: float, quadrature: str, coloured: bool) -> float:
         """The largest difference of a frame in the front view, unexposed; it has the full colour."""
-        if (key := (frame, gamma, quadrature)) not in self._differences:
-            before, after = (
-                self._image(grid, grid.tensor, gamma, quadrature, (0.0, 0.0), None)
-                for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
+        if (key := (frame, gamma, quadrature, coloured)) not in self._differences:
+            before, after = both_coloured(
+                *(
+                    self._seen(grid, gamma, quadrature, (0.0, 0.0), None, coloured)
+                    for grid in (self.opened.frame(side, frame).full for side in (BEFORE, AFTER))
+                )
             )
             self._differences[key] = float(np.abs(after - before).max())
         return self._differences[key]
@@ -181,6 +184,22 @@ class SightPainter:
     def _grid(self, side: str, sight: Sight) -> ShownGrid:
         frame = self.opened.frame(side, sight.frame)
         return frame.coarse if sight.coarse else frame.full
+
+    def _seen(
+        self,
+        grid: ShownGrid,
+        gamma: float,
+        quadrature: str,
+        viewpoint: Viewpoint,
+        size: tuple[int, int] | None,
+        coloured: bool,
+    ) -> np.ndarray:
+        """The image of smoke (rows, columns), in its colours, if it is to have any, (rows, columns, 3)."""
+        if grid.tint is None or not coloured:
+            return self._image(grid, grid.tensor, gamma, quadrature, viewpoint, size)
+        with turn():
+            renderer = ColouredRenderer(grid.density.shape, gamma, quadrature, grid.h, size=size)
+            return renderer.render_colour(grid.tensor, grid.tint, [viewpoint]).numpy()[0]
 
     @staticmethod
     def _image(
@@ -236,12 +255,18 @@ class SightPainter:
         def density(side: str) -> np.ndarray:
             return oriented(self.opened.frame(side, sight.frame).full.density)
 
+        def smoke(side: str) -> np.ndarray:
+            grid = self.opened.frame(side, sight.frame).full
+            if grid.colour is None or not sight.coloured:
+                return density(side)
+            return density(side)[..., None] * oriented(grid.colour)
+
         if sight.mode == "difference":
-            picture = difference(density(BEFORE), density(AFTER), 1.0)
+            picture = difference(smoke(BEFORE), smoke(AFTER), 1.0)
         elif sight.mode in ("movement", "depth"):
             picture = cut_movement(self._moving_smoke(sight.frame), oriented, sight.cut[0], density(AFTER), sight.mode)
         else:
-            picture = density(sight.mode)
+            picture = smoke(sight.mode)
         return _fitted(picture, sight.rows, sight.columns)
 
 

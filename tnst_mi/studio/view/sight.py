@@ -51,6 +51,7 @@ class Sight:
         pan: by how much the camera is moved to its right and upwards, in cells.
         perspective: whether it is a pinhole camera rather than the network's parallel one.
         rows, columns: of the picture, in pixels.
+        coloured: in the colours that the smoke has, rather than in grey.
         coarse: of a coarser grid if this one is large, since it is seen only in passing.
         mask: index of the target whose mask colours the smoke, or None.
         cut: None, or the axis "x", "y" or "z" across which the grid is cut, and where, from 0 to 1.
@@ -67,6 +68,7 @@ class Sight:
     perspective: bool = False
     rows: int = 96
     columns: int = 96
+    coloured: bool = True
     coarse: bool = False
     mask: int | None = None
     cut: tuple[str, float] | None = None
@@ -96,6 +98,7 @@ class Sight:
             perspective=_word(query, "perspective", "0", ("0", "1")) == "1",
             rows=int(_number(query, "rows", 96, _SMALLEST, _LARGEST, whole=True)),
             columns=int(_number(query, "columns", 96, _SMALLEST, _LARGEST, whole=True)),
+            coloured=_word(query, "coloured", "1", ("0", "1")) == "1",
             coarse=_word(query, "coarse", "0", ("0", "1")) == "1",
             mask=int(_number(query, "mask", 0, 0, _MOST_TARGETS, whole=True)) if masked else None,
             cut=None if axis == "none" else (axis, _number(query, "at", 0.5, 0, 1)),
