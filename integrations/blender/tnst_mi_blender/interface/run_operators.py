@@ -9,14 +9,16 @@ from pathlib import Path
 
 import bpy
 
+from ..problems import CannotStylizeError
 from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
 from ..recipes.plan import Part, Plan, read_plan, write_plan
 from ..scene.results import load_result
 from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
 from ..scene.smoke import Smoke, can_be_stylized, smoke_of
+from .kept import Kept
 from .preferences import environment_of, preferences_of
-from .running import Running, RunsJob, TNST_MI_OT_cancel, end_job
+from .running import Running, RunsJob
 
 
 class OfSmoke(RunsJob):
@@ -116,13 +118,16 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
     out = Path(plan.out)
     job = Job(command, out.parent / f"{out.name}.log")
     job.start()
+    kept = Kept(item)
 
     def done() -> str:
-        place = item.tnst_mi.place
-        shown = [load_result(item, smoke, part, place) for part in plan.parts]
+        original = kept.find()
+        if original is None:
+            raise CannotStylizeError(f"{kept.name} was deleted meanwhile; its results are in {out}")
+        shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
         return f"Stylized: {', '.join(map(_in_words, shown))}"
 
-    return Running(job, f"Stylizing {item.name}", done)
+    return Running(job, f"Stylizing {item.name}", done, kept)
 
 
 def _in_words(result: bpy.types.Object) -> str:
@@ -138,7 +143,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).strip("._") or "shot"
 
 
-_CLASSES = (TNST_MI_OT_stylize, TNST_MI_OT_bake_markers, TNST_MI_OT_resume, TNST_MI_OT_cancel)
+_CLASSES = (TNST_MI_OT_stylize, TNST_MI_OT_bake_markers, TNST_MI_OT_resume)
 
 
 def register() -> None:
@@ -148,7 +153,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them; what runs is ended."""
-    end_job()
+    """Remove them."""
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)

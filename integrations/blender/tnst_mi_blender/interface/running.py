@@ -1,16 +1,21 @@
-"""The job that runs beside Blender: one at a time, watched by a timer, in the status bar and the panel."""
+"""The job that runs beside Blender: one at a time, watched by a timer, in the status bar and the panel.
 
-from __future__ import annotations
+The timer is Blender's own and no window's: windows are closed, and workspaces changed, while something runs.
+"""
+
+# Blender reads the annotations of classes: they are no texts here.
 
 import time
 from collections.abc import Callable
 
 import bpy
+from bpy.props import EnumProperty, StringProperty
 
 from ..problems import CannotStylizeError
 from ..processes.environment import EnvironmentMissing
 from ..processes.job import Job
 from ..processes.progress import Progress
+from .kept import Kept
 
 #: Seconds between two looks at a job.
 _EVERY = 0.25
@@ -23,11 +28,12 @@ class Running:
         job: that runs.
         title: what it does, in a few words.
         done: called in the end if it has succeeded; returns what is reported.
+        item: the object that it is for; None of installations, which go on when another file is opened.
         progress: how far it has got.
     """
 
-    def __init__(self, job: Job, title: str, done: Callable[[], str]) -> None:
-        self.job, self.title, self.done = job, title, done
+    def __init__(self, job: Job, title: str, done: Callable[[], str], item: Kept | None = None) -> None:
+        self.job, self.title, self.done, self.item = job, title, done, item
         self.progress = Progress(None, "starting")
 
 
@@ -46,8 +52,6 @@ class RunsJob:
     """An operator that starts a job. In the background of a script, it waits for its end; else Blender stays usable."""
 
     bl_options = {"REGISTER"}
-
-    _timer: bpy.types.Timer | None = None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -69,56 +73,15 @@ class RunsJob:
         except (CannotStylizeError, EnvironmentMissing, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if bpy.app.background:
-            while not now.job.finished:
-                now.progress = now.job.poll()
-                time.sleep(_EVERY)
-            return self._end(context)
-        self._timer = context.window_manager.event_timer_add(_EVERY, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Look at the job at each tick of the timer; everything else is Blender's."""
-        now = _Watched.running
-        if event.type != "TIMER" or now is None:
-            return {"PASS_THROUGH"}
-        now.progress = now.job.poll()
-        if not now.job.finished:
-            _show(context, now)
-            return {"PASS_THROUGH"}
-        return self._end(context)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator, since it opens another file or quits: the job goes with it."""
-        end_job()
-        self._clear(context)
-
-    def _end(self, context: bpy.types.Context) -> set[str]:
-        """Say what has become of the job."""
-        ended = _Watched.running
-        assert ended is not None
-        self._clear(context)
-        if ended.job.cancelled:
-            self.report({"INFO"}, f"{ended.title}: stopped")
-            return {"CANCELLED"}
-        if ended.job.error is not None:
-            self.report({"ERROR"}, ended.job.error)
-            return {"CANCELLED"}
-        try:
-            self.report({"INFO"}, ended.done())
-        except (CannotStylizeError, OSError, ReferenceError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-    def _clear(self, context: bpy.types.Context) -> None:
-        _Watched.running = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-            context.workspace.status_text_set(None)
-            _redraw(context)
+        if not bpy.app.background:
+            bpy.app.timers.register(_watch, first_interval=_EVERY, persistent=True)
+            return {"FINISHED"}
+        while not now.job.finished:
+            now.progress = now.job.poll()
+            time.sleep(_EVERY)
+        kind, text = _end(now)
+        self.report({kind}, text)
+        return {"CANCELLED"} if kind == "ERROR" or now.job.cancelled else {"FINISHED"}
 
 
 class TNST_MI_OT_cancel(bpy.types.Operator):
@@ -133,8 +96,35 @@ class TNST_MI_OT_cancel(bpy.types.Operator):
         return _Watched.running is not None and not _Watched.running.job.cancelled
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Ask it to end; the operator that watches it says when it has."""
+        """Ask it to end; it is said when it has."""
         end_job()
+        return {"FINISHED"}
+
+
+class TNST_MI_OT_report(bpy.types.Operator):
+    """Say what has become of a job: what timers report themselves is not shown"""
+
+    bl_idname = "tnst_mi.report"
+    bl_label = "Report"
+    bl_options = {"INTERNAL"}
+
+    kind: EnumProperty(items=[(kind, kind.capitalize(), "") for kind in ("INFO", "ERROR")])
+    text: StringProperty()
+
+    _timer: bpy.types.Timer | None = None
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Wait for an event of the window, since Blender shows what is reported then."""
+        self._timer = context.window_manager.event_timer_add(0.01, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Report."""
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        context.window_manager.event_timer_remove(self._timer)
+        self.report({self.kind}, self.text)
         return {"FINISHED"}
 
 
@@ -144,16 +134,80 @@ def end_job() -> None:
         _Watched.running.job.cancel()
 
 
-def _show(context: bpy.types.Context, shown: Running) -> None:
-    """Show how far a job has got."""
-    text = "stopping" if shown.job.cancelled else shown.progress.text
-    context.workspace.status_text_set(f"{shown.title}: {text}")
-    _redraw(context)
+def _watch() -> float | None:
+    """Look at the job, and return the seconds until the next time; None once it has ended."""
+    now = _Watched.running
+    if now is None:
+        return None
+    now.progress = now.job.poll()
+    if now.item is not None:
+        now.item.find()
+    if not now.job.finished:
+        _show(f"{now.title}: {now.progress.text}")
+        return _EVERY
+    try:
+        kind, text = _end(now)
+    finally:
+        _show(None)
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
+        if kind != "ERROR" and now.item is not None and not now.job.cancelled:
+            # The result is a step of its own, that Undo takes back and Redo brings back.
+            bpy.ops.ed.undo_push(message=now.title)
+        bpy.ops.tnst_mi.report("INVOKE_DEFAULT", kind=kind, text=text)
+    return None
 
 
-def _redraw(context: bpy.types.Context) -> None:
-    """Let panels show what is new."""
-    for window in context.window_manager.windows:
+def _end(ended: Running) -> tuple[str, str]:
+    """Use what a job has made; returns the kind and the words of a report."""
+    _Watched.running = None
+    if ended.job.cancelled:
+        return "INFO", f"{ended.title}: stopped"
+    if ended.job.error is not None:
+        return "ERROR", ended.job.error
+    try:
+        return "INFO", ended.done()
+    except (CannotStylizeError, OSError) as error:
+        return "ERROR", str(error)
+
+
+def _show(text: str | None) -> None:
+    """Show how far a job has got, in panels and in each window's status bar; None when it has ended."""
+    windows = bpy.context.window_manager.windows
+    for window in windows:
+        # Those that were left during the run have its text still.
+        for workspace in [window.workspace] if text else bpy.data.workspaces:
+            with bpy.context.temp_override(window=window, workspace=workspace):
+                workspace.status_text_set(text)
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "PROPERTIES", "PREFERENCES"):
                 area.tag_redraw()
+
+
+@bpy.app.handlers.persistent
+def _end_with_scene(*_: object) -> None:
+    """Another file was opened: what runs for an object of the last one is ended."""
+    if _Watched.running is not None and _Watched.running.item is not None:
+        end_job()
+
+
+_CLASSES = (TNST_MI_OT_cancel, TNST_MI_OT_report)
+
+
+def register() -> None:
+    """Add the operators."""
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+    bpy.app.handlers.load_post.append(_end_with_scene)
+
+
+def unregister() -> None:
+    """Remove them; what runs is ended, by a process that does not need Blender."""
+    bpy.app.handlers.load_post.remove(_end_with_scene)
+    if bpy.app.timers.is_registered(_watch):
+        bpy.app.timers.unregister(_watch)
+    if _Watched.running is not None:
+        end_job()
+        _Watched.running = None
+        _show(None)
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

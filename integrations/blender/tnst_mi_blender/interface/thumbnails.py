@@ -73,7 +73,8 @@ def _cut_sheet() -> None:
 def register() -> None:
     """Make the pictures, as soon as Blender has started."""
     _Loaded.pictures = bpy.utils.previews.new()
-    bpy.app.timers.register(_cut_sheet, first_interval=0.0)
+    # Persistent, for where Blender is started with a file, which it opens first.
+    bpy.app.timers.register(_cut_sheet, first_interval=0.0, persistent=True)
 
 
 def unregister() -> None:
