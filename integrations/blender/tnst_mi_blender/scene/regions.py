@@ -46,17 +46,29 @@ class Region:
         self._item, self._smoke, self._files = item, smoke, files
         self._edge = round(edge / smoke.scale, _DIGITS)
         self._matrices: dict[int, Matrix] = {}
+        self._sizes: dict[int, float] = {}
 
     def record(self, number: int, graph: bpy.types.Depsgraph) -> None:
-        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number."""
-        self._matrices[number] = self._smoke.space.inverted() @ self._item.evaluated_get(graph).matrix_world
+        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number.
+
+        Raises:
+            CannotStylizeError: Blender does not move it, since it is not shown.
+        """
+        now = self._item.evaluated_get(graph)
+        if not now.is_evaluated:
+            raise CannotStylizeError(
+                f"{self._item.name}: a region has to be in the scene, neither disabled in viewports (the eye does no "
+                "harm) nor in a collection that is excluded"
+            )
+        self._matrices[number] = self._smoke.space.inverted() @ now.matrix_world
+        self._sizes[number] = now.empty_display_size
 
     def mask(self) -> Mask:
         """The mask of all frames that were recorded.
 
         Raises:
-            CannotStylizeError: it has to be a file, and the smoke's files do not say where they are; or the mesh
-                encloses nothing.
+            CannotStylizeError: it has to be a file, and the smoke's files do not say where they are, or the size of
+                an empty is animated; or the mesh encloses nothing.
         """
         shape = None if self._item.type == "MESH" else self._shape()
         if shape is not None:
@@ -66,14 +78,18 @@ class Region:
                 f"{self._item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB "
                 "files alone: bake the domain with Cache > Format Volumes OpenVDB"
             )
+        if self._item.type == "EMPTY" and len(set(self._sizes.values())) > 1:
+            raise CannotStylizeError(
+                f"{self._item.name}: is turned against the smoke, and its display size is animated: animate its scale"
+            )
         return MaskFile(self._written())
 
     def _shape(self) -> Mask | None:
         """The mask of an empty; None if it is no sphere, and no box along the axes of the smoke, in some frame."""
-        size, sphere = self._item.empty_display_size, self._item.empty_display_type == "SPHERE"
+        sphere = self._item.empty_display_type == "SPHERE"
         first, second = {}, {}
         for number, matrix in self._matrices.items():
-            centre = matrix.translation
+            centre, size = matrix.translation, self._sizes[number]
             if sphere:
                 if not is_even(matrix):
                     return None
