@@ -43,23 +43,20 @@ class Region:
             raise CannotStylizeError(
                 f"{item.name}: choose Sphere or Cube as what the empty is displayed as (Object Data properties)"
             )
+        if item.hide_viewport or not _is_enabled(item, bpy.context.view_layer.layer_collection):
+            # Blender would leave it where it is in the current frame.
+            raise CannotStylizeError(
+                f"{item.name}: a region has to be in the scene, neither disabled in viewports (the eye does no harm) "
+                "nor in a collection that is excluded"
+            )
         self._item, self._smoke, self._files = item, smoke, files
         self._edge = round(edge / smoke.scale, _DIGITS)
         self._matrices: dict[int, Matrix] = {}
         self._sizes: dict[int, float] = {}
 
     def record(self, number: int, graph: bpy.types.Depsgraph) -> None:
-        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number.
-
-        Raises:
-            CannotStylizeError: Blender does not move it, since it is not shown.
-        """
+        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number."""
         now = self._item.evaluated_get(graph)
-        if not now.is_evaluated:
-            raise CannotStylizeError(
-                f"{self._item.name}: a region has to be in the scene, neither disabled in viewports (the eye does no "
-                "harm) nor in a collection that is excluded"
-            )
         self._matrices[number] = self._smoke.space.inverted() @ now.matrix_world
         self._sizes[number] = now.empty_display_size
 
@@ -168,6 +165,14 @@ def _solid(empty: bpy.types.Object) -> bpy.types.Object:
     solid = bpy.data.objects.new(mesh.name, mesh)
     solid.parent = empty
     return solid
+
+
+def _is_enabled(item: bpy.types.Object, branch: bpy.types.LayerCollection) -> bool:
+    """Whether a branch of the collections has an object, and is neither excluded nor disabled in viewports."""
+    if branch.collection.hide_viewport:
+        return False
+    here = not branch.exclude and item in branch.collection.objects.values()
+    return here or any(_is_enabled(item, child) for child in branch.children)
 
 
 def _half_sides(matrix: Matrix) -> Vector | None:

@@ -99,7 +99,7 @@ def _copy_modifier(modifier: bpy.types.Modifier, item: bpy.types.Object) -> None
         if not rna.is_readonly:
             setattr(copied, rna.identifier, getattr(modifier, rna.identifier))
     if modifier.type == "NODES":
-        for key in modifier.keys():  # noqa: SIM118
+        for key in modifier.keys():
             copied[key] = modifier[key]
 
 
