@@ -189,6 +189,9 @@ def test_the_smoke_of_a_domain_is_seen_where_it_was(
     assert told["ended"] == ["FINISHED"] and told["hidden"]
     result = told["objects"]["Domain_stylized"]
     assert (result["frames"], result["materials"]) == ([1, 0, 3], ["thick smoke_noise" if noise else "thick smoke"])
+    if not adaptive and form == "OPENVDB":
+        lowest = np.abs(corners(told["bounds"])[0] - corners(told["drawn"])[0])
+        assert lowest.max() < 0.5 * told["cell"]
     before, after = (
         np.asarray(Image.open(tmp_path / name).convert("L"), float) for name in ("domain.png", "stylized.png")
     )
