@@ -42,8 +42,7 @@ COMMANDS = {
     "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",
     "diff": "Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.",
     "compare": "Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.",
-    "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb "
-    "(OpenVDB).",
+    "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD.",
     "atlas": "Show every channel of a layer: the picture that excites it, and what it makes of a ball of smoke.",
     "studio": "Open a page in the browser: look at smoke and runs from all sides, choose motifs, try them, and render.",
     "info": "Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest "
@@ -126,7 +125,10 @@ def _code(arguments: list[str]) -> int:
 
 def _remedy(error: OSError) -> str:
     """What the system's words do not tell of a file that cannot be written, as the end of a message."""
-    return "; raise the limit on file sizes (ulimit -f)" if error.errno == errno.EFBIG else ""
+    if error.errno == errno.EFBIG:
+        return "; raise the limit on file sizes (ulimit -f)"
+    full = error.filename is not None and error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+    return "; free some space on its disk, or give another place" if full else ""
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,11 +13,13 @@ import numpy as np
 import pytest
 from command_line import Run, refused, run
 
+from tnst_mi.cli import main
 from tnst_mi.commands import convert_stage
 from tnst_mi.frame import Frame
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io import save_frames
 from tnst_mi.io.grids.vdb import DenseGrid, write_vdb
+from tnst_mi.io.stages import asset_paths
 from tnst_mi.recipe.recipe import Recipe
 
 __all__ = ["run"]
@@ -278,6 +282,106 @@ def test_what_cannot_be_shown_is_refused(
     ran = run("convert", tmp_path / "in", out)
     assert ran.code != 0 and "No space left" in ran.errors[-1]
     assert not out.exists() and not (tmp_path / "out_vdb").exists()
+
+
+@usd
+@pytest.mark.parametrize("suffix", ["usda", "usdc", "usd"])
+def test_only_stages_of_ours_are_replaced(run: Run, moving: Path, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"shot.{suffix}"
+    stage = importlib.import_module("pxr.Usd").Stage.CreateNew(str(out))
+    importlib.import_module("pxr.UsdGeom").Xform.Define(stage, "/tnst_mi")
+    stage.GetRootLayer().customLayerData = {"creator": "tnst_mi"}
+    stage.Save()
+    refused(run, tmp_path, ["convert", moving, out], f"shot.{suffix}: is there, and was not written by tnst-mi convert")
+    stage.GetRootLayer().subLayerPaths.append(f"./ours.{suffix}")
+    stage.Save()
+    assert run("convert", moving, tmp_path / f"ours.{suffix}").code == 0
+    kept = out.read_bytes()
+    assert run("convert", moving, out).code == 2 and out.read_bytes() == kept
+    assert run("convert", moving, tmp_path / f"ours.{suffix}", "--fps", "7").code == 0
+    assert opened(tmp_path / f"ours.{suffix}").GetFramesPerSecond() == 7
+
+
+@usd
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_what_cannot_be_looked_into_is_not_replaced(run: Run, moving: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty.usda").touch()
+    os.mkfifo(tmp_path / "pipe.usda")  # nobody writes there: to read it would be to wait
+    for name in ("empty.usda", "pipe.usda"):
+        refused(run, tmp_path, ["convert", moving, tmp_path / name], f"{name}: is there, and was not written by")
+
+
+@usd
+def test_behind_links_files_are_found_whichever_way_the_stage_is_reached(
+    run: Run, moving: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "deep" / "a" / "b").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "a" / "b", target_is_directory=True)
+    ran = run("convert", moving, tmp_path / "link" / "out.usda", "--fps", "24", "--up", "y")
+    assert (ran.code, len(ran.errors)) == (0, 1) and "out.usda names its files by absolute paths" in ran.errors[0]
+    for way in ("link", "deep/a/b"):
+        stage = opened(tmp_path / way / "out.usda")
+        path = fields_of(stage)["density"].GetFilePathAttr().Get(1)
+        assert Path(path.resolvedPath).samefile(moving / "smoke.0001.vdb")
+    # A link above both, or to the files, leads nowhere else.
+    (tmp_path / "all").symlink_to(tmp_path, target_is_directory=True)
+    (tmp_path / "deep" / "smoke").symlink_to(moving, target_is_directory=True)
+    for folder, out, told in (("all/cache", "all/deep/c.usda", "../cache"), ("deep/smoke", "deep/d.usda", "./smoke")):
+        ran = run("convert", tmp_path / folder, tmp_path / out, "--fps", "24", "--up", "y")
+        assert (ran.code, ran.errors) == (0, [])
+        stage = opened(tmp_path / out)
+        path = fields_of(stage)["density"].GetFilePathAttr().Get(1)
+        assert path.path == f"{told}/smoke.0001.vdb"
+        assert Path(path.resolvedPath).samefile(moving / "smoke.0001.vdb")
+
+
+@usd
+def test_between_drives_of_windows_paths_are_absolute(
+    run: Run, moving: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def two_drives(path: object, start: object) -> str:
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    monkeypatch.setattr(asset_paths.os.path, "relpath", two_drives)
+    ran = run("convert", moving, tmp_path / "out.usda")
+    monkeypatch.undo()
+    assert ran.code == 0 and any("names its files by absolute paths" in line for line in ran.errors)
+    stage = opened(tmp_path / "out.usda")
+    assert fields_of(stage)["density"].GetFilePathAttr().Get(1).path == (moving / "smoke.0001.vdb").as_posix()
+
+
+@usd
+def test_of_a_full_disk_the_cause_and_the_remedy_are_told(
+    run: Run, moving: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pixar's library says only that it could not write."""
+    tf = importlib.import_module("pxr.Tf")
+    out = tmp_path / "out.usda"
+
+    def fails(_layer: object, path: str) -> None:
+        Path(path).touch()
+        raise tf.ErrorException("Failed to write")
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(importlib.import_module("pxr.Sdf").Layer, "Export", fails)
+    monkeypatch.setattr(os, "fsync", full)
+    ran = run("convert", moving, out)
+    assert ran.code == 1
+    assert ran.errors[-1] == (
+        f"tnst-mi: {out}: cannot be written by Pixar's library (No space left on device); free some space on its disk, "
+        "or give another place"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["cache"]
+
+
+def test_the_help_tells_of_stages(capsys: pytest.CaptureFixture[str]) -> None:
+    """In its first line, which the overview has too."""
+    for arguments in (["--help"], ["convert", "--help"]):
+        assert main(arguments) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD. " in said
 
 
 def test_without_the_library_the_remedy_is_said(

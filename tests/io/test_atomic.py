@@ -136,7 +136,8 @@ def test_the_system_is_asked_why_a_library_could_not_write(
 
     monkeypatch.setattr(os, "fsync", fails)
     error = write_failure(tmp_path / "a.exr", "the library's words")
-    assert (error.errno, error.strerror, error.filename) == (number, "the library's words", str(tmp_path / "a.exr"))
+    told = f"the library's words ({os.strerror(number)})"
+    assert (error.errno, error.strerror, error.filename) == (number, told, str(tmp_path / "a.exr"))
     monkeypatch.undo()
     assert write_failure(tmp_path / "a.exr", "it works now").errno == errno.EIO
     assert not any(tmp_path.iterdir())

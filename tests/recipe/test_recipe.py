@@ -21,6 +21,7 @@ CHANGED: dict[str, Any] = {
     "style_layers": {"conv2/3x3": 0.5, "inception_3b/output": 2.0},
     "style_loss": "paper",
     "style_statistics": "smoke",
+    "all_octaves": True,
     "semantic": ("inception_4b/pool_proj:16", "mixed3b:1,2"),
     "tag": ("volcano",),
     "content": (),

@@ -124,7 +124,7 @@ def test_what_must_not_differ_is_fixed(studio: Studio) -> None:
     ended(studio, "tries/0001")
     studio.post("/work", action="branch", id="tries/0001", octave=0)
     free = {knob["key"] for knob in studio.session.state()["knobs"] if knob["free"]}
-    assert free == {"strength", "eta", "iterations", "views"}
+    assert free == {"strength", "eta", "iterations", "views", "colour_weight"}
     fixed = "goes on from try 1, whose goals, regions and fixed settings stay; the × beside it begins anew"
     sphere = {"shape": "sphere", "centre": [5, 7, 4], "radius": 3}
     before = studio.session.recipe()

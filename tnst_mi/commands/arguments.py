@@ -177,11 +177,11 @@ class CompareArguments(Arguments):
 
 @dataclass(kw_only=True)
 class ConvertArguments(Arguments):
-    """Convert a density file, or a folder of numbered ones, to npz, .vol (Mitsuba), .uni (Mantaflow) or .vdb (OpenVDB).
+    """Convert a density file, or a folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD.
 
-    Velocities are written at the cell centres in cells per frame; npz and .vol have y up, .uni and .vdb z up, as in
-    Blender. A stage of USD (.usda, .usdc, .usd) shows the frames as a volume: .vdb files stay where they are, others
-    are written as such beside it (docs/usd.md).
+    Mitsuba has .vol, Mantaflow .uni, OpenVDB .vdb. Velocities are written at the cell centres in cells per frame; npz
+    and .vol have y up, .uni and .vdb z up, as in Blender. A stage of USD (.usda, .usdc, .usd) shows the frames as a
+    volume: .vdb files stay where they are, others are written as such beside it (docs/usd.md).
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]

@@ -15,6 +15,7 @@ from tnst_mi.io.files.folders import densities_of_run
 from tnst_mi.io.files.frame_numbers import Number
 from tnst_mi.io.pictures.video import FRAMES_PER_SECOND
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
+from tnst_mi.io.stages.own_stages import require_own
 from tnst_mi.io.stages.smoke_volume import VolumeFrame, up_axis, volume_frame
 from tnst_mi.io.stages.usd_stage import usd_library, write_stage
 from tnst_mi.machine.disk import require_names, require_writable
@@ -44,6 +45,7 @@ def convert_to_stage(arguments: ConvertArguments, recipe: Recipe, frames: FrameF
     if densities := densities_of_run(frames.files[0]):
         raise InputError(f"{arguments.input}: holds the velocity v* of a run, whose smoke is in {densities}; give that")
     require_writable(output.parent, remedy=None)
+    require_own(output)
     changes = [flag for flag in given(arguments.reading) if flag not in _OF_THE_STAGE]
     if not changes and all(file.suffix.lower() == ".vdb" for file in frames.files):
         volumes = _volumes(frames.files, frames.numbers, recipe.skip_bad)
@@ -110,7 +112,12 @@ def _write(
     if frames_per_second is None:
         frames_per_second = FRAMES_PER_SECOND
         notes.append(f"note: {frames_per_second:g} frames per second are assumed (--fps)")
-    write_stage(arguments.output, volumes, up, frames_per_second)
+    paths = write_stage(arguments.output, volumes, up, frames_per_second)
+    if any(Path(path).is_absolute() for path in paths):
+        notes.append(
+            f"note: {arguments.output} names its files by absolute paths, since links, or another drive, are between: "
+            "once they are moved, convert again"
+        )
     say(notes)
     numbers = [volume.number for volume in volumes if volume.number is not None]
     span = f"frames {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else "1 frame"

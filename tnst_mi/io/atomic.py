@@ -147,7 +147,7 @@ def write_failure(path: Path, reason: str) -> OSError:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        return OSError(error.errno, reason, str(path))
+        return OSError(error.errno, f"{reason} ({error.strerror})", str(path))
     finally:
         with suppress(OSError):
             probe.unlink(missing_ok=True)

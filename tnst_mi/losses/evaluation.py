@@ -18,6 +18,7 @@ from tnst_mi.losses.guided import UNGUIDED, Guide, Guides
 from tnst_mi.losses.images import PIXELS, as_rgb
 from tnst_mi.losses.recorded import RecordedEvaluation
 from tnst_mi.losses.scales import rms_scales
+from tnst_mi.losses.sizes import Shrinking, by_size, coarser_features
 from tnst_mi.network.googlenet import LAST_BLOCK, LOGITS, GoogLeNet
 
 #: Limit in bytes of the feature maps that a GPU holds at once; a single view may exceed it. On an H100, nine views of
@@ -36,7 +37,7 @@ class BoundTerm(NamedTuple):
     """A term with its targets.
 
     Attributes:
-        layers: those it reads.
+        layers: those it reads, of images of other sizes by the names of `losses.sizes`.
         loss: that (N,) of each of N views, by their features and, if there is one, the guide of their positions.
         of_smoke: whether that guide is the smoke, where it is known, rather than the region.
         of_colour: whether the colours of the smoke alone follow it, and its density does not.
@@ -88,13 +89,13 @@ class BoundObjective:
         #: The recorded evaluation for each shape of images, likewise; None if none is to be recorded.
         self._recorded: dict[torch.Size, RecordedEvaluation] | None = {} if record else None
         self._layers = list(dict.fromkeys(layer for term in terms for layer in term.layers))
+        self._smaller = {at: Shrinking(size, at, next(net.parameters())) for at in by_size(self._layers)[1]}
 
     def __call__(self, images: Tensor) -> Tensor:
         """Return Σ_i weight_i L_i / scale_i, a scalar that is differentiable with respect to the images.
 
         Args:
-            images: (N, H, W) grey views in about [0, 1], of the size that the objective is bound to, or coloured ones
-                (N, H, W, 3).
+            images: (N, H, W) grey views in about [0, 1], of the objective's size, or coloured ones (N, H, W, 3).
         """
         return self.evaluate(images)[0]
 
@@ -156,9 +157,8 @@ class BoundObjective:
     def _parts(self, images: Tensor) -> Iterator[slice]:
         """Slices of the views that go through the network together.
 
-        On a CPU, one view at a time: the feature maps of a single view fit the caches better and keep memory use
-        minimal. On a GPU, the fewest equal parts whose feature maps stay below `LARGEST_BATCH`. This split depends only
-        on the images and the network, so the same views give the same bits.
+        On a CPU, one view at a time, whose feature maps fit the caches better. On a GPU, the fewest equal parts whose
+        maps stay below `LARGEST_BATCH`. It depends on images and network alone: the same views give the same bits.
         """
         on_cpu = images.device.type == "cpu"
         at_once = 1 if on_cpu else views_at_once(len(images), self.saved_bytes)
@@ -282,12 +282,13 @@ class BoundObjective:
 
     def _features(self, images: Tensor, guide: Guide | None) -> Features:
         """The features of the layers; of a region, the logits are those of the mean of its features alone."""
-        layers = [layer for layer in self._layers if layer != PIXELS]
+        layers, coarser = by_size(layer for layer in self._layers if layer != PIXELS)
         features: dict[str, Tensor] = {PIXELS: as_rgb(images)} if PIXELS in self._layers else {}
         if not layers:
             return features
         # Grey pictures say nothing of colours: a network finds some that excite it alike, and smoke would take them on.
         shown = as_rgb(images, any(term.in_colour for term in self._terms.values()))
+        features |= coarser_features(self._net, shown, coarser, self._smaller)
         if guide is None or LOGITS not in layers:
             return features | self._net(shown, layers=layers)
         features |= self._net(shown, layers=[*layers, LAST_BLOCK])

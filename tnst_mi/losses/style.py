@@ -19,6 +19,7 @@ from tnst_mi.losses.gram import gram_distance, paper_distance
 from tnst_mi.losses.guided import Guide, LayerLoss, LayerTarget
 from tnst_mi.losses.nearest import nearest_distance
 from tnst_mi.losses.pictures import resized
+from tnst_mi.losses.sizes import coarser_sizes, layer_at
 from tnst_mi.losses.sliced import directions, sliced_distance
 from tnst_mi.losses.terms import PictureTerm, picture_features
 from tnst_mi.network.googlenet import GoogLeNet
@@ -44,6 +45,8 @@ class Style(PictureTerm):
         distance: one of `tnst_mi.choices.STYLE_LOSSES`.
         statistics: one of `tnst_mi.choices.STYLE_STATISTICS`.
         colour: whether the picture's colours count.
+        octaves: number of sizes in which an image is seen: its own, and those of coarser octaves, all alike.
+        ratio: of the sizes of neighbouring octaves.
 
     Raises:
         InputError: the picture cannot be used, or there is no layer.
@@ -53,6 +56,8 @@ class Style(PictureTerm):
     distance: str = "gram"
     statistics: str = "image"
     colour: bool = False
+    octaves: int = 1
+    ratio: float = 1.8
 
     def __post_init__(self) -> None:
         """Read the picture."""
@@ -71,12 +76,17 @@ class Style(PictureTerm):
         for layer, weight in self.layers.items():
             # A layer may occur twice, under its name and under an alias.
             weights[net.resolve(layer)] = weights.get(net.resolve(layer), 0.0) + weight
-        targets = self._targets(net, list(weights), height, width)
+        coarser = coarser_sizes(height, width, self.ratio, self.octaves - 1)
+        targets = {
+            layer_at(layer, size): (target, weights[layer] / (1 + len(coarser)))
+            for size in (None, *coarser)
+            for layer, target in self._targets(net, list(weights), *(size or (height, width))).items()
+        }
 
         def drawn(seed: Sequence[int]) -> BoundTerm:
             losses = {
-                layer: self._layer_loss(target, weights[layer], (*seed, number))
-                for number, (layer, target) in enumerate(targets.items())
+                layer: self._layer_loss(target, weight, (*seed, number))
+                for number, (layer, (target, weight)) in enumerate(targets.items())
             }
 
             def loss(features: Features, guide: Guide | None) -> Tensor:

@@ -22,9 +22,9 @@ from tnst_mi.recipe.recipe import Recipe
 def objective_of(recipe: Recipe) -> Objective:
     """The sum of the recipe's terms; a style that changes over the frames contributes the pictures of all its keys."""
     recipe, colour = recipe.located(Path.cwd()), recipe.colour == "style"
-    styles = [
-        Style(path, recipe.style_layers, recipe.style_loss, recipe.style_statistics, colour) for path in recipe.style
-    ]
+    octaves = recipe.octaves if recipe.all_octaves else 1
+    of_style = recipe.style_layers, recipe.style_loss, recipe.style_statistics, colour, octaves, recipe.scale_factor
+    styles = [Style(path, *of_style) for path in recipe.style]
     terms = [
         *(losses.Semantic(layer, channels, recipe.damping) for layer, channels in recipe.semantic_channels),
         *(losses.ClassTag(tag) for tag in recipe.tag),

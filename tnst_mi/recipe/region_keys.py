@@ -22,7 +22,7 @@ GOALS = ("style", "semantic", "tag", "content", "match")
 
 #: What else a target may have, by its goal: a key of the recipe with another value for this target.
 _OF_A_GOAL = {
-    "style": ("style_layers", "style_loss", "style_statistics"),
+    "style": ("style_layers", "style_loss", "style_statistics", "all_octaves"),
     "semantic": ("damping",),
     "tag": (),
     "content": ("content_layers",),

@@ -49,6 +49,8 @@ class Goals:
     style_statistics: Annotated[str, Choice(STYLE_STATISTICS)] = "image"
     """Which positions of an image count for the style: image, all of them, the empty background too; smoke, each by the
     opacity of the smoke there."""
+    all_octaves: Annotated[bool, Switch()] = False
+    """Compare images with the style in the sizes of coarser octaves too, not only in their own (docs/losses.md)."""
     semantic: Annotated[
         tuple[str, ...],
         Texts(

@@ -46,7 +46,7 @@ def _without_effect(recipe: Recipe, frames: int) -> Iterator[tuple[tuple[str, ..
         keys = ("semantic_weight",) if without_strokes(recipe) else ("style_weight", "semantic_weight")
         yield keys, "each target has a weight of its own"
     if "style" not in goals:
-        yield ("style_weight", "style_layers", "style_loss", "style_statistics"), "there is no style"
+        yield ("style_weight", "style_layers", "style_loss", "style_statistics", "all_octaves"), "there is no style"
     elif not other_goals and recipe.colour != "style" and _only_scales(recipe, "style_weight"):
         yield ("style_weight",), "there is no other goal to weigh the style against"
     if not other_goals:

@@ -6,9 +6,11 @@ import errno
 import json
 import os
 import subprocess
+import sys
 import time
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import blender_addon  # noqa: F401  (makes tnst_mi_blender importable)
 import psutil
@@ -113,6 +115,30 @@ def test_a_program_that_was_mended_is_asked_again(tmp_path: Path) -> None:
     assert find_environment(str(mended), tmp_path).version == VERSION
 
 
+def test_a_program_whose_package_was_mended_is_asked_again(tmp_path: Path) -> None:
+    """As by `pip install`, which leaves the file of the program as it is."""
+    mended = program(tmp_path / "tnst-mi")
+    package = program(tmp_path / "package", code=1)
+    mended.write_text(f"#!/bin/sh\nexec {package} --version\n")
+    before = mended.stat().st_mtime_ns
+    assert "does not start as tnst-mi" in refused(str(mended))
+    program(package, "tnst-mi 0.0.9")
+    assert "is tnst-mi 0.0.9" in refused(str(mended))
+    program(package)
+    assert find_environment(str(mended), tmp_path).version == VERSION and mended.stat().st_mtime_ns == before
+
+
+def test_a_program_that_can_be_used_is_asked_once_until_that_is_forgotten(tmp_path: Path) -> None:
+    package = program(tmp_path / "package")
+    used = program(tmp_path / "tnst-mi")
+    used.write_text(f"#!/bin/sh\nexec {package} --version\n")
+    assert find_environment(str(used), tmp_path).program == used
+    package.unlink()
+    assert find_environment(str(used), tmp_path).program == used
+    environment.forget_checks()
+    assert "does not start as tnst-mi" in refused(str(used))
+
+
 @pytest.mark.parametrize("marker", [None, "", "{", "[]", '{"folder": 1}', '{"folder": "env-2"}'])
 def test_without_its_marker_a_private_environment_is_none(tmp_path: Path, marker: str | None) -> None:
     private_one(tmp_path)
@@ -149,14 +175,20 @@ def test_a_python_that_is_too_old_is_passed_over(bare: Path, monkeypatch: pytest
 def installed(monkeypatch: pytest.MonkeyPatch, private: Path, ends: BaseException | None = None) -> int:
     """Run the installer with what it does to a folder replaced."""
 
-    def install(folder: Path, source: Path, constraints: Path) -> None:
+    def install(folder: Path, version: str, source: Path, constraints: Path) -> None:
         program(program_in(folder))
         assert installed_program(private) != program_in(folder)
         if ends is not None:
             raise ends
 
     monkeypatch.setattr(installer, "_install", install)
-    return installer.main(private, MARKER, Path("wheel"), Path("constraints"))
+    monkeypatch.setattr(installer.shutil, "disk_usage", lambda _: SimpleNamespace(free=10**12))
+    return installer.main(private, MARKER, VERSION, Path("wheel"), Path("constraints"))
+
+
+def in_folder(private: Path) -> set[str]:
+    """What is in the folder of the private environment, but for the lock, which stays."""
+    return {path.name for path in private.iterdir()} - {".lock", "path"}
 
 
 def test_an_installation_replaces_the_earlier_one_in_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,7 +197,125 @@ def test_an_installation_replaces_the_earlier_one_in_the_end(tmp_path: Path, mon
     assert installed(monkeypatch, tmp_path) == 0
     second = find_environment("", tmp_path).program
     assert first != second and not first.exists()
-    assert {path.name for path in tmp_path.iterdir() if path.name != "path"} == {MARKER, second.parents[1].name}
+    assert in_folder(tmp_path) == {MARKER, second.parents[1].name}
+
+
+@pytest.mark.parametrize("after", ["replace", "unlink"])
+def test_an_interruption_after_the_last_step_comes_too_late(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: str
+) -> None:
+    """The marker names the new environment: it has to stay."""
+    assert installed(monkeypatch, tmp_path) == 0
+    first = find_environment("", tmp_path).program
+    of_system = {"replace": os.replace, "unlink": Path.unlink}[after]
+
+    def interrupted(*arguments: object, **keys: object) -> None:
+        of_system(*arguments, **keys)
+        if (tmp_path / MARKER).read_text() and installed_program(tmp_path) != first:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(installer.os if after == "replace" else Path, after, interrupted)
+    assert installed(monkeypatch, tmp_path) == 0
+    monkeypatch.undo()
+    second = installed_program(tmp_path)
+    assert second is not None and second != first and in_folder(tmp_path) == {MARKER, second.parents[1].name}
+
+
+def test_an_interrupted_removal_is_completed_by_the_next_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert installed(monkeypatch, tmp_path) == 0
+    first = find_environment("", tmp_path).program
+
+    def interrupted(_folder: Path, **_keys: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as context:
+        context.setattr(installer.shutil, "rmtree", interrupted)
+        assert installed(context, tmp_path) == 0
+    assert first.exists() and find_environment("", tmp_path).program != first
+    assert installed(monkeypatch, tmp_path) == 0
+    assert not first.exists() and len(in_folder(tmp_path)) == 2
+
+
+def test_there_is_one_installation_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two Blenders, or of two machines that share a home; one that was killed does not count."""
+    holder = [sys.executable, "-c", HOLDER, str(Path(installer.__file__).parent), str(tmp_path)]
+    with subprocess.Popen(holder, stdout=subprocess.PIPE) as other:
+        try:
+            assert other.stdout is not None and other.stdout.readline() == b"locked\n"
+            going_on = tmp_path / "env-other"
+            going_on.mkdir()
+            assert installed(monkeypatch, tmp_path) == 1
+            assert capsys.readouterr().out == (
+                f"ERROR: {tmp_path}: another installation is going on there, of another Blender perhaps; wait for its "
+                "end\n"
+            )
+            assert in_folder(tmp_path) == {"env-other"}
+        finally:
+            other.kill()
+    assert installed(monkeypatch, tmp_path) == 0 and not going_on.exists()
+
+
+#: Takes the lock of an installation, and keeps it.
+HOLDER = """
+import pathlib, sys, time
+sys.path.insert(0, sys.argv[1])
+import installer
+folder = pathlib.Path(sys.argv[2])
+lock = (folder / installer._LOCK).open("ab")
+installer._take(lock, folder)
+print("locked", flush=True)
+time.sleep(600)
+"""
+
+
+def commands(monkeypatch: pytest.MonkeyPatch, says: str = f"tnst-mi {VERSION}") -> list[list[str]]:
+    """The commands that installations run from here on, of which nothing is done."""
+    ran = list[list[str]]()
+
+    def run(command: list[object], **_keys: object) -> subprocess.CompletedProcess[bytes]:
+        ran.append([str(each) for each in command])
+        return subprocess.CompletedProcess(command, 0, f"{says}\n".encode())
+
+    monkeypatch.setattr(installer.subprocess, "run", run)
+    return ran
+
+
+@pytest.mark.parametrize(("checkout", "source"), [(False, ["{}"]), (True, ["-e", "{}"])])
+def test_the_commands_are_those_of_the_readme_apart_from_all_other_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, checkout: bool, source: list[str]
+) -> None:
+    """With the versions that were tested, and -I: what is on a PYTHONPATH is not in the environment."""
+    given, ran = tmp_path / "source", commands(monkeypatch)
+    given.mkdir() if checkout else given.touch()
+    installer._install(tmp_path / "env-1", VERSION, given, tmp_path / "constraints.txt")
+    python = str(tmp_path / "env-1" / "bin" / "python")
+    quiet = ["--disable-pip-version-check", "--no-input", "--progress-bar", "off"]
+    pip = [python, "-I", "-m", "pip", "install", *quiet, "-c", str(tmp_path / "constraints.txt")]
+    assert ran == [
+        [sys.executable, "-I", "-m", "venv", str(tmp_path / "env-1")],
+        [*pip, *(each.format(given) for each in source)],
+        [python, "-I", "-m", "tnst_mi", "--version"],
+    ]
+
+
+def test_a_checkout_of_another_version_leaves_the_earlier_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as context:
+        assert installed(context, tmp_path) == 0
+    earlier, before = find_environment("", tmp_path).program, in_folder(tmp_path)
+    monkeypatch.setattr(installer.shutil, "disk_usage", lambda _: SimpleNamespace(free=10**12))
+    commands(monkeypatch, "tnst-mi 9.9.9")
+    assert installer.main(tmp_path, MARKER, VERSION, tmp_path, tmp_path / "constraints.txt") == 1
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        f"ERROR: {tmp_path}: is tnst-mi 9.9.9, and this add-on is of {VERSION}; name a checkout of that version, or "
+        "install the add-on that is built from this checkout"
+    )
+    assert installed_program(tmp_path) == earlier and in_folder(tmp_path) == before
 
 
 @pytest.mark.parametrize(
@@ -186,15 +336,45 @@ def test_an_installation_that_cannot_be_written_is_told_in_one_line(
     (tmp_path / "file").touch()
     assert installed(monkeypatch, tmp_path / "file" / "private") == 1
     assert capsys.readouterr().out == f"ERROR: {tmp_path / 'file' / 'private'}: Not a directory\n"
-    assert installed(monkeypatch, tmp_path / "private", OSError(errno.ENOSPC, "No space left", "a.py")) == 1
+    private = tmp_path / "private"
+    assert installed(monkeypatch, private, OSError(errno.ENOSPC, "No space left", "a.py")) == 1
     assert capsys.readouterr().out == "ERROR: a.py: No space left\n"
-    assert list((tmp_path / "private").iterdir()) == []
+    assert installed(monkeypatch, private, OSError(errno.ENOSPC, "No space left")) == 1  # of a write: it has no name
+    assert capsys.readouterr().out == f"ERROR: {private}: No space left\n"
+    assert in_folder(private) == set()
+
+
+def test_what_does_not_fit_is_refused_before_it_is_downloaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran = commands(monkeypatch)
+    free = SimpleNamespace(free=1_900_000_000)
+    monkeypatch.setattr(installer.shutil, "disk_usage", lambda _: free)
+    assert installer.main(tmp_path, MARKER, VERSION, tmp_path, tmp_path) == 1
+    assert capsys.readouterr().out == (
+        f"ERROR: {tmp_path}: 1.9 GB are free on its disk, and the environment takes about 2 GB, with the torch of CUDA "
+        "several times as much; free some space\n"
+    )
+    assert ran == [] and in_folder(tmp_path) == set()
+
+
+def test_of_a_program_that_failed_on_a_full_disk_the_disk_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """venv says nothing but that ensurepip has failed."""
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(installer.os, "fsync", full)
+    assert installed(monkeypatch, tmp_path, subprocess.CalledProcessError(1, ["venv"])) == 1
+    said = capsys.readouterr().out
+    assert said.startswith(f"ERROR: {tmp_path}: cannot be written to (No space left on device); ") and "2 GB" in said
+    assert said.count("\n") == 1 and in_folder(tmp_path) == set()
 
 
 def test_one_that_was_killed_is_no_environment_and_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SystemError):
-        installed(monkeypatch, tmp_path, SystemError())  # as a kill: nothing is cleaned up
-    (left,) = tmp_path.glob("env-*")
+    left = program(program_in(tmp_path / "env-left"))  # complete or not: no marker names it
     assert "not installed" in refused("", tmp_path)
     assert installed(monkeypatch, tmp_path) == 0
     assert not left.exists()
@@ -249,7 +429,7 @@ def test_a_real_installation_that_fails(carried: Path, tmp_path: Path) -> None:
     while not job.finished:
         time.sleep(0.02)
     assert job.exit_code == 1 and job.error is not None and "ERROR: " in job.error
-    assert list((tmp_path / "private").iterdir()) == [] and "not installed" in refused("", tmp_path / "private")
+    assert in_folder(tmp_path / "private") == set() and "not installed" in refused("", tmp_path / "private")
 
 
 def test_an_installation_that_is_cancelled_leaves_nothing(carried: Path, tmp_path: Path) -> None:
@@ -262,7 +442,7 @@ def test_an_installation_that_is_cancelled_leaves_nothing(carried: Path, tmp_pat
     while not job.finished:
         time.sleep(0.02)
     assert job.exit_code == 3 and job.error is None
-    assert list((tmp_path / "private").iterdir()) == []
+    assert in_folder(tmp_path / "private") == set()
     assert not any(
         str(tmp_path) in " ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])
     )

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import blender_addon
 import psutil
 import pytest
 from tnst_mi_blender.processes import job as job_module
+from tnst_mi_blender.processes import supervisor
 from tnst_mi_blender.processes.job import Job
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -136,6 +138,65 @@ def test_what_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     job.cancel()
     assert ended(job) == 128 + signal.SIGKILL
     assert until(lambda: not alive(program) and not alive(child))
+
+
+@posix
+def test_a_supervisor_that_is_killed_leaves_no_process(tmp_path: Path) -> None:
+    """Neither the program nor what that has started, however deaf they are; and what the job says is true."""
+    job = Job(sleeper(tmp_path / "pids", DEAF, f"import signal, time; {DEAF}; time.sleep(600)"), tmp_path / "job.log")
+    job.start()
+    program, child = numbers(tmp_path / "pids")
+    parent = psutil.Process(psutil.Process(program).ppid())
+    own = [parent, *parent.children(recursive=True)]
+    assert len(own) == 4  # and the one that has to see to it
+    parent.kill()
+    assert ended(job) == 137
+    assert job.error is not None and "was killed, as systems do when memory runs out" in job.error
+    assert until(lambda: not any(alive(process.pid) for process in own))
+    assert not alive(program) and not alive(child)
+
+
+@posix
+def test_what_a_program_leaves_behind_ends_with_it(tmp_path: Path) -> None:
+    script = """
+import pathlib, subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+pathlib.Path(sys.argv[1]).write_text(str(child.pid))
+"""
+    job = Job([sys.executable, "-c", script, str(tmp_path / "pid")], tmp_path / "job.log")
+    job.start()
+    assert ended(job) == 0
+    left = int((tmp_path / "pid").read_text())
+    assert until(lambda: not alive(left))
+
+
+@posix
+def test_a_request_that_fails_is_followed_by_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On Windows, asking by Ctrl-Break may raise SystemError (CPython 112190)."""
+
+    def broken(_child: object) -> None:
+        raise SystemError("<built-in function kill> returned a result with an exception set")
+
+    monkeypatch.setattr(supervisor, "PATIENCE", (0.05, 0.05))
+    monkeypatch.setattr(supervisor, "_interrupt", broken)
+    monkeypatch.setattr(supervisor, "_terminate", broken)
+    asked = threading.Event()
+    asked.set()
+    with subprocess.Popen([sys.executable, "-c", SLEEP], start_new_session=True) as child:
+        try:
+            supervisor._end(child, asked, threading.Event())
+            assert child.wait(10) == -signal.SIGKILL
+        finally:
+            child.kill()
+
+
+@posix
+def test_what_is_cancelled_before_it_starts_ends_at_once(tmp_path: Path) -> None:
+    job = Job([sys.executable, "-c", SLEEP], tmp_path / "job.log")
+    job.cancel()
+    assert not job.finished
+    job.start()
+    assert ended(job) == 128 + signal.SIGINT and job.error is None
 
 
 PARENT = """

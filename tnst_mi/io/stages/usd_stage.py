@@ -1,16 +1,14 @@
 """Writes a stage of USD (.usda, .usdc, .usd) that shows smoke, by Pixar's library, which tnst_mi[usd] installs.
 
 A `UsdVol.Volume` has a field of the kind `UsdVol.OpenVDBAsset` for each grid, whose file is another in every frame.
-Time codes are the numbers of frames, lengths are metres, and paths are relative to the stage: a folder with the stage
-and its files can move. What is read of untrusted stages is read in another process (`tnst_mi.io.cameras`); here the
-library gets nothing but what we write.
+Time codes are the numbers of frames, and lengths are metres. What is read of untrusted stages is read in another
+process (`tnst_mi.io.cameras`); here the library gets nothing but what we write.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,8 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.geometry.affine import Affine
 from tnst_mi.io.atomic import write_failure, written_whole
+from tnst_mi.io.stages.asset_paths import asset_path
+from tnst_mi.io.stages.own_stages import metadata
 from tnst_mi.io.stages.smoke_volume import VolumeField, VolumeFrame
 
 #: Extensions of stages: text, binary, and either, of which the library takes the binary.
@@ -50,7 +50,7 @@ def usd_library(path: Path) -> Any:
         ) from None
 
 
-def write_stage(path: Path, frames: Sequence[VolumeFrame], up: str, frames_per_second: float) -> None:
+def write_stage(path: Path, frames: Sequence[VolumeFrame], up: str, frames_per_second: float) -> list[str]:
     """Write a stage with one volume, its default prim.
 
     Args:
@@ -58,6 +58,9 @@ def write_stage(path: Path, frames: Sequence[VolumeFrame], up: str, frames_per_s
         frames: the volume by time; a single one without a number does not depend on it.
         up: the axis of the scene that is up, "y" or "z".
         frames_per_second: of the time codes.
+
+    Returns:
+        The paths by which it names the files of the frames.
 
     Raises:
         InputError: there is no library, or no frame has an active voxel.
@@ -67,6 +70,7 @@ def write_stage(path: Path, frames: Sequence[VolumeFrame], up: str, frames_per_s
     if all(frame.extent is None for frame in frames):
         raise InputError(f"{frames[0].path}: neither it nor any other frame has an active voxel to show")
     stage = pxr.Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().customLayerData = metadata()
     pxr.UsdGeom.SetStageUpAxis(stage, up.upper())
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetTimeCodesPerSecond(frames_per_second)
@@ -80,18 +84,19 @@ def write_stage(path: Path, frames: Sequence[VolumeFrame], up: str, frames_per_s
     pxr.Usd.ModelAPI(root.GetPrim()).SetKind(pxr.Kind.Tokens.component)
     volume = pxr.UsdVol.Volume.Define(stage, root.GetPath().AppendChild("volume"))
     _place(pxr, volume, frames)
-    names = set[str]()
+    paths, names = [asset_path(frame.path, path) for frame in frames], set[str]()
     for field in dict.fromkeys((field.grid, field.index) for frame in frames for field in frame.fields):
         name = _free_name(pxr.Tf.MakeValidIdentifier(field[0]), names)
         names.add(name)
         asset = pxr.UsdVol.OpenVDBAsset.Define(stage, volume.GetPath().AppendChild(name))
         volume.CreateFieldRelationship(name, asset.GetPath())
-        _describe(pxr, asset, field, frames, path)
+        _describe(pxr, asset, field, frames, paths)
     with written_whole(path) as unfinished:
         try:
             stage.GetRootLayer().Export(str(unfinished))
         except pxr.Tf.ErrorException as error:
             raise write_failure(unfinished, "cannot be written by Pixar's library") from error
+    return paths
 
 
 def _place(pxr: Any, volume: Any, frames: Sequence[VolumeFrame]) -> None:
@@ -108,14 +113,14 @@ def _place(pxr: Any, volume: Any, frames: Sequence[VolumeFrame]) -> None:
             correction.Set(pxr.Gf.Matrix4d(_on_rows(frame.correction).tolist()), time)
 
 
-def _describe(pxr: Any, asset: Any, key: tuple[str, int], frames: Sequence[VolumeFrame], path: Path) -> None:
+def _describe(pxr: Any, asset: Any, key: tuple[str, int], frames: Sequence[VolumeFrame], paths: Sequence[str]) -> None:
     """Which grid a field is, and in which file it is in each frame."""
     file_path = asset.CreateFilePathAttr()
     told: VolumeField | None = None
-    for frame in frames:
+    for frame, path in zip(frames, paths, strict=True):
         field = next((field for field in frame.fields if (field.grid, field.index) == key), None)
         # No value at all, or the file of an earlier frame would be taken.
-        where = pxr.Sdf.ValueBlock() if field is None else pxr.Sdf.AssetPath(_relative(frame.path, path))
+        where = pxr.Sdf.ValueBlock() if field is None else pxr.Sdf.AssetPath(path)
         file_path.Set(where, _time(pxr, frame))
         told = told or field
     assert told is not None, "every field is one of a frame"
@@ -132,12 +137,6 @@ def _describe(pxr: Any, asset: Any, key: tuple[str, int], frames: Sequence[Volum
 
 def _time(pxr: Any, frame: VolumeFrame) -> Any:
     return pxr.Usd.TimeCode.Default() if frame.number is None else pxr.Usd.TimeCode(float(frame.number))
-
-
-def _relative(file: Path, stage: Path) -> str:
-    """A path from the folder of a stage, in the form that USD takes for relative to it: starting with a dot."""
-    relative = os.path.relpath(file, stage.parent).replace(os.sep, "/")
-    return relative if relative.startswith("../") else f"./{relative}"
 
 
 def _free_name(wanted: str, taken: set[str]) -> str:

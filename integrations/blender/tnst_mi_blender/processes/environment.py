@@ -51,8 +51,9 @@ def find_environment(chosen: str, private: Path) -> Environment:
     """The environment that is used: the program chosen, or $TNST_MI_PROGRAM, or on the PATH, or the private one.
 
     One that was named is taken or refused. One on the PATH, which may be there for something else, gives way to a
-    private one if it has another version. Checking takes up to a few seconds the first time, and is remembered as long
-    as the program does not change.
+    private one if it has another version. Checking takes up to a few seconds. That a program can be used is remembered
+    as long as its file does not change, or until `forget_checks`; what cannot be is asked again each time, since what
+    mends it may be any of its packages.
 
     Args:
         chosen: `tnst-mi` as the preferences name it, a file or the folder of an environment; empty for none.
@@ -78,6 +79,11 @@ def find_environment(chosen: str, private: Path) -> Environment:
     )
 
 
+def forget_checks() -> None:
+    """Have every program asked again, also those that could be used."""
+    _require_usable.cache_clear()
+
+
 def _named(text: str, origin: str) -> Path:
     """The program that a file, the folder of an environment, or a name on the PATH means."""
     path = Path(text).expanduser()
@@ -93,7 +99,13 @@ def _checked(program: Path, origin: str) -> Environment:
         status = program.stat()
     except OSError as error:
         raise EnvironmentMissing(f"{program} ({origin}): cannot be read ({error.strerror})") from None
-    version = _version(program, status.st_mtime_ns)
+    _require_usable(program, origin, status.st_mtime_ns)
+    return Environment(program, origin, VERSION)
+
+
+@functools.lru_cache(maxsize=16)  # which remembers nothing of what is refused
+def _require_usable(program: Path, origin: str, _changed: int) -> None:
+    version = _version(program)
     if version is None:
         raise EnvironmentMissing(
             f"{program} ({origin}): does not start as tnst-mi; run {program} --version in a terminal to see why, or "
@@ -104,11 +116,9 @@ def _checked(program: Path, origin: str) -> Environment:
             f"{program} ({origin}): is tnst-mi {version}, and this add-on is of {VERSION}; install an environment in "
             "the preferences of the add-on, or the add-on of that version"
         )
-    return Environment(program, origin, version)
 
 
-@functools.lru_cache(maxsize=16)
-def _version(program: Path, _changed: int) -> str | None:
+def _version(program: Path) -> str | None:
     """What a program says that its version is; None if it does not say so as tnst-mi does."""
     try:
         ran = subprocess.run(
@@ -130,7 +140,8 @@ class Installation(Job):
     """Makes the private environment: a virtual environment with tnst-mi in it.
 
     One that is there is used until the new one is complete, and then removed, so that nothing should run in it. An
-    interrupted one is never taken for an environment; the next installation removes it.
+    interrupted one is never taken for an environment; the next installation removes it. What turns out to have another
+    version than the add-on fails, and leaves the earlier environment.
 
     Args:
         private: its folder.
@@ -149,7 +160,8 @@ class Installation(Job):
                 f"there is no Python {OLDEST[0]}.{OLDEST[1]} or newer with venv and pip: install one and put it on the "
                 "PATH (Debian and Ubuntu: apt-get install python3-venv; otherwise from python.org)"
             )
-        super().__init__([str(each) for each in (python, "-I", _INSTALLER, private, MARKER, source, constraints)], log)
+        command = (python, "-I", _INSTALLER, private, MARKER, VERSION, source, constraints)
+        super().__init__([str(each) for each in command], log)
 
     def _new_reader(self) -> InstallationReader:
         return InstallationReader()

@@ -22,7 +22,7 @@ _MOST, _TAIL = 1 << 20, 1 << 14
 #: How tnst-mi begins the lines that say what was wrong.
 _COMPLAINT = "tnst-mi: "
 
-#: The exit code of what was killed, as the supervisor gives it.
+#: The exit code of what signal 9 has ended.
 _KILLED = 128 + 9
 
 #: Lines of an error, at most.
@@ -30,7 +30,7 @@ _LINES = 5
 
 
 class Job:
-    """A program in a process group of its own, which ends with Houdini however that ends.
+    """A program in a process group of its own, which ends with Houdini however that ends (see `supervisor`).
 
     Args:
         command: the program and its arguments.
@@ -68,6 +68,8 @@ class Job:
                 start_new_session=os.name != "nt",
                 creationflags=NO_WINDOW,
             )
+        if self.cancelled:  # before it was started
+            self.cancel()
 
     def poll(self) -> Progress:
         """How far it has got; never waits."""
@@ -96,8 +98,12 @@ class Job:
 
     @property
     def exit_code(self) -> int | None:
-        """That of the program once it is finished: 0 done, 2 bad input, 3 stopped and can be resumed."""
-        return None if self._process is None else self._process.poll()
+        """That of the program once it is finished: 0 done, 2 bad input, 3 stopped and can be resumed.
+
+        It is 128 + N where signal N has ended the program, or the supervisor, with which the program ends.
+        """
+        code = None if self._process is None else self._process.poll()
+        return code if code is None or code >= 0 else 128 - code
 
     @property
     def error(self) -> str | None:

@@ -7,6 +7,9 @@ Whoever started this holds the other end of stdin. To close it is to ask for the
 the system closes it. On Windows it also gives the command a console, without which no Ctrl-Break reaches it. The
 command makes way for other programs, of which Houdini is one.
 
+Should this process itself be killed, as by a system without memory, a second one that waits for nothing else kills the
+command and what it has started. Windows has no such process.
+
 The exit code is that of the command, 128 + N if signal N has ended it, 127 if it cannot be started.
 """
 
@@ -19,6 +22,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 
 #: Seconds that the command has after each request. The first is long enough for a step of large frames: tnst-mi ends
 #: after it, and keeps what it has.
@@ -30,6 +34,7 @@ NICENESS = 10
 
 def main(command: list[str]) -> int:
     """Run the command to its end."""
+    guard = None if sys.platform == "win32" else _guarded()  # first of all: threads are not forked with a process
     # Who starts Houdini in the background of a script lets it ignore Ctrl-C, which its children would inherit.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     asked, over = threading.Event(), threading.Event()
@@ -38,13 +43,60 @@ def main(command: list[str]) -> int:
         child = _started(command)
     except OSError as error:
         print(f"tnst-mi: cannot start {command[0]}: {error.strerror}", file=sys.stderr)
+        if guard is not None:
+            guard.dismiss()
         return 127
+    if guard is not None:
+        guard.watch(child)
     threading.Thread(target=_wait_for_stdin, args=(asked,), daemon=True).start()
     threading.Thread(target=_end, args=(child, asked, over), daemon=True).start()
     code = child.wait()
     over.set()
     _kill(child)
+    if guard is not None:
+        guard.dismiss()  # once there is nothing left: the number of the group may soon be another's
     return code if code >= 0 else 128 - code
+
+
+@dataclass(frozen=True)
+class _Guard:
+    """The process that outlives this one if it is killed: it holds one end of a pipe, whose other end goes with us."""
+
+    pid: int
+    pipe: int
+
+    def watch(self, child: subprocess.Popen[bytes]) -> None:
+        """Tell it the group that is to be killed."""
+        with suppress(OSError):  # somebody has killed it
+            os.write(self.pipe, str(child.pid).encode())
+
+    def dismiss(self) -> None:
+        """End it, without a look at the group."""
+        with suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+
+
+def _guarded() -> _Guard:
+    """Start the guard: a copy of this process, which needs no Python to be found and started."""
+    ours, pipe = os.pipe()
+    pid = os.fork()
+    if pid:
+        os.close(ours)
+        return _Guard(pid, pipe)
+    try:
+        os.setsid()  # what is meant for the group of the supervisor is not for it
+        os.close(pipe)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):
+            os.dup2(nothing, stream)
+        group = b""
+        while part := os.read(ours, 64):
+            group += part
+        if group:
+            _signal_group(int(group), signal.SIGKILL)
+    finally:
+        os._exit(0)
 
 
 def _started(command: list[str]) -> subprocess.Popen[bytes]:
@@ -70,7 +122,9 @@ def _end(child: subprocess.Popen[bytes], asked: threading.Event, over: threading
     for step, patience in zip(steps, PATIENCE, strict=True):
         if over.is_set():
             return
-        step(child)
+        # One that fails is followed by the next: Ctrl-Break may raise SystemError (CPython 112190).
+        with suppress(Exception):
+            step(child)
         if over.wait(patience):
             return
     _kill(child)
@@ -78,17 +132,16 @@ def _end(child: subprocess.Popen[bytes], asked: threading.Event, over: threading
 
 def _interrupt(child: subprocess.Popen[bytes]) -> None:
     if sys.platform == "win32":
-        with suppress(OSError):
-            child.send_signal(signal.CTRL_BREAK_EVENT)
+        child.send_signal(signal.CTRL_BREAK_EVENT)
     else:
-        _signal_group(child, signal.SIGINT)
+        _signal_group(child.pid, signal.SIGINT)
 
 
 def _terminate(child: subprocess.Popen[bytes]) -> None:
     if sys.platform == "win32":
         child.terminate()
     else:
-        _signal_group(child, signal.SIGTERM)
+        _signal_group(child.pid, signal.SIGTERM)
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
@@ -96,13 +149,13 @@ def _kill(child: subprocess.Popen[bytes]) -> None:
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/T", "/F", "/PID", str(child.pid)], capture_output=True, check=False)
     else:
-        _signal_group(child, signal.SIGKILL)
+        _signal_group(child.pid, signal.SIGKILL)
 
 
-def _signal_group(child: subprocess.Popen[bytes], number: int) -> None:
-    # The group has the number of the child, and outlives it as long as there is something in it.
+def _signal_group(group: int, number: int) -> None:
+    # It has the number of the child that began it, and outlives it as long as there is something in it.
     with suppress(ProcessLookupError, PermissionError):
-        os.killpg(child.pid, number)
+        os.killpg(group, number)
 
 
 if __name__ == "__main__":
