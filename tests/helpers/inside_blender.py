@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +166,26 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     item.scale.x = 0.3
     settings.use_camera = True
     told["uneven"] = reported(stylize)
+    look_at(item.location, (3.5, -6.0, 3.0))
+    item.scale.x = -0.1
+    bpy.context.view_layer.update()
+    told["mirrored"] = reported(stylize)
+    item.scale.x = 0.0
+    bpy.context.view_layer.update()
+    told["flat"] = reported(stylize)
     item.scale.x, settings.use_camera = 0.1, False
+    bpy.context.view_layer.update()
+    sphere = bpy.data.objects.new("sphere", None)
+    sphere.empty_display_type, sphere.hide_viewport = "SPHERE", True
+    bpy.context.scene.collection.objects.link(sphere)
+    settings.looks[0].region = sphere
+    told["unseen"] = reported(stylize)
+    settings.looks[0].region = None
+    bpy.context.scene.timeline_markers.new("", frame=21)
+    item.data.sequence_mode = "REPEAT"
+    told["repeated"] = reported(bpy.ops.tnst_mi.bake_markers)
+    item.data.sequence_mode = "CLIP"
+    bpy.context.scene.timeline_markers.clear()
     module(package, "recipes.advanced").fill_in(settings.overrides.add(), "lam")
     settings.overrides[0].text = "1.5"
     told["advanced"] = reported(stylize)
@@ -198,9 +216,21 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     item = volume_of(folder)
     look_at(item.location + Vector((0.5, 0.5, 0.8)), (3.5, -6.0, 3.0))
     choose(item, package, str(Path(out, "results")))
-    told: dict[str, Any] = {"original": bounds(item), "first": list(bpy.ops.tnst_mi.stylize())}
+    item.modifiers.new("waves", "VOLUME_DISPLACE").strength = 0.0
+    item.material_slots[0].link = "OBJECT"
+    item.material_slots[0].material = bpy.data.materials["thick smoke"].copy()
+    item.material_slots[0].material.name = "of the object"
+
+    def move(_words: str) -> bool:
+        item.location.x += 0.5
+        bpy.context.view_layer.update()
+        return True
+
+    once_while_running(package, move)
+    told: dict[str, Any] = {"first": list(bpy.ops.tnst_mi.stylize()), "original": bounds(item)}
     shown = bpy.data.objects["Smoke_stylized"]
     told["in place"], told["objects"] = bounds(shown), shown_objects()
+    told["modifiers"] = [[each.type, each.strength] for each in shown.modifiers]
     picture(str(Path(out, "seen.png")))
     bpy.ops.mesh.primitive_cube_add(size=1.2, location=bounds(item)[0], rotation=(0.3, 0.2, 0.1))
     item.tnst_mi.looks[0].region = bpy.context.object
@@ -208,7 +238,42 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.context.view_layer.objects.active = item
     told["second"] = list(bpy.ops.tnst_mi.stylize())
     told["beside"], told["again"] = bounds(shown), shown_objects()
+    told["played"] = {}
+    for mode in ("CLIP", "EXTEND", "REPEAT", "PING_PONG"):
+        item.data.sequence_mode = mode
+        # A frame without smoke.
+        bpy.context.scene.frame_set(5)
+        smoke = module(package, "scene.smoke").smoke_of(item)
+        part = module(package, "recipes.plan").Part("", str(Path(out, "results", "final")))
+        module(package, "scene.results").load_result(item, smoke, part, "BESIDE")
+        told["played"][mode] = [files_of(item), files_of(shown)]
+    bpy.context.scene.frame_set(21)
+    told["beside from afar"] = bounds(shown)
     return told
+
+
+def files_of(item: bpy.types.Object) -> list[str]:
+    """The names of the files that a volume shows in the frames 18 to 29."""
+    names = []
+    for frame in range(18, 30):
+        bpy.context.scene.frame_set(frame)
+        grids = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.grids
+        names.append(Path(grids.frame_filepath).name if grids.load() and len(grids) else "")
+    return names
+
+
+def once_while_running(package: str, act: Callable[[str], bool]) -> None:
+    """Call a function with the words of a job's progress whenever it is looked at, until it returns True."""
+    job = module(package, "processes.job").Job
+    poll = job.poll
+
+    def looked_at(self: Any) -> Any:
+        progress = poll(self)
+        if act(progress.text):
+            job.poll = poll
+        return progress
+
+    job.poll = looked_at
 
 
 def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
@@ -219,7 +284,7 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     other = bpy.context.scene.camera.copy()
     bpy.context.scene.collection.objects.link(other)
     other.location.x += 4.0
-    bpy.context.scene.timeline_markers.new("wide shot", frame=21).camera = bpy.context.scene.camera
+    bpy.context.scene.timeline_markers.new("close", frame=21).camera = bpy.context.scene.camera
     bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
     choose(item, package, str(Path(out, "results")))
     # A frame without smoke.
@@ -234,18 +299,17 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     item = volume_of(folder)
     look_at(item.location, (3.5, -6.0, 3.0))
     choose(item, package, str(Path(out, "results")), iterations="60")
-    running = module(package, "interface.running")
+    cancel = bpy.ops.tnst_mi.cancel
+    told: dict[str, Any] = {"before": cancel.poll()}
 
-    def cancel() -> None:
-        while running.running() is None or "octave" not in running.running().progress.text:
-            time.sleep(0.05)
-        bpy.ops.tnst_mi.cancel.poll()
-        running.end_job()
+    def press(words: str) -> bool:
+        if "octave" not in words:
+            return False
+        told["during"], told["pressed"], told["twice"] = cancel.poll(), list(cancel()), cancel.poll()
+        return True
 
-    thread = threading.Thread(target=cancel)
-    thread.start()
-    told: dict[str, Any] = {"cancelled": list(bpy.ops.tnst_mi.stylize())}
-    thread.join()
+    once_while_running(package, press)
+    told["cancelled"] = list(bpy.ops.tnst_mi.stylize())
     told["processes"] = [
         process.name
         for process in Path("/proc").iterdir()
@@ -265,7 +329,9 @@ def _command_line(process: Path) -> str:
     return "" if "inside_blender" in line else line
 
 
-def domain(zip: str, program: str, out: str, adaptive: bool, noise: bool, format: str) -> dict[str, Any]:
+def domain(
+    zip: str, program: str, out: str, adaptive: bool, noise: bool, format: str, sides: list[float]
+) -> dict[str, Any]:
     """A small domain, moved, turned and scaled, is baked and stylized with strength 0: nothing may be seen of that."""
     package = install(zip, program)
     scene = bpy.context.scene
@@ -277,7 +343,7 @@ def domain(zip: str, program: str, out: str, adaptive: bool, noise: bool, format
     modifier.flow_settings.flow_type, modifier.flow_settings.flow_behavior = "SMOKE", "INFLOW"
     bpy.ops.mesh.primitive_cube_add(size=1.0, location=(3.0, 1.0, 2.0), rotation=(0.2, -0.1, 0.6))
     item = bpy.context.object
-    item.name, item.scale = "Domain", (4.0, 2.0, 3.0)
+    item.name, item.scale = "Domain", sides
     modifier = item.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "DOMAIN"
     settings = modifier.domain_settings
@@ -295,14 +361,12 @@ def domain(zip: str, program: str, out: str, adaptive: bool, noise: bool, format
     item.tnst_mi.strength = 0.0
     scene.frame_set(3)
     picture(str(Path(out, "domain.png")))
-    told: dict[str, Any] = {"ended": list(bpy.ops.tnst_mi.stylize()), "objects": shown_objects()}
+    drawn = bounds(item)
+    told: dict[str, Any] = {"drawn": drawn, "ended": list(bpy.ops.tnst_mi.stylize()), "objects": shown_objects()}
     picture(str(Path(out, "stylized.png")))
-    told["hidden"], told["cell"] = item.hide_render, 4.0 / 24
+    told["hidden"], told["cell"] = item.hide_render, max(sides) / 24
     shown = bpy.data.objects["Domain_stylized"]
     told["bounds"] = bounds(shown)
-    item.hide_viewport = False
-    corners = [vertex.co for vertex in item.data.vertices]
-    told["box"] = [list(item.matrix_world @ corner) for corner in corners]
     return told
 
 

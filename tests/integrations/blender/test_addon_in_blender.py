@@ -99,6 +99,10 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "region": "somewhere: choose Sphere or Cube as what the empty is displayed as",
         "frames": "there is no smoke in the frames 30 to 40, but in 21 to 23: choose others",
         "uneven": "smoke that is scaled unevenly",
+        "mirrored": "the camera cannot see smoke that is mirrored",
+        "flat": "Smoke: is flat, its scale 0 × 0.1 × 0.1: expected none of 0",
+        "unseen": "sphere: a region has to be in the scene, neither disabled in viewports",
+        "repeated": "markers: shots of a sequence that is played again are the same: set its Mode to Clip",
         "advanced": "Advanced, lam = 1.5: expected ",
         "markers": "the timeline has no markers",
         "resume": "nothing was started here; press Stylize",
@@ -120,7 +124,8 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["first"] == told["second"] == ["FINISHED"]
     result = told["objects"]["Smoke_stylized"]
     assert result["file"] == str(tmp_path / "results" / "final" / "density" / "smoke_0007.vdb")
-    assert (result["frames"], result["materials"]) == ([21, 6, 3], ["thick smoke"])
+    assert (result["frames"], result["materials"]) == ([21, 6, 3], ["of the object"])
+    assert told["modifiers"] == [["VOLUME_DISPLACE", 0.0]]
     assert told["objects"]["Smoke"]["hidden"] == [True, True] and result["hidden"] == [False, False]
     half_voxel = 0.5 * 0.1
     original = corners(told["original"])
@@ -133,6 +138,12 @@ def test_a_volume_is_stylized_in_its_place(
     moved = corners(told["beside"]) - original
     np.testing.assert_allclose(moved, np.broadcast_to([moved[0, 0], 0, 0], moved.shape), rtol=0, atol=half_voxel)
     assert moved[0, 0] > np.ptp(original[:, 0])
+    np.testing.assert_allclose(corners(told["beside from afar"]), corners(told["beside"]), rtol=0, atol=1e-4)
+    for mode, (of_original, of_result) in told["played"].items():
+        assert of_result == of_original, mode
+    first, second, third = (f"smoke_{number:04}.vdb" for number in (7, 8, 9))
+    assert told["played"]["CLIP"][1] == [""] * 3 + [first, second, third] + [""] * 6
+    assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
 
@@ -142,7 +153,7 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
     told = inside(host, "markers", program=program, folder=folder)
     assert (told["ended"], told["current"]) == (["FINISHED"], 5)
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
-    assert shots == {"Smoke_stylized_wide shot": [21, 6, 2], "Smoke_stylized_close": [23, 8, 1]}
+    assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}
     cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
     assert len(cameras) == 2 and cameras[0]["matrix"] != cameras[1]["matrix"]
 
@@ -151,6 +162,8 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
 @pytest.mark.parametrize("host", HOSTS)
 def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, program: str, folder: str) -> None:
     told = inside(host, "cancelled", program=program, folder=folder)
+    assert [told[when] for when in ("before", "during", "twice")] == [False, True, False]
+    assert told["pressed"] == ["FINISHED"]
     assert (told["cancelled"], told["processes"]) == (["CANCELLED"], [])
     assert set(told["objects"]) == {"Smoke"}
     assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Smoke", "Smoke_stylized"}
@@ -158,17 +171,27 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
 
 @needs_blender
 @pytest.mark.parametrize(
-    ("adaptive", "noise", "form"),
-    [(False, False, "OPENVDB"), (True, False, "OPENVDB"), (False, False, "UNI"), (True, True, "OPENVDB")],
-    ids=["whole", "adaptive", "uni", "noise"],
+    ("adaptive", "noise", "form", "sides"),
+    [
+        (False, False, "OPENVDB", [4.0, 2.0, 3.0]),
+        (True, False, "OPENVDB", [4.0, 2.0, 3.0]),
+        (False, False, "UNI", [4.0, 2.0, 3.0]),
+        (True, True, "OPENVDB", [4.0, 2.0, 3.0]),
+        # Of 24 × 8.24 × 23.2 cells, which Blender makes whole ones.
+        (False, False, "OPENVDB", [3.0, 1.03, 2.9]),
+    ],
+    ids=["whole", "adaptive", "uni", "noise", "stretched"],
 )
 def test_the_smoke_of_a_domain_is_seen_where_it_was(
-    inside: Inside, program: str, tmp_path: Path, adaptive: bool, noise: bool, form: str
+    inside: Inside, program: str, tmp_path: Path, adaptive: bool, noise: bool, form: str, sides: list[float]
 ) -> None:
-    told = inside("blender", "domain", program=program, adaptive=adaptive, noise=noise, format=form)
+    told = inside("blender", "domain", program=program, adaptive=adaptive, noise=noise, format=form, sides=sides)
     assert told["ended"] == ["FINISHED"] and told["hidden"]
     result = told["objects"]["Domain_stylized"]
     assert (result["frames"], result["materials"]) == ([1, 0, 3], ["thick smoke_noise" if noise else "thick smoke"])
+    if not adaptive and form == "OPENVDB":
+        lowest = np.abs(corners(told["bounds"])[0] - corners(told["drawn"])[0])
+        assert lowest.max() < 0.5 * told["cell"]
     before, after = (
         np.asarray(Image.open(tmp_path / name).convert("L"), float) for name in ("domain.png", "stylized.png")
     )

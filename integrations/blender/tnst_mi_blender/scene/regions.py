@@ -43,20 +43,29 @@ class Region:
             raise CannotStylizeError(
                 f"{item.name}: choose Sphere or Cube as what the empty is displayed as (Object Data properties)"
             )
+        if item.hide_viewport or not _is_enabled(item, bpy.context.view_layer.layer_collection):
+            # Blender would leave it where it is in the current frame.
+            raise CannotStylizeError(
+                f"{item.name}: a region has to be in the scene, neither disabled in viewports (the eye does no harm) "
+                "nor in a collection that is excluded"
+            )
         self._item, self._smoke, self._files = item, smoke, files
         self._edge = round(edge / smoke.scale, _DIGITS)
         self._matrices: dict[int, Matrix] = {}
+        self._sizes: dict[int, float] = {}
 
     def record(self, number: int, graph: bpy.types.Depsgraph) -> None:
         """Take note of where it is in the scene's current frame, which is the smoke's frame of a number."""
-        self._matrices[number] = self._smoke.space.inverted() @ self._item.evaluated_get(graph).matrix_world
+        now = self._item.evaluated_get(graph)
+        self._matrices[number] = self._smoke.space.inverted() @ now.matrix_world
+        self._sizes[number] = now.empty_display_size
 
     def mask(self) -> Mask:
         """The mask of all frames that were recorded.
 
         Raises:
-            CannotStylizeError: it has to be a file, and the smoke's files do not say where they are; or the mesh
-                encloses nothing.
+            CannotStylizeError: it has to be a file, and the smoke's files do not say where they are, or the size of
+                an empty is animated; or the mesh encloses nothing.
         """
         shape = None if self._item.type == "MESH" else self._shape()
         if shape is not None:
@@ -66,14 +75,18 @@ class Region:
                 f"{self._item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB "
                 "files alone: bake the domain with Cache > Format Volumes OpenVDB"
             )
+        if self._item.type == "EMPTY" and len(set(self._sizes.values())) > 1:
+            raise CannotStylizeError(
+                f"{self._item.name}: is turned against the smoke, and its display size is animated: animate its scale"
+            )
         return MaskFile(self._written())
 
     def _shape(self) -> Mask | None:
         """The mask of an empty; None if it is no sphere, and no box along the axes of the smoke, in some frame."""
-        size, sphere = self._item.empty_display_size, self._item.empty_display_type == "SPHERE"
+        sphere = self._item.empty_display_type == "SPHERE"
         first, second = {}, {}
         for number, matrix in self._matrices.items():
-            centre = matrix.translation
+            centre, size = matrix.translation, self._sizes[number]
             if sphere:
                 if not is_even(matrix):
                     return None
@@ -152,6 +165,14 @@ def _solid(empty: bpy.types.Object) -> bpy.types.Object:
     solid = bpy.data.objects.new(mesh.name, mesh)
     solid.parent = empty
     return solid
+
+
+def _is_enabled(item: bpy.types.Object, branch: bpy.types.LayerCollection) -> bool:
+    """Whether a branch of the collections has an object, and is neither excluded nor disabled in viewports."""
+    if branch.collection.hide_viewport:
+        return False
+    here = not branch.exclude and item in branch.collection.objects.values()
+    return here or any(_is_enabled(item, child) for child in branch.children)
 
 
 def _half_sides(matrix: Matrix) -> Vector | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 
 import bpy
@@ -36,20 +36,27 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     files = sorted(folder.glob("*.vdb"), key=lambda file: (_number(file) or 0, file.name))
     if not files:
         raise CannotStylizeError(f"{folder}: has no results; see the log beside it")
-    shown = _shown(original, part.name)
+    shown = _shown(original, part.name, bpy.context.scene)
     volume = shown.data
     volume.filepath = str(files[0])
     numbers = [number for file in files if (number := _number(file)) is not None]
     volume.is_sequence = bool(smoke.numbers) and bool(numbers)
-    if volume.is_sequence:
+    if volume.is_sequence and smoke.playback is not None and smoke.playback.mode != "CLIP":
+        playback = smoke.playback
+        volume.sequence_mode, volume.frame_duration = playback.mode, playback.duration
+        volume.frame_start, volume.frame_offset = playback.start, playback.offset
+    elif volume.is_sequence:
+        volume.sequence_mode = "CLIP"
         volume.frame_duration = numbers[-1] - numbers[0] + 1
         volume.frame_start, volume.frame_offset = numbers[0] - smoke.shift, numbers[0] - 1
     _give_materials(original, volume, set(grids_in(files[0])))
     # As a child, it goes where the original goes.
     shown.parent, shown.matrix_parent_inverse = original, Matrix()
-    inverse = original.matrix_world.inverted()
-    aside = Matrix.Translation((_width(original), 0.0, 0.0)) if place == "BESIDE" else Matrix()
-    shown.matrix_basis = inverse @ aside @ smoke.volume_space
+    shown.matrix_basis = smoke.on_object
+    if place == "BESIDE":
+        there = original.matrix_world
+        aside = Matrix.Translation((_width(there @ smoke.on_object, files), 0.0, 0.0))
+        shown.matrix_basis = there.inverted() @ aside @ there @ smoke.on_object
     for item in original, shown:
         item.hide_render = item.hide_viewport = place == "IN_PLACE" and item is original
     return shown
@@ -60,7 +67,7 @@ def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
     return (item for item in bpy.data.objects if item.type == "VOLUME" and item.tnst_mi.original == original)
 
 
-def _shown(original: bpy.types.Object, part: str) -> bpy.types.Object:
+def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy.types.Object:
     """The object that shows a part of an original: the one that is there, or a new one."""
     for item in results_of(original):
         if item.tnst_mi.part == part:
@@ -69,24 +76,48 @@ def _shown(original: bpy.types.Object, part: str) -> bpy.types.Object:
     if original.type == "VOLUME":
         volume = original.data.copy()
         volume.name = name
+        # Slots may be linked to the object, whose materials are others.
+        volume.materials.clear()
     else:
         volume = bpy.data.volumes.new(name)
     shown = bpy.data.objects.new(name, volume)
     shown.tnst_mi.original, shown.tnst_mi.part = original, part
-    for collection in original.users_collection:
+    if original.type == "VOLUME":
+        for modifier in original.modifiers:
+            _copy_modifier(modifier, shown)
+    # Nothing can be added to what belongs to another file.
+    own = [collection for collection in original.users_collection if collection.library is None]
+    for collection in own or [scene.collection]:
         collection.objects.link(shown)
     return shown
 
 
+def _copy_modifier(modifier: bpy.types.Modifier, item: bpy.types.Object) -> None:
+    """Give an object a modifier of another one."""
+    copied = item.modifiers.new(modifier.name, modifier.type)
+    for rna in modifier.bl_rna.properties:
+        if not rna.is_readonly:
+            setattr(copied, rna.identifier, getattr(modifier, rna.identifier))
+    if modifier.type == "NODES":
+        for key in modifier.keys():
+            copied[key] = modifier[key]
+
+
 def _give_materials(original: bpy.types.Object, volume: bpy.types.Volume, grids: Set[str]) -> None:
-    """Give a volume the materials of the original, unless it has some, which the artist may have changed."""
-    if len(volume.materials):
-        return
-    for slot in original.material_slots:
+    """Give a volume the materials of the original, but for those that the artist has changed."""
+    for index, slot in enumerate(original.material_slots):
         material = slot.material
         if material is not None and domain_settings(original) is not None:
             material = _for_grids(material, grids)
-        volume.materials.append(material)
+        if index == len(volume.materials):
+            volume.materials.append(material)
+        elif _is_of(volume.materials[index], slot.material):
+            volume.materials[index] = material
+
+
+def _is_of(given: bpy.types.Material | None, material: bpy.types.Material | None) -> bool:
+    """Whether a material is another one, or its copy for the grids of noise."""
+    return None not in (given, material) and given.name in (material.name, f"{material.name}{_NOISE}")
 
 
 def _for_grids(material: bpy.types.Material, grids: Set[str]) -> bpy.types.Material:
@@ -111,10 +142,23 @@ def _for_grids(material: bpy.types.Material, grids: Set[str]) -> bpy.types.Mater
     return material
 
 
-def _width(item: bpy.types.Object) -> float:
-    """The extent of an object in the world, along x, and a little more."""
-    along = [(item.matrix_world @ Vector(corner)).x for corner in item.bound_box]
-    return 1.1 * (max(along) - min(along))
+def _width(space: Matrix, files: Sequence[Path]) -> float:
+    """The extent of what files have together along x, in the space that a matrix leads to, and a little more.
+
+    Volumes of the scene have that of the current frame alone, where there may be no smoke.
+    """
+    data = bpy.data.volumes.new("tnst_mi extent")
+    item = bpy.data.objects.new(data.name, data)
+    along: list[float] = []
+    try:
+        for file in files:
+            data.filepath = str(file)
+            if data.grids.load():
+                along += [(space @ Vector(corner)).x for corner in item.bound_box]
+            data.grids.unload()
+    finally:
+        bpy.data.volumes.remove(data)
+    return 1.1 * (max(along) - min(along)) if along else 0.0
 
 
 def _number(file: Path) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ class Take:
     """A part of the timeline that is stylized by itself.
 
     Attributes:
-        name: of the marker that it begins at; empty for all of it.
+        name: of the marker that it begins at, as no other take's; empty for all of it.
         bounds: first and last frame of the scene; None for all frames of the smoke.
         camera: the marker's own; None for that of the scene.
     """
@@ -53,14 +54,24 @@ def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
     if not markers:
         raise CannotStylizeError("the timeline has no markers: add one at the first frame of each shot")
     ends = [marker.frame - 1 for marker in markers[1:]] + [scene.frame_end]
+    names = _distinct([marker.name for marker in markers])
     takes = [
-        Take(marker.name, (marker.frame, end), marker.camera)
-        for marker, end in zip(markers, ends, strict=True)
+        Take(name, (marker.frame, end), marker.camera)
+        for name, marker, end in zip(names, markers, ends, strict=True)
         if marker.frame <= end
     ]
     if not takes:
         raise CannotStylizeError(f"all markers are after the scene, which ends at {scene.frame_end}: move them")
     return takes
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names of markers; those that are empty or there before, with a number."""
+    found: list[str] = []
+    for name in names:
+        free = (f"{name or 'marker'} {number}" for number in itertools.count(2 if name else 1))
+        found.append(name if name and name not in found else next(each for each in free if each not in found))
+    return found
 
 
 def frame_bounds(settings: bpy.types.PropertyGroup) -> tuple[int, int] | None:
@@ -99,6 +110,8 @@ def shot_of(
     if not settings.looks:
         raise CannotStylizeError("choose what the smoke is to look like: press + under Look")
     goals = [_goal(look) for look in settings.looks]
+    if take.name and smoke.playback is not None and smoke.playback.mode != "CLIP":
+        raise CannotStylizeError("markers: shots of a sequence that is played again are the same: set its Mode to Clip")
     numbers = frames_between(smoke, take.bounds)
     placed = [
         None if look.region is None else Region(look.region, look.edge, smoke, files / f"region_{index + 1}")
@@ -152,6 +165,7 @@ def _through_frames(
         smoke.require_even("regions")
     if settings.use_camera:
         smoke.require_even("the camera")
+        smoke.require_unmirrored()
     scene, tables = context.scene, {}
     for number in numbers or (scene.frame_current + smoke.shift,):
         if settings.use_camera or regions:

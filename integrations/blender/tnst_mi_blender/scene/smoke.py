@@ -16,9 +16,13 @@ from mathutils import Matrix, Vector
 
 from ..problems import CannotStylizeError
 from ..versions import DRAWN_OFF
+from .playback import Playback
 
 #: Grids of the smoke, the first of these that a file has.
 DENSITIES = ("density", "density_noise")
+
+#: Cells that Blender gives a domain along each axis at least.
+LEAST_CELLS = 4
 
 #: The axes of a space whose scales differ by less than this share are of one scale, and in right angles likewise.
 EVEN = 1e-4
@@ -30,9 +34,10 @@ class Smoke:
 
     Attributes:
         source: what tnst-mi reads: a file, a folder or a pattern.
-        numbers: of the frames that there are, in order; empty for one file without a number of frames.
-        shift: number of a file's frame less that of the scene's.
-        volume_space: from the space of the files to the world, as a volume object that shows them there has it.
+        numbers: of the frames that are shown, in order; empty for one file without a number of frames.
+        shift: number of a file's frame less that of the scene's, where it is shown for the first time.
+        playback: of a sequence; None for one file, and for domains, which play each frame once.
+        on_object: from the space of the files to that of the object, as a child that is a volume of them has it.
         space: from the space in which cell centres are to the world, as they are drawn.
         cell: edge of a cell in the space of the files.
         voxel_size: that edge, where the files do not tell it truly and tnst-mi has to be told; else None.
@@ -42,7 +47,8 @@ class Smoke:
     source: Path
     numbers: tuple[int, ...]
     shift: int
-    volume_space: Matrix
+    playback: Playback | None
+    on_object: Matrix
     space: Matrix
     cell: float
     voxel_size: float | None
@@ -62,7 +68,19 @@ class Smoke:
         if not is_even(self.space):
             raise CannotStylizeError(
                 f"{what} cannot be brought into the space of smoke that is scaled unevenly: give the object, and what "
-                "it is attached to, the same scale along all axes"
+                "it is attached to, the same scale along all axes, and a domain 4 cells or more along each"
+            )
+
+    def require_unmirrored(self) -> None:
+        """Require that no camera has to be mirrored to see the smoke of the files as that in the world is seen.
+
+        Raises:
+            CannotStylizeError: it would have to be.
+        """
+        if self.space.is_negative:
+            raise CannotStylizeError(
+                "the camera cannot see smoke that is mirrored: make the negative scale of its object, and of what that "
+                "is attached to, positive, or switch Camera off"
             )
 
 
@@ -99,6 +117,8 @@ def smoke_of(item: bpy.types.Object, chosen: str = "") -> Smoke:
         CannotStylizeError: it has none in files.
     """
     settings = domain_settings(item)
+    if not item.matrix_world.determinant():
+        raise CannotStylizeError(f"{item.name}: is flat, its scale {_in_words(item.matrix_world)}: expected none of 0")
     if settings is not None:
         return _of_domain(item, settings, chosen)
     if item.type != "VOLUME":
@@ -107,8 +127,12 @@ def smoke_of(item: bpy.types.Object, chosen: str = "") -> Smoke:
 
 
 def _of_domain(item: bpy.types.Object, settings: bpy.types.FluidDomainSettings, chosen: str) -> Smoke:
-    """A domain's cache lies along the object's axes in the unit of the world, from its lowest corner on."""
-    cache = _path(chosen or settings.cache_directory, item)
+    """A domain's cache lies along the object's axes in the unit of the world, from its lowest corner on.
+
+    It has whole cells of one size, at least 4 along each axis, which Blender stretches to fill the box. Cameras and
+    regions are taken without that where it is less than a cell, since they need one scale.
+    """
+    cache = _path(chosen or settings.cache_directory, item.library)
     finer = settings.noise_scale if _frames_in(cache / "noise") else 1
     numbers = _frames_in(cache / "noise") or _frames_in(cache / "data")
     if not numbers:
@@ -120,17 +144,25 @@ def _of_domain(item: bpy.types.Object, settings: bpy.types.FluidDomainSettings, 
     low = Vector([min(corner[axis] for corner in corners) for axis in range(3)])
     high = Vector([max(corner[axis] for corner in corners) for axis in range(3)])
     scale = [abs(factor) or 1.0 for factor in item.scale]
-    longest = max((high[axis] - low[axis]) * scale[axis] for axis in range(3))
-    cell = longest / (settings.resolution_max * finer)
-    corner = item.matrix_world @ Matrix.Translation(low) @ Matrix.Diagonal([1 / factor for factor in scale]).to_4x4()
+    sides = [(high[axis] - low[axis]) * scale[axis] for axis in range(3)]
+    if not all(sides):
+        raise CannotStylizeError(f"{item.name}: is flat: expected a box as the domain")
+    base = max(sides) / settings.resolution_max
+    cell = base / finer
+    filled = [max(int(side / base + 0.5), LEAST_CELLS) * base for side in sides]
+    drawn = [side / (size * factor) for side, size, factor in zip(sides, filled, scale, strict=True)]
+    stretched = any(abs(side - size) > base for side, size in zip(sides, filled, strict=True))
+    even = drawn if stretched else [1 / factor for factor in scale]
+    corner = Matrix.Translation(low)
     openvdb = bool(next((cache / "data").glob("*.vdb"), None))
     untrue = settings.use_adaptive_domain or not openvdb
     return Smoke(
         source=cache,
         numbers=numbers,
         shift=-settings.cache_frame_offset,
-        volume_space=corner @ Matrix.Translation([(0.5 - DRAWN_OFF) * cell] * 3),
-        space=corner @ Matrix.Translation([0.5 * cell] * 3),
+        playback=None,
+        on_object=corner @ Matrix.Diagonal(drawn).to_4x4() @ Matrix.Translation([(0.5 - DRAWN_OFF) * cell] * 3),
+        space=item.matrix_world @ corner @ Matrix.Diagonal(even).to_4x4() @ Matrix.Translation([0.5 * cell] * 3),
         cell=cell,
         voxel_size=cell if untrue else None,
         placed=openvdb,
@@ -139,23 +171,32 @@ def _of_domain(item: bpy.types.Object, settings: bpy.types.FluidDomainSettings, 
 
 def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
     volume = item.data
-    file = _path(chosen or volume.filepath, item)
+    file = _path(chosen, item.library) if chosen else _path(volume.filepath, volume.library)
     numbered = re.fullmatch(r"(.*?)(\d+)(\D*)", file.name) if volume.is_sequence else None
     numbers: tuple[int, ...] = ()
+    playback = None
     source = file
     if numbered is not None:
         before, digits, after = numbered.groups()
         source = file.with_name(f"{before}{'#' * len(digits)}{after}")
-        numbers = _numbers(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
+        playback = Playback(volume.frame_start, volume.frame_offset, volume.frame_duration, volume.sequence_mode)
+        there = _numbers(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
+        numbers = tuple(filter(playback.plays, there))
     if not file.is_file():
         raise CannotStylizeError(f"{item.name}: there is no file {file}: choose another in its properties")
+    if playback is not None and not numbers:
+        raise CannotStylizeError(
+            f"{item.name}: plays {playback.duration} frames from {source.name} {playback.offset + 1} on, and there are "
+            "none: change its Frames and Offset"
+        )
     grids = grids_in(file)
     axes = next((grids[name] for name in DENSITIES if name in grids), next(iter(grids.values()))).to_3x3()
     return Smoke(
         source=source,
         numbers=numbers,
-        shift=1 - volume.frame_start + volume.frame_offset,
-        volume_space=item.matrix_world.copy(),
+        shift=0 if playback is None else playback.shift,
+        playback=playback,
+        on_object=Matrix(),
         space=item.matrix_world @ Matrix.Translation(axes @ Vector([DRAWN_OFF] * 3)),
         cell=abs(axes.determinant()) ** (1 / 3),
         voxel_size=None,
@@ -189,8 +230,9 @@ def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, .
     """
     if bounds is None or not smoke.numbers:
         return smoke.numbers
-    first, last = (bound + smoke.shift for bound in bounds)
-    found = tuple(number for number in smoke.numbers if first <= number <= last)
+    frames = range(bounds[0], bounds[1] + 1)
+    shown = {frame + smoke.shift if smoke.playback is None else smoke.playback.number_at(frame) for frame in frames}
+    found = tuple(number for number in smoke.numbers if number in shown)
     if not found:
         has = f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}"
         raise CannotStylizeError(
@@ -199,8 +241,13 @@ def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, .
     return found
 
 
-def _path(text: str, item: bpy.types.Object) -> Path:
-    return Path(bpy.path.abspath(text, library=item.library))
+def _path(text: str, library: bpy.types.Library | None) -> Path:
+    return Path(bpy.path.abspath(text, library=library))
+
+
+def _in_words(matrix: Matrix) -> str:
+    """The scale of a matrix along its axes."""
+    return " × ".join(f"{matrix.col[axis].to_3d().length:g}" for axis in range(3))
 
 
 def _frames_in(folder: Path) -> tuple[int, ...]:
