@@ -130,7 +130,7 @@ class Job:
             with self.log.open("rb") as log:
                 log.seek(self._read)
                 fresh = log.read(_MOST)
-        except FileNotFoundError:
+        except OSError:
             return []
         self._read += len(fresh)
         *whole, self._rest = (self._rest + fresh).split(b"\n")
@@ -141,6 +141,6 @@ class Job:
             with self.log.open("rb") as log:
                 log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL))
                 lines = log.read().decode("utf-8", "replace").splitlines()
-        except FileNotFoundError:
+        except OSError:
             return []
         return [line.strip() for line in lines if line.strip()]
