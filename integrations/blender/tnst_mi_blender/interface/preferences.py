@@ -7,7 +7,8 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..processes.environment import EnvironmentMissing, Installation, find_environment, installed_program
+from ..problems import CannotStylizeError
+from ..processes.environment import EnvironmentMissing, Installation, find_environment, forget_checks, installed_program
 from ..versions import ADDON, show_progress
 from .running import Running, RunsJob, running
 
@@ -79,7 +80,15 @@ class TNST_MI_OT_install(RunsJob, bpy.types.Operator):
     bl_label = "Install"
 
     def begin(self, context: bpy.types.Context) -> Running:
-        """The installation."""
+        """The installation.
+
+        Raises:
+            CannotStylizeError: Blender 4.2 or newer may not go online.
+        """
+        if not getattr(bpy.app, "online_access", True):
+            raise CannotStylizeError(
+                "Install needs Allow Online Access, in the preferences of Blender, System, Network"
+            )
         chosen, private = preferences_of(context).checkout, private_folder()
         job = Installation(private, private / "install.log", Path(bpy.path.abspath(chosen)) if chosen else None)
         job.start()
@@ -95,6 +104,7 @@ class TNST_MI_OT_check(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Look for it."""
         chosen = bpy.path.abspath(preferences_of(context).program)
+        forget_checks()
         try:
             found = find_environment(chosen, private_folder())
         except EnvironmentMissing as error:

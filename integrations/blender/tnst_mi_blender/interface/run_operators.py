@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bpy
@@ -12,8 +13,8 @@ import bpy
 from ..problems import CannotStylizeError
 from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
-from ..recipes.plan import Part, Plan, read_plan, write_plan
-from ..scene.results import load_result
+from ..recipes.plan import FILE, Part, Plan, read_plan, write_plan
+from ..scene.results import load_result, show_original_of_lost
 from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
 from ..scene.smoke import Smoke, can_be_stylized, smoke_of
 from .kept import Kept
@@ -62,7 +63,9 @@ class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
         """The last run or batch of the object."""
         item = context.object
         program = environment_of(context)
-        plan = read_plan(results_folder(item))
+        folder = results_folder(item)
+        plan = read_plan(folder)
+        _require_own(folder, plan.item, item)
         out = Path(plan.out)
         command = resume_command(program, out)
         if plan.is_batch:
@@ -91,9 +94,27 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
     smoke = smoke_of(item, settings.source)
     folder = results_folder(item)
     out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
-    inputs = folder / f"{out.name}_inputs"
-    # Masks of earlier frames must not be taken for those of now.
-    shutil.rmtree(inputs, ignore_errors=True)
+    if (folder / FILE).exists():
+        _require_own(folder, read_plan(folder).item, item)
+    # Not in that of the run before, which can be resumed as long as this one has not begun.
+    earlier = [*folder.glob(f"{out.name}_inputs*")]
+    inputs = next(path for path in _numbered(folder / f"{out.name}_inputs") if path not in earlier)
+    try:
+        plan, command = _prepared(context, smoke, takes, (program, folder, out, inputs), batch)
+    except BaseException:
+        shutil.rmtree(inputs, ignore_errors=True)
+        raise
+    for path in earlier:
+        shutil.rmtree(path, ignore_errors=True)
+    return _running(item, smoke, plan, command)
+
+
+def _prepared(
+    context: bpy.types.Context, smoke: Smoke, takes: Sequence[Take], paths: tuple[Path, Path, Path, Path], batch: bool
+) -> tuple[Plan, list[str]]:
+    """Write the recipes of takes and the plan; `paths` are the program, the folder, that of results and of recipes."""
+    item, settings = context.object, context.object.tnst_mi
+    program, folder, out, inputs = paths
     names = [f"{number:02}_{_plain(take.name)}" if batch else "recipe" for number, take in enumerate(takes, 1)]
     recipes = [inputs / f"{name}.toml" for name in names]
     for take, name, recipe in zip(takes, names, recipes, strict=True):
@@ -110,7 +131,26 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
         command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
     plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
     write_plan(plan, folder)
-    return _running(item, smoke, plan, command)
+    return plan, command
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
+    """A folder, and others of its name with numbers."""
+    yield folder
+    for number in itertools.count(2):
+        yield folder.with_name(f"{folder.name}_{number}")
+
+
+def _require_own(folder: Path, owner: str, item: bpy.types.Object) -> None:
+    """Check that the results in a folder are not those of another object.
+
+    Raises:
+        CannotStylizeError: they are.
+    """
+    if owner != item.name and owner in bpy.data.objects:
+        raise CannotStylizeError(
+            f"{folder}: has the results of {owner}; choose another folder in Results for {item.name}"
+        )
 
 
 def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str]) -> Running:
@@ -127,7 +167,12 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
         return f"Stylized: {', '.join(map(_in_words, shown))}"
 
-    return Running(job, f"Stylizing {item.name}", done, kept)
+    def stopped() -> None:
+        original = kept.find()
+        if original is not None:
+            show_original_of_lost(original)
+
+    return Running(job, f"Stylizing {item.name}", done, kept, stopped)
 
 
 def _in_words(result: bpy.types.Object) -> str:

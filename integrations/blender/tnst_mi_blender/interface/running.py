@@ -29,11 +29,19 @@ class Running:
         title: what it does, in a few words.
         done: called in the end if it has succeeded; returns what is reported.
         item: the object that it is for; None of installations, which go on when another file is opened.
+        stopped: called in the end if it has not succeeded.
         progress: how far it has got.
     """
 
-    def __init__(self, job: Job, title: str, done: Callable[[], str], item: Kept | None = None) -> None:
-        self.job, self.title, self.done, self.item = job, title, done, item
+    def __init__(
+        self,
+        job: Job,
+        title: str,
+        done: Callable[[], str],
+        item: Kept | None = None,
+        stopped: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.job, self.title, self.done, self.item, self.stopped = job, title, done, item, stopped
         self.progress = Progress(None, "starting")
 
 
@@ -160,6 +168,8 @@ def _watch() -> float | None:
 def _end(ended: Running) -> tuple[str, str]:
     """Use what a job has made; returns the kind and the words of a report."""
     _Watched.running = None
+    if ended.job.cancelled or ended.job.error is not None:
+        ended.stopped()
     if ended.job.cancelled:
         return "INFO", f"{ended.title}: stopped"
     if ended.job.error is not None:

@@ -67,6 +67,13 @@ def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
     return (item for item in bpy.data.objects if item.type == "VOLUME" and item.tnst_mi.original == original)
 
 
+def show_original_of_lost(original: bpy.types.Object) -> None:
+    """Show an original again whose result is gone: a run that replaces it has been stopped before it had another."""
+    files = [Path(bpy.path.abspath(result.data.filepath)) for result in results_of(original)]
+    if not all(file.exists() for file in files):
+        original.hide_render = original.hide_viewport = False
+
+
 def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy.types.Object:
     """The object that shows a part of an original: the one that is there, or a new one."""
     for item in results_of(original):

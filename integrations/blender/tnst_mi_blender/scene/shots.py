@@ -28,6 +28,9 @@ MOTIFS = {"weights": "patterns", "iterations": 40, "gamma": 0.01}
 #: Steady sequences: scenes/smokejet/sequence.toml.
 STEADY = {"window": 9, "window_weights": "gaussian", "coherence": 2.5}
 
+#: Frames per second that a recipe can have.
+FASTEST = 240.0
+
 
 @dataclass(frozen=True)
 class Take:
@@ -139,7 +142,7 @@ def shot_of(
         frames=(numbers[0], numbers[-1]) if numbers else None,
         camera=camera,
         voxel_size=smoke.voxel_size,
-        keys=_keys(settings, len(numbers), any(masks), weights),
+        keys=_keys(context.scene, settings, len(numbers), any(masks), weights),
     )
 
 
@@ -185,9 +188,14 @@ def _through_frames(
     return tables
 
 
-def _keys(settings: bpy.types.PropertyGroup, frames: int, masks: bool, weights: str) -> dict[str, Any]:
+def _keys(
+    scene: bpy.types.Scene, settings: bpy.types.PropertyGroup, frames: int, masks: bool, weights: str
+) -> dict[str, Any]:
     """The other keys of the recipe."""
     keys: dict[str, Any] = dict(BASIS)
+    rate = scene.render.fps / scene.render.fps_base
+    if rate <= FASTEST:
+        keys["fps"] = round(rate, 6)
     if weights:
         keys["weights"] = bpy.path.abspath(weights)
     if any(look.goal == "MOTIF" for look in settings.looks):
