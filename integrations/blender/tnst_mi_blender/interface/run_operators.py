@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -96,16 +95,19 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
     out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
     if (folder / FILE).exists():
         _require_own(folder, read_plan(folder).item, item)
-    # Not in that of the run before, which can be resumed as long as this one has not begun.
-    earlier = [*folder.glob(f"{out.name}_inputs*")]
-    inputs = next(path for path in _numbered(folder / f"{out.name}_inputs") if path not in earlier)
+    inputs, before = folder / f"{out.name}_inputs", folder / f".{out.name}_inputs.before"
+    # Those of the run before come back if this one is refused: it can be resumed then.
+    if inputs.exists():
+        shutil.rmtree(before, ignore_errors=True)
+        inputs.rename(before)
     try:
         plan, command = _prepared(context, smoke, takes, (program, folder, out, inputs), batch)
     except BaseException:
         shutil.rmtree(inputs, ignore_errors=True)
+        if before.exists():
+            before.rename(inputs)
         raise
-    for path in earlier:
-        shutil.rmtree(path, ignore_errors=True)
+    shutil.rmtree(before, ignore_errors=True)
     return _running(item, smoke, plan, command)
 
 
@@ -132,13 +134,6 @@ def _prepared(
     plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
     write_plan(plan, folder)
     return plan, command
-
-
-def _numbered(folder: Path) -> Iterator[Path]:
-    """A folder, and others of its name with numbers."""
-    yield folder
-    for number in itertools.count(2):
-        yield folder.with_name(f"{folder.name}_{number}")
 
 
 def _require_own(folder: Path, owner: str, item: bpy.types.Object) -> None:
