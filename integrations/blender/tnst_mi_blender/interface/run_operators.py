@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -12,7 +13,7 @@ import bpy
 from ..problems import CannotStylizeError
 from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
-from ..recipes.plan import FILE, Part, Plan, read_plan, write_plan
+from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
 from ..scene.results import load_result, show_original_of_lost
 from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
 from ..scene.smoke import Smoke, can_be_stylized, smoke_of
@@ -93,7 +94,8 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
     smoke = smoke_of(item, settings.source)
     folder = results_folder(item)
     out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
-    if (folder / FILE).exists():
+    # What cannot be read, as of an earlier version, is replaced.
+    with suppress(UnreadablePlanError):
         _require_own(folder, read_plan(folder).item, item)
     inputs, before = folder / f"{out.name}_inputs", folder / f".{out.name}_inputs.before"
     # Those of the run before come back if this one is refused: it can be resumed then.

@@ -13,6 +13,10 @@ from ..problems import CannotStylizeError
 FILE = "blender_plan.json"
 
 
+class UnreadablePlanError(CannotStylizeError):
+    """There is no plan that can be read."""
+
+
 @dataclass(frozen=True)
 class Part:
     """One of the stylizations of a plan.
@@ -66,7 +70,7 @@ def read_plan(folder: Path) -> Plan:
     """The plan in a folder.
 
     Raises:
-        CannotStylizeError: there is none that can be read.
+        UnreadablePlanError: there is none that can be read.
     """
     try:
         table = json.loads((folder / FILE).read_text("utf-8"))
@@ -74,6 +78,6 @@ def read_plan(folder: Path) -> Plan:
         texts = [str(table[key]) for key in ("item", "source", "out")]
         return Plan(*texts, recipes=tuple(map(str, table["recipes"])), parts=parts)
     except FileNotFoundError:
-        raise CannotStylizeError(f"{folder}: nothing was started here; press Stylize") from None
+        raise UnreadablePlanError(f"{folder}: nothing was started here; press Stylize") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CannotStylizeError(f"{folder / FILE}: cannot be read ({error}); press Stylize to start anew") from None
+        raise UnreadablePlanError(f"{folder / FILE}: cannot be read ({error}); press Stylize to start anew") from None
