@@ -32,6 +32,7 @@ def test_a_smaller_image_has_the_means_of_areas(size: tuple[int, int]) -> None:
 def test_sizes_are_those_of_the_octaves_down_to_what_a_motif_needs() -> None:
     assert coarser_sizes(96, 64, RATIO, 4) == [(53, 36), (30, 20)]
     assert coarser_sizes(29, 19, RATIO, 2) == []
+    assert coarser_sizes(96, 1, RATIO, 2) == [(53, 1), (30, 1)]
     assert by_size(["deep", layer_at("deep", (53, 36)), layer_at("shallow", (53, 36))]) == (
         ["deep"],
         {(53, 36): ["deep", "shallow"]},

@@ -13,7 +13,7 @@ from torch import Tensor
 
 Size = tuple[int, int]
 
-#: Rows and columns that a smaller image has at least: less is smaller than any motif of a network.
+#: Rows that a smaller image has at least: less is no larger than the motifs of a network.
 SMALLEST = 24
 
 _AT = " at "
@@ -31,7 +31,7 @@ def coarser_sizes(height: int, width: int, ratio: float, most: int) -> list[Size
         >>> coarser_sizes(96, 64, 1.8, 2), coarser_sizes(53, 35, 1.8, 2)
         ([(53, 36), (30, 20)], [(29, 19)])
     """
-    sizes = [(round(height / ratio**step), round(width / ratio**step)) for step in range(1, most + 1)]
+    sizes = [(round(height / ratio**step), max(1, round(width / ratio**step))) for step in range(1, most + 1)]
     return [size for size in sizes if size[0] >= SMALLEST]
 
 
