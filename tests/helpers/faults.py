@@ -11,7 +11,7 @@ import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -133,12 +133,22 @@ class Undisturbed:
     left: Path
 
 
+def copied(folder: Path, to: Path) -> None:
+    """Copy a folder in which another thread writes pictures, and removes them: what goes meanwhile is left out."""
+    for _ in range(20):
+        with suppress(shutil.Error):
+            shutil.copytree(folder, to)
+            return
+        shutil.rmtree(to)
+    raise AssertionError(f"{folder} never stays")
+
+
 @pytest.fixture(scope="module")
 def undisturbed(begun: list[str], tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
     """The run of `begun`."""
     folder = tmp_path_factory.mktemp("undisturbed")
     out, left = folder / "out", folder / "left"
-    writes = Writes(seen=lambda number, when: shutil.copytree(out, left / f"{number}-{when}"))
+    writes = Writes(seen=lambda number, when: copied(out, left / f"{number}-{when}"))
     with plain_pictures(), writes.counted():
         assert main([*begun, str(out)]) == 0
     return Undisturbed(results(out), writes.names, left)

@@ -192,7 +192,7 @@ def test_a_request_that_fails_is_followed_by_the_next(monkeypatch: pytest.Monkey
 
 @posix
 def test_what_is_cancelled_before_it_starts_ends_at_once(tmp_path: Path) -> None:
-    job = Job([sys.executable, "-c", SLEEP], tmp_path / "job.log")
+    job = Job(["sleep", "60"], tmp_path / "job.log")
     job.cancel()
     assert not job.finished
     job.start()
