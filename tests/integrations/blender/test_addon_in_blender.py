@@ -43,6 +43,8 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Inside:
         folder.mkdir(parents=True)
         monkeypatch.setenv(f"BLENDER_USER_{name}", str(folder))
     monkeypatch.delenv("TNST_MI_PROGRAM", raising=False)
+    # Blender writes the tile of its noise into the folder that it is started in.
+    monkeypatch.chdir(tmp_path)
     zip_file = tmp_path / "addon.zip"
     build_blender_addon.write_zip(build_blender_addon.contents(None), zip_file)
 

@@ -123,14 +123,4 @@ _CLASSES = (
     TNST_MI_OT_remove_override,
 )
 
-
-def register() -> None:
-    """Add the lists."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Remove them."""
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -161,14 +161,4 @@ class TNST_MI_PT_domain(SmokePanel, bpy.types.Panel):
 
 _CLASSES = (TNST_MI_PT_sidebar, TNST_MI_PT_volume, TNST_MI_PT_domain)
 
-
-def register() -> None:
-    """Add the panels."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Remove them."""
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -116,14 +116,4 @@ class TNST_MI_OT_check(bpy.types.Operator):
 
 _CLASSES = (TnstMiPreferences, TNST_MI_OT_install, TNST_MI_OT_check)
 
-
-def register() -> None:
-    """Add the preferences."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Remove them."""
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -187,14 +187,4 @@ def _plain(name: str) -> str:
 
 _CLASSES = (TNST_MI_OT_stylize, TNST_MI_OT_bake_markers, TNST_MI_OT_resume)
 
-
-def register() -> None:
-    """Add the operators."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Remove them."""
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)
