@@ -12,6 +12,7 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -143,7 +144,9 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     settings, stylize = item.tnst_mi, bpy.ops.tnst_mi.stylize
     told: dict[str, Any] = {"package": package, "environment": reported(stylize)}
     program = Path(out, "tnst-mi")
-    program.write_text("#!/bin/sh\necho tnst-mi " + module(package, "version").VERSION + "\n")
+    failing = f"echo \"tnst-mi: {out}/a/recipe.toml: frames = '4': none; lower iterations = 2 or --lam\"; exit 2"
+    version = module(package, "version").VERSION
+    program.write_text(f'#!/bin/sh\ncase "$1" in --version) echo tnst-mi {version};; *) {failing};; esac\n')
     program.chmod(0o755)
     bpy.context.preferences.addons[package].preferences.program = str(program)
     told["no look"] = reported(stylize)
@@ -191,14 +194,20 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     told["advanced"] = reported(stylize)
     told["markers"] = reported(bpy.ops.tnst_mi.bake_markers)
     told["resume"] = reported(bpy.ops.tnst_mi.resume)
+    settings.out, settings.overrides[0].text = "//results", "0.5"
+    told["unsaved"] = reported(stylize)
+    settings.out = str(Path(out, "results"))
+    told["failed"] = reported(stylize)
     settings.show_advanced = True
+    told["panels"] = panels_of(package, item)
+    told["copies"] = copies(package, item)
     panels = module(package, "interface.panel")
     layout = Layout()
     for goal in ("MOTIF", "PICTURE", "CHANNEL"):
         settings.looks[0].goal = goal
         panels._draw_looks(layout, settings)
     panels._draw_advanced(layout, settings, 300)
-    panels._draw_buttons(layout, bpy.context)
+    panels._draw_buttons(layout)
     module(package, "interface.preferences").TnstMiPreferences.draw(
         type(
             "Drawn", (), {"layout": layout, "bl_rna": module(package, "interface.preferences").TnstMiPreferences.bl_rna}
@@ -207,6 +216,68 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     )
     bpy.ops.preferences.addon_disable(module=package)
     told["drawn"], told["left"] = layout.drawn, hasattr(bpy.types.Object, "tnst_mi")
+    return told
+
+
+def panels_of(package: str, item: bpy.types.Object) -> dict[str, list[str]]:
+    """The texts and buttons of the sidebar's panel, with various objects selected, and while another one's run goes on.
+
+    An empty list where there is no panel.
+    """
+    panel, watched = module(package, "interface.panel").TNST_MI_PT_sidebar, module(package, "interface.running")
+    result = bpy.data.objects.new("result", bpy.data.volumes.new("result"))
+    bpy.context.scene.collection.objects.link(result)
+    result.tnst_mi.original = item
+
+    def drawn(selected: bpy.types.Object | None) -> list[str]:
+        context = SimpleNamespace(object=selected, region=SimpleNamespace(width=2000))
+        layout = Layout()
+        if panel.poll(context):
+            panel.draw(SimpleNamespace(layout=layout), context)
+        return [*layout.texts, *layout.drawn]
+
+    told = {"volume": drawn(item), "result": drawn(result), "camera": drawn(bpy.context.scene.camera)}
+    told["nothing"] = drawn(None)
+    now = watched.Running(SimpleNamespace(cancelled=False), "Stylizing other", str)
+    watched._Watched.running = now
+    told |= {"nothing, running": drawn(None), "volume, running": drawn(item)}
+    watched._Watched.running = None
+    collection = item.users_collection[0]
+    collection.objects.unlink(item)
+    told["lost original"] = drawn(result)
+    collection.objects.link(item)
+    bpy.context.view_layer.objects.active = item
+    bpy.data.objects.remove(result)
+    return told
+
+
+def copies(package: str, item: bpy.types.Object) -> dict[str, Any]:
+    """Whose run is in the folder of Smoke, which is copied, renamed, and followed by another object of the name."""
+    last_run = module(package, "interface.last_run")
+    folder = Path(item.tnst_mi.last_run.folder)
+
+    def refused(asking: bpy.types.Object) -> str:
+        try:
+            last_run.require_own(folder, "Smoke", asking)
+        except module(package, "problems").CannotStylizeError as error:
+            return str(error)
+        return ""
+
+    copy = item.copy()
+    bpy.context.scene.collection.objects.link(copy)
+    told: dict[str, Any] = {"named": [refused(item), refused(copy)]}
+    told["said"] = [bool(last_run.problem_of(item)), bool(last_run.problem_of(copy))]
+    bpy.context.view_layer.objects.active = copy
+    told["stylized"], told["resumed"] = reported(bpy.ops.tnst_mi.stylize), reported(bpy.ops.tnst_mi.resume)
+    bpy.context.view_layer.objects.active = item
+    item.name = "Fog"
+    told["renamed"] = [refused(item), refused(copy)]
+    bpy.data.objects.remove(copy)
+    told["alone"] = refused(item)
+    new = bpy.data.objects.new("Smoke", item.data)
+    bpy.context.scene.collection.objects.link(new)
+    told["new"] = [refused(item), refused(new)]
+    bpy.data.objects.remove(new)
     return told
 
 
@@ -290,15 +361,21 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     # A frame without smoke.
     bpy.context.scene.frame_set(5)
     ended = list(bpy.ops.tnst_mi.bake_markers())
-    return {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    told = {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    for name, stylize in (("one", bpy.ops.tnst_mi.stylize), ("shots", bpy.ops.tnst_mi.bake_markers)):
+        told[f"then {name}"] = [list(stylize()), {name: each["hidden"] for name, each in shown_objects().items()}]
+    return told
 
 
 def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
-    """A run is cancelled once it iterates, and resumed."""
+    """A run is cancelled once it iterates; it is resumed from the scene saved elsewhere, with the object renamed."""
     package = install(zip, program)
     item = volume_of(folder)
     look_at(item.location, (3.5, -6.0, 3.0))
-    choose(item, package, str(Path(out, "results")), iterations="60")
+    choose(item, package, "//results", iterations="60")
+    for name in ("project", "elsewhere"):
+        Path(out, name).mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "project", "scene.blend")))
     cancel = bpy.ops.tnst_mi.cancel
     told: dict[str, Any] = {"before": cancel.poll()}
 
@@ -313,11 +390,16 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     told["processes"] = [
         process.name
         for process in Path("/proc").iterdir()
-        if process.name.isdigit() and str(Path(out, "results")) in _command_line(process)
+        if process.name.isdigit() and str(Path(out, "project", "results")) in _command_line(process)
     ]
     told["objects"] = shown_objects()
+    item.name = "Fog"
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "elsewhere", "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    item = bpy.data.objects["Fog"]
+    told["stopped"] = item.tnst_mi.last_run.problem
     told["resumed"] = list(bpy.ops.tnst_mi.resume())
-    told["then"] = shown_objects()
+    told["then"], told["after"] = shown_objects(), item.tnst_mi.last_run.problem
     return told
 
 

@@ -11,6 +11,9 @@ ADDON = __package__
 #: Measured with 3.4 and 5.0.
 DRAWN_OFF = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
+#: Options of properties that hold paths, which may begin with `//`: from 5.0 on, Blender warns of others that do.
+PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set[str]()
+
 
 def fill(modifier: bpy.types.MeshToVolumeModifier, edge: float) -> None:
     """Let a modifier Mesh to Volume fill its mesh with 1, reached at a depth of `edge` where Blender can do it.

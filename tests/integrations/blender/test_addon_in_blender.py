@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -89,7 +90,7 @@ def corners(told: list[list[float]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str, folder: str) -> None:
+def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str, folder: str, tmp_path: Path) -> None:
     told = inside(host, "refusals", folder=folder)
     assert told["package"] == ("tnst_mi_blender" if host == "blender" else "bl_ext.user_default.tnst_mi_blender")
     assert told["motifs"] == [[64, 64, True]] * 64
@@ -108,6 +109,8 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "advanced": "Advanced, lam = 1.5: expected ",
         "markers": "the timeline has no markers",
         "resume": "nothing was started here; press Stylize",
+        "unsaved": "Results, //results: is beside the scene's file, and the scene has not been saved: save it, or choose",
+        "failed": "tnst-mi: Frame Range = '4': none; lower Advanced, iterations = 2 or Advanced, lam",
     }
     for what, words in expected.items():
         assert told[what].startswith("Error: ") and words in told[what], (what, told[what])
@@ -116,6 +119,23 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         told["drawn"]
     )
     assert not told["left"]
+    failed, log = told["failed"].removeprefix("Error: "), f"Log: {tmp_path / 'results' / 'draft.log'}"
+    panels = told["panels"]
+    assert [failed, log] == [text for text in panels["volume"] if text in (failed, log)]
+    assert panels["result"] == ["Stylizes Smoke", *panels["volume"]]
+    assert panels["camera"] == panels["nothing"] == []
+    assert panels["nothing, running"] == ["Stylizing other", "starting", "tnst_mi.cancel"]
+    assert {*panels["nothing, running"], "quality"} <= set(panels["volume, running"])
+    assert "tnst_mi.stylize" in panels["volume"] and "tnst_mi.stylize" not in panels["volume, running"]
+    assert "Stylizes Smoke" not in panels["lost original"] and "quality" in panels["lost original"]
+    copies, folder = told["copies"], str(tmp_path / "results")
+    others = f"{folder}: has the results of Smoke; choose another folder in Results for Smoke.001, and press Stylize"
+    assert copies["named"] == ["", others] and copies["said"] == [True, False]
+    assert copies["stylized"] == copies["resumed"] == f"Error: {others}"
+    for refused in copies["renamed"]:
+        assert "which is Fog or Smoke.001 now: name the right one Smoke again" in refused
+    assert copies["alone"] == "" and copies["new"][0] == ""
+    assert copies["new"][1].startswith(f"{folder}: has the results of Fog; choose another folder")
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -157,6 +177,11 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}
     cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
+    whole, shots = {"Smoke_stylized"}, {"Smoke_stylized_close", "Smoke_stylized_close 2"}
+    for then, seen in (("one", whole), ("shots", shots)):
+        ended, hidden = told[f"then {then}"]
+        assert ended == ["FINISHED"] and set(hidden) == {"Smoke", *whole, *shots}
+        assert {name for name in hidden if hidden[name] == [False, False]} == seen
     assert len(cameras) == 2 and cameras[0]["matrix"] != cameras[1]["matrix"]
 
 
@@ -168,7 +193,9 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
     assert told["pressed"] == ["FINISHED"]
     assert (told["cancelled"], told["processes"]) == (["CANCELLED"], [])
     assert set(told["objects"]) == {"Smoke"}
-    assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Smoke", "Smoke_stylized"}
+    assert re.fullmatch(r"Stopped at octave 1/1, frame 7, \d+%: Resume goes on", told["stopped"])
+    assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Fog", "Fog_stylized"} and told["after"] == ""
+    assert told["then"]["Fog_stylized"]["file"] == "//../project/results/final/density/smoke_0007.vdb"
 
 
 @needs_blender

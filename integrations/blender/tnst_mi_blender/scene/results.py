@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -38,7 +39,7 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
         raise CannotStylizeError(f"{folder}: has no results; see the log beside it")
     shown = _shown(original, part.name, bpy.context.scene)
     volume = shown.data
-    volume.filepath = str(files[0])
+    volume.filepath = _as_blender_writes(files[0])
     numbers = [number for file in files if (number := _number(file)) is not None]
     volume.is_sequence = bool(smoke.numbers) and bool(numbers)
     if volume.is_sequence and smoke.playback is not None and smoke.playback.mode != "CLIP":
@@ -65,6 +66,13 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
 def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
     """The results of an object that are shown."""
     return (item for item in bpy.data.objects if item.type == "VOLUME" and item.tnst_mi.original == original)
+
+
+def hide_other_parts(original: bpy.types.Object, parts: Sequence[str]) -> None:
+    """Hide the results of an object that are of other parts: of shots, or of all frames, in the same place."""
+    for result in results_of(original):
+        if result.tnst_mi.part not in parts:
+            result.hide_render = result.hide_viewport = True
 
 
 def show_original_of_lost(original: bpy.types.Object) -> None:
@@ -147,6 +155,15 @@ def _for_grids(material: bpy.types.Material, grids: Set[str]) -> bpy.types.Mater
             if socket.type == "STRING" and socket.default_value in finer:
                 socket.default_value += _NOISE
     return material
+
+
+def _as_blender_writes(file: Path) -> str:
+    """A path as Blender's own buttons write it: relative to the scene's file, if that is preferred."""
+    if bpy.data.filepath and bpy.context.preferences.filepaths.use_relative_paths:
+        # Not from one drive of Windows to another.
+        with suppress(ValueError):
+            return bpy.path.relpath(str(file))
+    return str(file)
 
 
 def _width(space: Matrix, files: Sequence[Path]) -> float:

@@ -1,0 +1,58 @@
+"""What tnst-mi says of a recipe, in the words of the panel: artists have seen no recipe."""
+
+from __future__ import annotations
+
+import re
+
+from ..recipes.parameters import parameters
+from ..recipes.toml import assignment
+from ..scene.shots import BASIS, MOTIFS, STEADY
+
+#: Keys of a recipe that the panel or the preferences have, by their labels there.
+LABELS = {
+    "style": "Picture",
+    "tag": "Motif",
+    "semantic": "Channel",
+    "mask": "Region",
+    "target": "Region",
+    "quality": "Quality",
+    "frames": "Frame Range",
+    "camera": "Camera",
+    "strength": "Strength",
+    "weights": "Network",
+}
+
+#: The file of a recipe at the beginning of an error.
+_FILE = re.compile(r"^(tnst-mi: ).*?([^/\\]+)\.toml: ", re.MULTILINE)
+
+#: A key with its value, and a flag with the placeholder of its value, which may be one of several words.
+_ASSIGNED = re.compile(r"(?<![\w.-])([a-z_]+)(?= = )")
+_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z-]*)\b(?: [A-Z]{2,}\b)?")
+
+
+def in_panel_words(text: str) -> str:
+    """An error of tnst-mi, with settings in place of the keys and flags that they stand for.
+
+    Other keys can be set in *Advanced*, and are named with that. The file of a recipe, which the add-on wrote, is left
+    out; those of markers, named by them, keep their names.
+    """
+    text = _FILE.sub(lambda found: found[1] + ("" if found[2] == "recipe" else f"{found[2]}: "), text)
+    text = _ASSIGNED.sub(lambda found: _label(found[1]) or found[0], text)
+    return _FLAG.sub(lambda found: _label(found[1].replace("-", "_")) or found[0], text)
+
+
+def help_of(key: str) -> str:
+    """What a key in *Advanced* does, and what it is without an entry there, where a setting of the panel decides that.
+
+    Empty for a key that is none, as in a scene of another version.
+    """
+    if key not in parameters():
+        return ""
+    ways = ((STEADY, "with Steady"), (MOTIFS, "with a Motif"), (BASIS, "in Blender"))
+    notes = [f"{when}, {assignment(key, values[key])}" for values, when in ways if key in values]
+    return "\n".join(filter(None, (parameters()[key].help, f"If not set here: {'; '.join(notes)}." if notes else "")))
+
+
+def _label(key: str) -> str | None:
+    """What a key is named in the panel; None of what is no key."""
+    return LABELS.get(key) or (f"Advanced, {key}" if key in parameters() else None)
