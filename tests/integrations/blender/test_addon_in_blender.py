@@ -109,7 +109,7 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "advanced": "Advanced, lam = 1.5: expected ",
         "markers": "the timeline has no markers",
         "resume": "nothing was started here; press Stylize",
-        "unsaved": "Results, //results: is beside the scene's file, and the scene has not been saved: save it, or choose",
+        "unsaved": "Results, //results: is beside the scene's file, and the scene has not been saved: save it",
         "failed": "tnst-mi: Frame Range = '4': none; lower Advanced, iterations = 2 or Advanced, lam",
     }
     for what, words in expected.items():
