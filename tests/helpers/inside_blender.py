@@ -198,6 +198,13 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     told["unsaved"] = reported(stylize)
     settings.out = str(Path(out, "results"))
     told["failed"] = reported(stylize)
+    preferences = module(package, "interface.preferences")
+    if bpy.app.version >= (4, 2):
+        bpy.context.preferences.system.use_online_access = True
+    install_to = lambda *given: (_ for _ in ()).throw(OSError("\n".join(map(str, given[:2]))))  # noqa: E731
+    preferences.Installation, installation = install_to, preferences.Installation
+    told["installation"] = reported(bpy.ops.tnst_mi.install).removeprefix("Error: ").splitlines()
+    preferences.Installation = installation
     settings.show_advanced = True
     told["panels"] = panels_of(package, item)
     told["copies"] = copies(package, item)
