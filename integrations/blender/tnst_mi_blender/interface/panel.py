@@ -112,7 +112,7 @@ def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
 def _draw_text(column: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
     """A text in lines as wide as the panel, in pixels; the icon is before the first."""
     scale = bpy.context.preferences.system.ui_scale or 1.0
-    across = max(20, int(width / (_CHARACTER * scale)) - 6)
+    across = max(20, int(width / (_CHARACTER * scale)) - (6 if icon == "NONE" else 10))
     lines = [part for line in text.splitlines() for part in textwrap.wrap(line, across)]
     for number, line in enumerate(lines):
         column.label(text=line, icon=icon if number == 0 or icon == "NONE" else "BLANK1")
