@@ -273,7 +273,7 @@ def copies(package: str, item: bpy.types.Object) -> dict[str, Any]:
     copy = item.copy()
     bpy.context.scene.collection.objects.link(copy)
     told: dict[str, Any] = {"named": [refused(item), refused(copy)]}
-    told["said"] = [bool(last_run.problem_of(item)), bool(last_run.problem_of(copy))]
+    told["said"] = [bool(last_run.text_of(item)), bool(last_run.text_of(copy))]
     bpy.context.view_layer.objects.active = copy
     told["stylized"], told["resumed"] = reported(bpy.ops.tnst_mi.stylize), reported(bpy.ops.tnst_mi.resume)
     bpy.context.view_layer.objects.active = item
@@ -404,9 +404,9 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "elsewhere", "scene.blend")))
     bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
     item = bpy.data.objects["Fog"]
-    told["stopped"] = item.tnst_mi.last_run.problem
+    told["stopped"] = item.tnst_mi.last_run.text
     told["resumed"] = list(bpy.ops.tnst_mi.resume())
-    told["then"], told["after"] = shown_objects(), item.tnst_mi.last_run.problem
+    told["then"], told["after"] = shown_objects(), item.tnst_mi.last_run.text
     return told
 
 

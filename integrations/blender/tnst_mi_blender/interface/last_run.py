@@ -26,25 +26,25 @@ def begun(item: bpy.types.Object, folder: Path) -> None:
     """
     run = item.tnst_mi.last_run
     run.folder, run.item = os.path.abspath(folder), item.name
-    run.problem, run.log = _UNFINISHED, ""
+    run.text, run.log = _UNFINISHED, ""
 
 
-def ended(item: bpy.types.Object, problem: str = "", log: Path | None = None) -> None:
+def ended(item: bpy.types.Object, text: str = "", log: Path | None = None) -> None:
     """The last run has ended.
 
     Args:
         item: the object whose smoke it is.
-        problem: what is said of it until the next run; empty if it has ended well.
+        text: what is said of it until the next run; empty if it has ended well.
         log: of a run that has failed, to be read.
     """
     run = item.tnst_mi.last_run
-    run.problem, run.log = problem, "" if log is None else os.path.abspath(log)
+    run.text, run.log = text, "" if log is None else os.path.abspath(log)
 
 
-def problem_of(item: bpy.types.Object) -> str:
+def text_of(item: bpy.types.Object) -> str:
     """What is said of the last run of an object; empty if it has ended well, or was that of the object's original."""
     run = item.tnst_mi.last_run
-    return run.problem if run.problem and _owners(Path(run.folder), run.item) == [item] else ""
+    return run.text if run.text and _owners(Path(run.folder), run.item) == [item] else ""
 
 
 def require_own(folder: Path, name: str, item: bpy.types.Object) -> None:

@@ -9,7 +9,7 @@ import bpy
 from ..scene.smoke import domain_settings
 from ..versions import show_progress
 from .labels import help_of
-from .last_run import problem_of
+from .last_run import text_of
 from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides
 from .running import running
 from .subject import subject_of
@@ -50,7 +50,7 @@ class SmokePanel:
         column.prop(settings, "place")
         _draw_advanced(layout, settings, context.region.width)
         if running() is None:
-            _draw_problem(layout, item, context.region.width)
+            _draw_last_run(layout, item, context.region.width)
             _draw_buttons(layout)
         else:
             _draw_running(layout)
@@ -118,13 +118,13 @@ def _draw_text(column: bpy.types.UILayout, text: str, width: int, icon: str = "N
         column.label(text=line, icon=icon if number == 0 or icon == "NONE" else "BLANK1")
 
 
-def _draw_problem(layout: bpy.types.UILayout, item: bpy.types.Object, width: int) -> None:
+def _draw_last_run(layout: bpy.types.UILayout, item: bpy.types.Object, width: int) -> None:
     """How the last run of an object has ended, if not well."""
-    problem, log = problem_of(item), item.tnst_mi.last_run.log
-    if not problem:
+    text, log = text_of(item), item.tnst_mi.last_run.log
+    if not text:
         return
     column = layout.box().column(align=True)
-    _draw_text(column, problem, width, icon="ERROR" if log else "INFO")
+    _draw_text(column, text, width, icon="ERROR" if log else "INFO")
     if log:
         _draw_text(column, f"Log: {log}", width, icon="TEXT")
         column.operator("wm.path_open", text="Open Log", icon="FILE_TEXT").filepath = log

@@ -90,7 +90,7 @@ class TnstMiLastRun(bpy.types.PropertyGroup):
 
     folder: StringProperty(description="Where its plan is, as an absolute path")
     item: StringProperty(description="Name of the object as it began")
-    problem: StringProperty(description="What is said of it until the next run; empty if it has ended well")
+    text: StringProperty(description="What is said of it until the next run; empty if it has ended well")
     log: StringProperty(description="Of one that has failed")
 
 
