@@ -173,7 +173,13 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     item.scale.x = 0.0
     bpy.context.view_layer.update()
     told["flat"] = reported(stylize)
-    item.scale.x, settings.use_camera = 0.1, False
+    item.scale.x = 0.1
+    told["foreseen"] = foreseen(package, item, out)
+    bpy.context.scene.timeline_markers.new("late", frame=24)
+    bpy.context.scene.frame_end = 40
+    told["no smoke"] = reported(bpy.ops.tnst_mi.bake_markers)
+    bpy.context.scene.timeline_markers.clear()
+    settings.use_camera = False
     bpy.context.view_layer.update()
     sphere = bpy.data.objects.new("sphere", None)
     sphere.empty_display_type, sphere.hide_viewport = "SPHERE", True
@@ -208,6 +214,91 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     bpy.ops.preferences.addon_disable(module=package)
     told["drawn"], told["left"] = layout.drawn, hasattr(bpy.types.Object, "tnst_mi")
     return told
+
+
+def foreseen(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """What is known of a shot before it is run: how many frames are gone through for it, and notes."""
+    shots = module(package, "scene.shots")
+    camera_table, scene = shots.camera_table, bpy.context.scene
+    gone_through: list[int] = []
+
+    def noted(*arguments: Any) -> Any:
+        gone_through.append(scene.frame_current)
+        return camera_table(*arguments)
+
+    shots.camera_table = noted
+
+    def prepared() -> dict[str, Any]:
+        gone_through.clear()
+        bpy.context.view_layer.update()
+        smoke = module(package, "scene.smoke").smoke_of(item)
+        _, notes = shots.shot_of(bpy.context, item.tnst_mi, smoke, shots.Take(), Path(out, "foreseen"), "")
+        cameras = json.loads(Path(out, "foreseen", "cameras.json").read_text("utf-8"))
+        return {"frames": list(gone_through), "notes": list(notes), "differ": "frames" in cameras}
+
+    told = {"still": prepared()}
+    camera, holder = scene.camera, bpy.data.objects.new("holder", None)
+    scene.collection.objects.link(holder)
+    camera.parent = holder
+    told["held"] = prepared()
+    holder.keyframe_insert("location", frame=21)
+    holder.location.x = 1.0
+    holder.keyframe_insert("location", frame=23)
+    told["carried"] = prepared()
+    camera.parent = None
+    camera.data.driver_add("lens").driver.expression = "40 + frame"
+    told["driven"] = prepared()
+    camera.data.driver_remove("lens")
+    camera.data.lens = 50.0
+    item.keyframe_insert("location", frame=21)
+    item.location.x += 1.0
+    item.keyframe_insert("location", frame=23)
+    scene.frame_set(21)
+    told["moving smoke"] = prepared()
+    item.animation_data_clear()
+    camera.rotation_euler.z += 3.0
+    told["turned away"] = prepared()
+    camera.rotation_euler.z -= 3.0
+    shots.camera_table = camera_table
+    return told
+
+
+def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """The result of an object that belongs to another file, and of its override."""
+    library = str(Path(out, "library.blend"))
+    bpy.data.libraries.write(library, {item})
+    with bpy.data.libraries.load(library, link=True) as (_, wanted):
+        wanted.objects = [item.name]
+    of_library, told = wanted.objects[0], {}
+    bpy.context.scene.collection.objects.link(of_library)
+    smoke_of = module(package, "scene.smoke").smoke_of
+    visibility = module(package, "scene.visibility")
+    for name, each in (("linked", of_library), ("override", of_library.override_create(remap_local_usages=True))):
+        smoke = smoke_of(each)
+        part = module(package, "recipes.plan").Part("", str(Path(out, "results", "final")))
+        shown = module(package, "scene.results").load_result(each, smoke, part, "IN_PLACE")
+        notes = visibility.hide_in_frames_of_results(each, "IN_PLACE")
+        told[name] = {
+            "notes": [*module(package, "scene.smoke").note_of_library(each), *notes],
+            "shown": [shown.library is None, shown.parent == each, bpy.context.scene in shown.users_scene],
+            "hidden": hidden_in(each),
+        }
+    return told
+
+
+def hidden_in(item: bpy.types.Object) -> list[int]:
+    """The frames, of 18 to 29, in which an object is hidden, in viewports and in pictures."""
+    scene, frames = bpy.context.scene, []
+    current = scene.frame_current
+    for frame in range(18, 30):
+        scene.frame_set(frame)
+        # What is hidden in viewports is not evaluated, but for that.
+        if item.hide_viewport != item.hide_render:
+            raise ValueError(f"frame {frame}: hidden in one of both")
+        if item.hide_render:
+            frames.append(frame)
+    scene.frame_set(current)
+    return frames
 
 
 def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
@@ -249,6 +340,28 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
         told["played"][mode] = [files_of(item), files_of(shown)]
     bpy.context.scene.frame_set(21)
     told["beside from afar"] = bounds(shown)
+    item.data.sequence_mode = "CLIP"
+    told["artist"] = hidden_by_artist(package, item, out)
+    told["of a library"] = linked(package, item, out)
+    return told
+
+
+def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """The keyframes of an artist that hide an original stay."""
+    hide = module(package, "scene.visibility").hide_in_frames_of_results
+    smoke = module(package, "scene.smoke").smoke_of(item)
+    part = module(package, "recipes.plan").Part("", str(Path(out, "results", "final")))
+    module(package, "scene.results").load_result(item, smoke, part, "IN_PLACE")
+    told: dict[str, Any] = {"before": [list(hide(item, "IN_PLACE")), hidden_in(item)]}
+    told["simple"] = [curve.driver.is_simple_expression for curve in item.animation_data.drivers]
+    told["beside"] = [list(hide(item, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
+    for path in ("hide_viewport", "hide_render"):
+        item.keyframe_insert(path, frame=18)
+        setattr(item, path, True)
+        item.keyframe_insert(path, frame=28)
+    told["keyed"] = [list(hide(item, "IN_PLACE")), hidden_in(item)]
+    item.animation_data_clear()
+    item.hide_viewport = item.hide_render = False
     return told
 
 
@@ -286,11 +399,15 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     other.location.x += 4.0
     bpy.context.scene.timeline_markers.new("close", frame=21).camera = bpy.context.scene.camera
     bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
+    bpy.context.scene.timeline_markers.new("late", frame=24)
+    bpy.context.scene.frame_end = 27
     choose(item, package, str(Path(out, "results")))
     # A frame without smoke.
     bpy.context.scene.frame_set(5)
     ended = list(bpy.ops.tnst_mi.bake_markers())
-    return {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    told = {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
+    return told | {"notes": plan.notes, "hidden": hidden_in(item)}
 
 
 def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:

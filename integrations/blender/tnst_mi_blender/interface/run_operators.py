@@ -15,8 +15,9 @@ from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
 from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
 from ..scene.results import load_result, show_original_of_lost
-from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
-from ..scene.smoke import Smoke, can_be_stylized, smoke_of
+from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers, takes_with_smoke
+from ..scene.smoke import Smoke, can_be_stylized, note_of_library, smoke_of
+from ..scene.visibility import hide_in_frames_of_results
 from .kept import Kept
 from .preferences import environment_of, preferences_of
 from .running import Running, RunsJob
@@ -39,7 +40,7 @@ class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One run."""
-        return _started(context, [Take(bounds=frame_bounds(context.object.tnst_mi))], batch=False)
+        return _started(self, context, [Take(bounds=frame_bounds(context.object.tnst_mi))], batch=False)
 
 
 class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
@@ -50,7 +51,7 @@ class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One batch, with a run for each marker, one after the other."""
-        return _started(context, takes_of_markers(context.scene), batch=True)
+        return _started(self, context, takes_of_markers(context.scene), batch=True)
 
 
 class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
@@ -87,8 +88,8 @@ def results_folder(item: bpy.types.Object) -> Path:
     return smoke_of(item, item.tnst_mi.source).source.parent / name
 
 
-def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
-    """Write the recipes of takes and start their stylization."""
+def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
+    """Write the recipes of takes, report what is to be known of them, and start their stylization."""
     item, settings = context.object, context.object.tnst_mi
     program = environment_of(context)
     smoke = smoke_of(item, settings.source)
@@ -110,6 +111,8 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
             before.rename(inputs)
         raise
     shutil.rmtree(before, ignore_errors=True)
+    for note in plan.notes:
+        operator.report({"WARNING"}, note)
     return _running(item, smoke, plan, command)
 
 
@@ -119,10 +122,15 @@ def _prepared(
     """Write the recipes of takes and the plan; `paths` are the program, the folder, that of results and of recipes."""
     item, settings = context.object, context.object.tnst_mi
     program, folder, out, inputs = paths
+    notes = note_of_library(item)
+    if batch:
+        takes, skipped = takes_with_smoke(smoke, takes)
+        notes += skipped
     names = [f"{number:02}_{_plain(take.name)}" if batch else "recipe" for number, take in enumerate(takes, 1)]
     recipes = [inputs / f"{name}.toml" for name in names]
     for take, name, recipe in zip(takes, names, recipes, strict=True):
-        shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        shot, of_shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        notes += of_shot
         write_recipe(shot, recipe)
     if batch:
         parts = tuple(
@@ -133,7 +141,7 @@ def _prepared(
     else:
         parts = (Part("", str(out)),)
         command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
-    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
+    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts, notes)
     write_plan(plan, folder)
     return plan, command
 
@@ -162,7 +170,8 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
         if original is None:
             raise CannotStylizeError(f"{kept.name} was deleted meanwhile; its results are in {out}")
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
-        return f"Stylized: {', '.join(map(_in_words, shown))}"
+        notes = plan.notes + hide_in_frames_of_results(original, original.tnst_mi.place)
+        return "; ".join((f"Stylized: {', '.join(map(_in_words, shown))}", *notes))
 
     def stopped() -> None:
         original = kept.find()
