@@ -318,7 +318,7 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
         return True
 
     once_while_running(package, move)
-    told: dict[str, Any] = {"first": list(bpy.ops.tnst_mi.stylize()), "original": bounds(item)}
+    told: dict[str, Any] = {"first": list(bpy.ops.tnst_mi.stylize())}
     shown = bpy.data.objects["Smoke_stylized"]
     told["in place"], told["objects"] = bounds(shown), shown_objects()
     told["modifiers"] = [[each.type, each.strength] for each in shown.modifiers]
@@ -329,6 +329,8 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.context.view_layer.objects.active = item
     told["second"] = list(bpy.ops.tnst_mi.stylize())
     told["beside"], told["again"] = bounds(shown), shown_objects()
+    # While it is hidden, it has no bounds.
+    told["original"] = bounds(item)
     told["played"] = {}
     for mode in ("CLIP", "EXTEND", "REPEAT", "PING_PONG"):
         item.data.sequence_mode = mode

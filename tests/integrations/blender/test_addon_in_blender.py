@@ -178,7 +178,9 @@ def test_a_volume_is_stylized_in_its_place(
 def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: str, tmp_path: Path) -> None:
     told = inside(host, "markers", program=program, folder=folder)
     assert (told["ended"], told["current"]) == (["FINISHED"], 5)
-    assert told["notes"] == ["late: skipped, there is no smoke in its frames 24 to 27"]
+    skipped, unseen = told["notes"]
+    assert skipped == "late: skipped, there is no smoke in its frames 24 to 27"
+    assert unseen.startswith("the camera of close 2 does not see the smoke of Smoke in any frame")
     assert told["hidden"] == [21, 22, 23], "the original is shown before and after the shots"
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}

@@ -65,10 +65,12 @@ def show_always(original: bpy.types.Object) -> None:
 
 
 def _frames_of_results(original: bpy.types.Object) -> list[tuple[int, int]] | None:
-    """The first and last frames of the results of an original, merged; None where one of them is shown in all."""
+    """The first and last frames of the results that are not hidden, merged; None where one of them is shown in all."""
     ranges = []
     for result in results_of(original):
         volume = result.data
+        if result.hide_render and result.hide_viewport:
+            continue
         if not volume.is_sequence or volume.sequence_mode != "CLIP":
             return None
         ranges.append((volume.frame_start, volume.frame_start + volume.frame_duration - 1))
