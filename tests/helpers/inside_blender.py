@@ -329,8 +329,6 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.context.view_layer.objects.active = item
     told["second"] = list(bpy.ops.tnst_mi.stylize())
     told["beside"], told["again"] = bounds(shown), shown_objects()
-    # While it is hidden, it has no bounds.
-    told["original"] = bounds(item)
     told["played"] = {}
     for mode in ("CLIP", "EXTEND", "REPEAT", "PING_PONG"):
         item.data.sequence_mode = mode
@@ -342,6 +340,8 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
         told["played"][mode] = [files_of(item), files_of(shown)]
     bpy.context.scene.frame_set(21)
     told["beside from afar"] = bounds(shown)
+    # Blender makes bounds anew in a frame with another file.
+    told["original"] = bounds(item)
     item.data.sequence_mode = "CLIP"
     told["artist"] = hidden_by_artist(package, item, out)
     told["of a library"] = linked(package, item, out)
