@@ -9,6 +9,7 @@ it is in told.json there.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -275,9 +276,9 @@ def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     visibility = module(package, "scene.visibility")
     for name, each in (("linked", of_library), ("override", of_library.override_create(remap_local_usages=True))):
         smoke = smoke_of(each)
-        part = module(package, "recipes.plan").Part("", str(Path(out, "results", "final")))
+        part = module(package, "recipes.plan").Part("", str(Path(out, "results", "later")))
         shown = module(package, "scene.results").load_result(each, smoke, part, "IN_PLACE")
-        notes = visibility.hide_in_frames_of_results(each, "IN_PLACE")
+        notes = visibility.hide_in_frames_of_results(each, smoke, "IN_PLACE")
         told[name] = {
             "notes": [*module(package, "scene.smoke").note_of_library(each), *notes],
             "shown": [shown.library is None, shown.parent == each, bpy.context.scene in shown.users_scene],
@@ -349,19 +350,26 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
 
 
 def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
-    """The keyframes of an artist that hide an original stay."""
+    """An original is hidden in the frames of its result alone; the keyframes of an artist that hide it stay."""
     hide = module(package, "scene.visibility").hide_in_frames_of_results
     smoke = module(package, "scene.smoke").smoke_of(item)
-    part = module(package, "recipes.plan").Part("", str(Path(out, "results", "final")))
-    module(package, "scene.results").load_result(item, smoke, part, "IN_PLACE")
-    told: dict[str, Any] = {"before": [list(hide(item, "IN_PLACE")), hidden_in(item)]}
+    show, Part = module(package, "scene.results").load_result, module(package, "recipes.plan").Part
+    all_frames, later = Path(out, "results", "final"), Path(out, "results", "later")
+    show(item, smoke, Part("", str(all_frames)), "IN_PLACE")
+    told: dict[str, Any] = {"all": [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]}
+    told["no drivers"] = item.animation_data is None
+    (later / "density").mkdir(parents=True)
+    for file in sorted((all_frames / "density").iterdir())[1:]:
+        shutil.copy(file, later / "density")
+    show(item, smoke, Part("", str(later)), "IN_PLACE")
+    told["later"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
     told["simple"] = [curve.driver.is_simple_expression for curve in item.animation_data.drivers]
-    told["beside"] = [list(hide(item, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
+    told["beside"] = [list(hide(item, smoke, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
     for path in ("hide_viewport", "hide_render"):
         item.keyframe_insert(path, frame=18)
         setattr(item, path, True)
         item.keyframe_insert(path, frame=28)
-    told["keyed"] = [list(hide(item, "IN_PLACE")), hidden_in(item)]
+    told["keyed"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
     item.animation_data_clear()
     item.hide_viewport = item.hide_render = False
     return told
@@ -486,6 +494,40 @@ def domain(
     told["hidden"], told["cell"] = item.hide_render, max(sides) / 24
     shown = bpy.data.objects["Domain_stylized"]
     told["bounds"] = bounds(shown)
+    if noise:
+        told["without noise"] = baked_anew(item, source, out)
+    return told
+
+
+def baked_anew(item: bpy.types.Object, source: bpy.types.Object, out: str) -> dict[str, Any]:
+    """A domain that had noise is baked without it, with no smoke in its first frame; and a part of it is stylized."""
+    scene = bpy.context.scene
+    flow, settings = source.modifiers["Fluid"].flow_settings, item.modifiers["Fluid"].domain_settings
+    for frame, flows in ((1, False), (2, True)):
+        flow.use_inflow = flows
+        flow.keyframe_insert("use_inflow", frame=frame)
+    # Blender frees no domains that are hidden.
+    item.hide_viewport = False
+    with bpy.context.temp_override(object=item, active_object=item, scene=scene):
+        bpy.ops.fluid.free_all()
+        settings.use_noise = False
+        bpy.ops.fluid.bake_all()
+    item.tnst_mi.place = "BESIDE"
+    told: dict[str, Any] = {"ended": list(bpy.ops.tnst_mi.stylize()), "shown": shown_objects()["Domain_stylized"]}
+    for frame in (2, 3):
+        bpy.data.objects["Domain_stylized"].hide_render = True
+        scene.frame_set(frame)
+        picture(str(Path(out, f"original_{frame}.png")))
+    # Its last frame alone: the others show the original.
+    item.tnst_mi.place = "IN_PLACE"
+    item.tnst_mi.use_range, item.tnst_mi.frame_start, item.tnst_mi.frame_end = True, 3, 3
+    told["in range"] = [list(bpy.ops.tnst_mi.stylize()), shown_objects()["Domain_stylized"]["frames"]]
+    for frame in (2, 3):
+        scene.frame_set(frame)
+        told[f"hidden in {frame}"] = item.hide_render
+        picture(str(Path(out, f"in_range_{frame}.png")))
+    item.tnst_mi.frame_start = item.tnst_mi.frame_end = 1
+    told["no smoke"] = list(bpy.ops.tnst_mi.stylize())
     return told
 
 

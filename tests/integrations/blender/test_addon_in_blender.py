@@ -162,14 +162,15 @@ def test_a_volume_is_stylized_in_its_place(
     first, second, third = (f"smoke_{number:04}.vdb" for number in (7, 8, 9))
     assert told["played"]["CLIP"][1] == [""] * 3 + [first, second, third] + [""] * 6
     assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
-    assert told["artist"]["before"] == [[], [21, 22, 23]] and told["artist"]["simple"] == [True, True]
+    assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
+    assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
     assert told["artist"]["beside"] == [[], [], 0]
     (note,), frames = told["artist"]["keyed"]
     assert note.startswith("Smoke: when it is hidden is animated, and was left so") and frames == [28, 29]
     (note,) = told["of a library"]["linked"].pop("notes")
     assert note.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in note
     assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": list(range(18, 30))}
-    assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [21, 22, 23]}
+    assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
 
@@ -181,7 +182,7 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
     skipped, unseen = told["notes"]
     assert skipped == "late: skipped, there is no smoke in its frames 24 to 27"
     assert unseen.startswith("the camera of close 2 does not see the smoke of Smoke in any frame")
-    assert told["hidden"] == [21, 22, 23], "the original is shown before and after the shots"
+    assert told["hidden"] == list(range(18, 30)), "all frames of the smoke are in the other shots"
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}
     cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
@@ -229,3 +230,15 @@ def test_the_smoke_of_a_domain_is_seen_where_it_was(
     assert np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.99
     # Half a voxel is 6 pixels.
     assert np.corrcoef(before[:, 3:].ravel(), after[:, :-3].ravel())[0, 1] < 0.99
+    if noise:
+        told = told["without noise"]
+        assert told["ended"] == ["FINISHED"]
+        assert (told["shown"]["frames"], told["shown"]["materials"]) == ([1, 0, 3], ["thick smoke"])
+        assert told["in range"] == [["FINISHED"], [3, 2, 1]]
+        assert [told["hidden in 2"], told["hidden in 3"]] == [False, True]
+        for frame in (2, 3):
+            before, after = (
+                np.asarray(Image.open(tmp_path / f"{name}_{frame}.png").convert("L"), float)
+                for name in ("original", "in_range")
+            )
+            assert before.std() > 2 and np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.99

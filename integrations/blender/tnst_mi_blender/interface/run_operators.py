@@ -170,7 +170,7 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
         if original is None:
             raise CannotStylizeError(f"{kept.name} was deleted meanwhile; its results are in {out}")
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
-        notes = plan.notes + hide_in_frames_of_results(original, original.tnst_mi.place)
+        notes = plan.notes + hide_in_frames_of_results(original, smoke, original.tnst_mi.place)
         return "; ".join((f"Stylized: {', '.join(map(_in_words, shown))}", *notes))
 
     def stopped() -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import bpy
 
 from ..versions import animated_paths
+from .smoke import Smoke
 
 #: What hides an object.
 _HIDING = ("hide_viewport", "hide_render")
@@ -26,11 +27,14 @@ def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
     return (item for item in bpy.data.objects if item.type == "VOLUME" and item.tnst_mi.original == original)
 
 
-def hide_in_frames_of_results(original: bpy.types.Object, place: str) -> tuple[str, ...]:
+def hide_in_frames_of_results(original: bpy.types.Object, smoke: Smoke, place: str) -> tuple[str, ...]:
     """Hide an original in the frames of its results where they are in its place, and show it in all others.
+
+    If all of its frames were stylized, it is just hidden, as artists hide it, who can show it by a click.
 
     Args:
         original: that was stylized.
+        smoke: of it.
         place: "IN_PLACE", or "BESIDE", where it is shown in all frames.
 
     Returns:
@@ -45,7 +49,10 @@ def hide_in_frames_of_results(original: bpy.types.Object, place: str) -> tuple[s
     if place != "IN_PLACE":
         return ()
     ranges = _frames_of_results(original)
-    if ranges is None or original.library is not None:
+    frames = {number - smoke.shift for number in smoke.numbers}
+    covered = ranges is None or all(any(first <= frame <= last for first, last in ranges) for frame in frames)
+    # Blender does not let what belongs to another file have drivers.
+    if covered or original.library is not None:
         for path in _HIDING:
             setattr(original, path, True)
         return ()
