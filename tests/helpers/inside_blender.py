@@ -495,23 +495,28 @@ def domain(
     shown = bpy.data.objects["Domain_stylized"]
     told["bounds"] = bounds(shown)
     if noise:
-        told["without noise"] = baked_anew(item, source, out)
+        told["without noise"] = baked_anew(out)
     return told
 
 
-def baked_anew(item: bpy.types.Object, source: bpy.types.Object, out: str) -> dict[str, Any]:
+def baked_anew(out: str) -> dict[str, Any]:
     """A domain that had noise is baked without it, with no smoke in its first frame; and a part of it is stylized."""
-    scene = bpy.context.scene
+    # Blender 3.4 crashes where noise is switched off in the session in which it was baked.
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=str(Path(out, "scene.blend")))
+    scene, item = bpy.context.scene, bpy.data.objects["Domain"]
+    (source,) = (each for each in scene.objects if each.type == "MESH" and each != item)
     flow, settings = source.modifiers["Fluid"].flow_settings, item.modifiers["Fluid"].domain_settings
     for frame, flows in ((1, False), (2, True)):
         flow.use_inflow = flows
         flow.keyframe_insert("use_inflow", frame=frame)
-    # Blender frees no domains that are hidden.
+    # Blender neither frees nor bakes domains that are hidden.
     item.hide_viewport = False
     with bpy.context.temp_override(object=item, active_object=item, scene=scene):
         bpy.ops.fluid.free_all()
         settings.use_noise = False
         bpy.ops.fluid.bake_all()
+    bpy.context.view_layer.objects.active = item
     item.tnst_mi.place = "BESIDE"
     told: dict[str, Any] = {"ended": list(bpy.ops.tnst_mi.stylize()), "shown": shown_objects()["Domain_stylized"]}
     for frame in (2, 3):
@@ -527,7 +532,7 @@ def baked_anew(item: bpy.types.Object, source: bpy.types.Object, out: str) -> di
         told[f"hidden in {frame}"] = item.hide_render
         picture(str(Path(out, f"in_range_{frame}.png")))
     item.tnst_mi.frame_start = item.tnst_mi.frame_end = 1
-    told["no smoke"] = list(bpy.ops.tnst_mi.stylize())
+    told["without smoke"] = list(bpy.ops.tnst_mi.stylize())
     return told
 
 

@@ -236,6 +236,7 @@ def test_the_smoke_of_a_domain_is_seen_where_it_was(
         assert (told["shown"]["frames"], told["shown"]["materials"]) == ([1, 0, 3], ["thick smoke"])
         assert told["in range"] == [["FINISHED"], [3, 2, 1]]
         assert [told["hidden in 2"], told["hidden in 3"]] == [False, True]
+        assert told["without smoke"] == ["FINISHED"]
         for frame in (2, 3):
             before, after = (
                 np.asarray(Image.open(tmp_path / f"{name}_{frame}.png").convert("L"), float)
