@@ -26,6 +26,24 @@ def fill(modifier: bpy.types.MeshToVolumeModifier, edge: float) -> None:
         modifier.interior_band_width = max(edge, 1e-6)
 
 
+def animated_paths(item: bpy.types.ID) -> set[str]:
+    """What keyframes change of an object, of its action and of its strips; before 4.4, actions have no slots."""
+    animation = item.animation_data
+    if animation is None:
+        return set()
+    strips = [strip for track in animation.nla_tracks for strip in track.strips]
+    holders = [holder for holder in (animation, *strips) if holder.action is not None]
+    return {curve.data_path for holder in holders for curve in _curves(holder)}
+
+
+def _curves(holder: bpy.types.AnimData | bpy.types.NlaStrip) -> list[bpy.types.FCurve]:
+    action = holder.action
+    if not hasattr(action, "layers"):
+        return list(action.fcurves)
+    bags = [strip.channelbag(holder.action_slot) for layer in action.layers for strip in layer.strips]
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
 def show_progress(layout: bpy.types.UILayout, fraction: float | None, text: str) -> None:
     """A bar and a text; before 4.0 there are no bars, and the text has two lines, which narrow panels have room for."""
     if hasattr(layout, "progress"):

@@ -15,9 +15,10 @@ from ..problems import CannotStylizeError
 from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
 from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
-from ..scene.results import hide_other_parts, load_result, show_original_of_lost
-from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
-from ..scene.smoke import Smoke, smoke_of
+from ..scene.results import load_result, show_original_of_lost
+from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers, takes_with_smoke
+from ..scene.smoke import Smoke, note_of_library, smoke_of
+from ..scene.visibility import hide_in_frames_of_results, hide_other_parts
 from .kept import Kept
 from .last_run import begun, ended, require_own
 from .preferences import environment_of, preferences_of
@@ -42,7 +43,7 @@ class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One run."""
-        return _started(context, [Take(bounds=frame_bounds(subject_of(context.object).tnst_mi))], batch=False)
+        return _started(self, context, [Take(bounds=frame_bounds(subject_of(context.object).tnst_mi))], batch=False)
 
 
 class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
@@ -53,7 +54,7 @@ class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One batch, with a run for each marker, one after the other."""
-        return _started(context, takes_of_markers(context.scene), batch=True)
+        return _started(self, context, takes_of_markers(context.scene), batch=True)
 
 
 class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
@@ -111,8 +112,8 @@ def _last_plan(item: bpy.types.Object) -> tuple[Path, Plan]:
     return folder, read_plan(folder)
 
 
-def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
-    """Write the recipes of takes and start their stylization."""
+def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
+    """Write the recipes of takes, report what is to be known of them, and start their stylization."""
     item = subject_of(context.object)
     settings = item.tnst_mi
     program = environment_of(context)
@@ -135,6 +136,8 @@ def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> 
             before.rename(inputs)
         raise
     shutil.rmtree(before, ignore_errors=True)
+    for note in plan.notes:
+        operator.report({"WARNING"}, note)
     return _running(item, smoke, folder, plan, command)
 
 
@@ -149,10 +152,15 @@ def _prepared(
     """Write the recipes of takes and the plan; `paths` are the program, the folder, that of results and of recipes."""
     settings = item.tnst_mi
     program, folder, out, inputs = paths
+    notes = note_of_library(item)
+    if batch:
+        takes, skipped = takes_with_smoke(smoke, takes)
+        notes += skipped
     names = [f"{number:02}_{_plain(take.name)}" if batch else "recipe" for number, take in enumerate(takes, 1)]
     recipes = [inputs / f"{name}.toml" for name in names]
     for take, name, recipe in zip(takes, names, recipes, strict=True):
-        shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        shot, of_shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        notes += of_shot
         write_recipe(shot, recipe)
     if batch:
         parts = tuple(
@@ -163,7 +171,7 @@ def _prepared(
     else:
         parts = (Part("", str(out)),)
         command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
-    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
+    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts, notes)
     write_plan(plan, folder)
     return plan, command
 
@@ -182,8 +190,9 @@ def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, com
             raise CannotStylizeError(f"{kept.name} was deleted meanwhile; its results are in {out}")
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
         hide_other_parts(original, [part.name for part in plan.parts])
-        ended(original)
-        return f"Stylized: {', '.join(map(_in_words, shown))}"
+        notes = plan.notes + hide_in_frames_of_results(original, smoke, original.tnst_mi.place)
+        ended(original, "\n".join(notes))
+        return "; ".join((f"Stylized: {', '.join(map(_in_words, shown))}", *notes))
 
     def stopped(problem: str | None) -> None:
         original = kept.find()
