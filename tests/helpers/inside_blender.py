@@ -494,11 +494,11 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.context.scene.frame_set(5)
     ended = list(bpy.ops.tnst_mi.bake_markers())
     told = {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
+    told |= {"notes": plan.notes, "hidden": hidden_in(item), "said": item.tnst_mi.last_run.text}
     for name, stylize in (("one", bpy.ops.tnst_mi.stylize), ("shots", bpy.ops.tnst_mi.bake_markers)):
         told[f"then {name}"] = [list(stylize()), {name: each["hidden"] for name, each in shown_objects().items()}]
     return told
-    plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
-    return told | {"notes": plan.notes, "hidden": hidden_in(item)}
 
 
 def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:

@@ -206,6 +206,7 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
     skipped, unseen = told["notes"]
     assert skipped == "late: skipped, there is no smoke in its frames 24 to 27"
     assert unseen.startswith("the camera of close 2 does not see the smoke of Smoke in any frame")
+    assert told["said"].splitlines() == [skipped, unseen]
     assert told["hidden"] == list(range(18, 30)), "all frames of the smoke are in the other shots"
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}
