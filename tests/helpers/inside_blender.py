@@ -362,6 +362,12 @@ def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
             "shown": [shown.library is None, shown.parent == each, bpy.context.scene in shown.users_scene],
             "hidden": hidden_in(each),
         }
+    each.tnst_mi.quality = "preview"
+    each.tnst_mi.looks.add().picture = "net"
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=str(Path(out, "scene.blend")))
+    (kept,) = (each.tnst_mi for each in bpy.data.objects if each.override_library is not None)
+    told["kept"] = [kept.quality, [look.picture for look in kept.looks]]
     return told
 
 

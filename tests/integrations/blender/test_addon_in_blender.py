@@ -194,6 +194,7 @@ def test_a_volume_is_stylized_in_its_place(
     (note,) = told["of a library"]["linked"].pop("notes")
     assert note.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in note
     assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": list(range(18, 30))}
+    assert told["of a library"]["kept"] == ["preview", ["spirals", "net"]]
     assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe

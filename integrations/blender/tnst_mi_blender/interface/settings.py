@@ -140,11 +140,19 @@ class TnstMiSettings(bpy.types.PropertyGroup):
 _CLASSES = (TnstMiLook, TnstMiOverride, TnstMiLastRun, TnstMiSettings)
 
 
+def _let_overrides_have(group: type[bpy.types.PropertyGroup]) -> None:
+    """Let overrides of objects of other files have settings of their own, which Blender allows one by one."""
+    for wanted in group.__annotations__.values():
+        inserted = {"USE_INSERTION"} if wanted.function is CollectionProperty else set()
+        wanted.keywords["override"] = {"LIBRARY_OVERRIDABLE"} | inserted
+
+
 def register() -> None:
     """Add the settings to objects."""
     for each in _CLASSES:
+        _let_overrides_have(each)
         bpy.utils.register_class(each)
-    bpy.types.Object.tnst_mi = PointerProperty(type=TnstMiSettings)
+    bpy.types.Object.tnst_mi = PointerProperty(type=TnstMiSettings, override={"LIBRARY_OVERRIDABLE"})
 
 
 def unregister() -> None:

@@ -21,7 +21,7 @@ from .extent import corners_at
 from .motion import may_change_shape, may_move
 from .regions import Region
 from .sight import may_see
-from .smoke import Smoke, frames_between
+from .smoke import Smoke, frames_between, note_of_library
 
 #: What a stylization begins with; that of the bundled recipes. The list Advanced changes it.
 BASIS = {"octaves": 2, "views": 3, "eta": 0.004}
@@ -141,7 +141,8 @@ def shot_of(
         OSError: a file cannot be written.
     """
     if not settings.looks:
-        raise CannotStylizeError("choose what the smoke is to look like: press + under Look")
+        wanted = "choose what the smoke is to look like: press + under Look"
+        raise CannotStylizeError("; ".join((wanted, *note_of_library(settings.id_data))))
     goals = [_goal(look) for look in settings.looks]
     if take.name and smoke.playback is not None and smoke.playback.mode != "CLIP":
         raise CannotStylizeError("markers: shots of a sequence that is played again are the same: set its Mode to Clip")
