@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 
 from ..recipes.parameters import parameters
-from ..recipes.toml import assignment
-from ..scene.shots import BASIS, MOTIFS, STEADY
 
 #: Keys of a recipe that the panel or the preferences have, by their labels there.
 LABELS = {
@@ -20,6 +18,12 @@ LABELS = {
     "camera": "Camera",
     "strength": "Strength",
     "weights": "Network",
+}
+
+#: Remedies on the command line, and in the panel.
+REMEDIES = {
+    "give its INPUT too to begin it": "press Stylize",
+    "leave out --resume to begin one": "press Stylize",
 }
 
 #: The file of a recipe at the beginning of an error.
@@ -36,21 +40,11 @@ def in_panel_words(text: str) -> str:
     Other keys can be set in *Advanced*, and are named with that. The file of a recipe, which the add-on wrote, is left
     out; those of markers, named by them, keep their names.
     """
+    for remedy, here in REMEDIES.items():
+        text = text.replace(remedy, here)
     text = _FILE.sub(lambda found: found[1] + ("" if found[2] == "recipe" else f"{found[2]}: "), text)
     text = _ASSIGNED.sub(lambda found: _label(found[1]) or found[0], text)
     return _FLAG.sub(lambda found: _label(found[1].replace("-", "_")) or found[0], text)
-
-
-def help_of(key: str) -> str:
-    """What a key in *Advanced* does, and what it is without an entry there, where a setting of the panel decides that.
-
-    Empty for a key that is none, as in a scene of another version.
-    """
-    if key not in parameters():
-        return ""
-    ways = ((STEADY, "with Steady"), (MOTIFS, "with a Motif"), (BASIS, "in Blender"))
-    notes = [f"{when}, {assignment(key, values[key])}" for values, when in ways if key in values]
-    return "\n".join(filter(None, (parameters()[key].help, f"If not set here: {'; '.join(notes)}." if notes else "")))
 
 
 def _label(key: str) -> str | None:

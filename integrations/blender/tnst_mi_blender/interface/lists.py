@@ -7,9 +7,23 @@ from bpy.props import EnumProperty
 
 from ..recipes.advanced import fill_in
 from ..recipes.parameters import parameters
-from .labels import help_of
+from ..recipes.toml import assignment
+from ..scene.shots import BASIS, MOTIFS, STEADY
 from .settings import OWN_KEYS
 from .subject import subject_of
+
+
+def help_of(key: str) -> str:
+    """What a key in *Advanced* does, and what it is without an entry there, where a setting of the panel decides that.
+
+    Empty for a key that is none, as in a scene of another version.
+    """
+    if key not in parameters():
+        return ""
+    ways = ((STEADY, "with Steady"), (MOTIFS, "with a Motif"), (BASIS, "in Blender"))
+    notes = [f"{when}, {assignment(key, values[key])}" for values, when in ways if key in values]
+    return "\n".join(filter(None, (parameters()[key].help, f"If not set here: {'; '.join(notes)}." if notes else "")))
+
 
 _KEYS = [(key, key, help_of(key)) for key in parameters() if key not in OWN_KEYS]
 

@@ -8,9 +8,8 @@ import bpy
 
 from ..scene.smoke import domain_settings
 from ..versions import show_progress
-from .labels import help_of
 from .last_run import text_of
-from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides
+from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides, help_of
 from .running import running
 from .subject import subject_of
 from .thumbnails import picture_icon
