@@ -55,28 +55,31 @@ def press(name: str, where: tuple[int, int] | None = None, **held: bool) -> None
         window().event_simulate(type=name, value=value, x=x, y=y, **held)
 
 
-def draw() -> None:
-    """Draw all of the window now."""
-    with bpy.context.temp_override(window=window()):
+def draw(shown: bpy.types.Window | None = None) -> None:
+    """Draw all of a window now."""
+    with bpy.context.temp_override(window=shown or window()):
         bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)
 
 
-def pixels(file: Path) -> np.ndarray:
-    """What the window shows now, (height, width, 4) from the bottom up; the picture is written to the file."""
-    draw()
-    with bpy.context.temp_override(window=window()):
+def pixels(file: Path, shown: bpy.types.Window | None = None) -> np.ndarray:
+    """What a window shows now, (height, width, 4) from the bottom up; the picture is written to the file.
+
+    No other window may be before it.
+    """
+    draw(shown)
+    with bpy.context.temp_override(window=shown or window()):
         bpy.ops.screen.screenshot(filepath=str(file))
     picture = bpy.data.images.load(str(file))
     width, height = picture.size
-    shown = np.empty(width * height * 4, np.float32)
-    picture.pixels.foreach_get(shown)
+    colours = np.empty(width * height * 4, np.float32)
+    picture.pixels.foreach_get(colours)
     bpy.data.images.remove(picture)
-    return shown.reshape(height, width, 4)
+    return colours.reshape(height, width, 4)
 
 
-def status(file: Path) -> str:
-    """What the status bar shows where its text is, as a number of its pixels."""
-    return hashlib.sha256(pixels(file)[:STATUS_HEIGHT, :STATUS_WIDTH].tobytes()).hexdigest()
+def status(file: Path, shown: bpy.types.Window | None = None) -> str:
+    """What the status bar of a window shows where its text is, as a number of its pixels."""
+    return hashlib.sha256(pixels(file, shown)[:STATUS_HEIGHT, :STATUS_WIDTH].tobytes()).hexdigest()
 
 
 def reports() -> str:

@@ -62,29 +62,33 @@ def panels(told: dict[str, Any], out: Path) -> Walk:
         press("LEFTMOUSE", (side.x + side.width - 8, side.y + side.height - below))
         yield _soon()
         draw()
-    told["seen"] = {}
     look = bpy.data.objects["Smoke"].tnst_mi.looks[0]
     look.motif = "spiral"
     before = pixels(out / "motif_spiral.png")
     look.motif = "net"
     told["pixels of another motif"] = int((np.abs(pixels(out / "motif_net.png") - before) > 0.1).any(-1).sum())
     told["drawn"] = {}
-    for running in (False, True):
-        if running:
+    for goal in ("PICTURE", "CHANNEL", "MOTIF"):
+        look.goal = goal
+        drawn.clear()
+        draw()
+        told["drawn"][goal] = drawn["TNST_MI_PT_sidebar", "Smoke"]
+    for state in ("", ", running"):
+        if state:
             _select("Smoke")
             called(bpy.ops.tnst_mi.stylize)
             yield begun(out, 1)
         for name in ("Smoke", "Domain", "Cube", "Camera", "Empty", "Linked", ""):
-            yield from _drawn(name, drawn, told, out, running)
-        yield from _preferences(drawn, told, out, running)
+            yield from _drawn(name, state, drawn, told)
+        yield from _preferences(state, drawn, told, out)
     end_run(out)
     yield nothing_runs
-    yield from _drawn("Smoke_stylized", drawn, told, out, False)
+    yield from _drawn("Smoke_stylized", "", drawn, told)
 
 
-def _soon() -> Callable[[], bool]:
+def _soon(seconds: float = 0.15) -> Callable[[], bool]:
     """True a moment later, when events have been handled."""
-    until = time.monotonic() + 0.15
+    until = time.monotonic() + seconds
     return lambda: time.monotonic() > until
 
 
@@ -117,8 +121,8 @@ def _select(name: str) -> None:
     bpy.context.view_layer.objects.active = bpy.data.objects[name] if name else None
 
 
-def _drawn(name: str, drawn: Counter[tuple[str, str]], told: dict[str, Any], out: Path, running: bool) -> Walk:
-    """Look at an object's panels, in the sidebar and in the properties that it has."""
+def _drawn(name: str, state: str, drawn: Counter[tuple[str, str]], told: dict[str, Any]) -> Walk:
+    """Note which panels are drawn for an object: in the sidebar, and in the properties that it has."""
     _select(name)
     yield _soon()
     drawn.clear()
@@ -129,80 +133,91 @@ def _drawn(name: str, drawn: Counter[tuple[str, str]], told: dict[str, Any], out
         except TypeError:  # it has no such properties
             continue
         draw()
-    told["drawn"][f"{name or 'nothing'}{', running' if running else ''}"] = sorted({panel for panel, _ in drawn})
+    told["drawn"][f"{name or 'nothing'}{state}"] = sorted({panel for panel, _ in drawn})
 
 
-def _preferences(drawn: Counter[tuple[str, str]], told: dict[str, Any], out: Path, running: bool) -> Walk:
-    """Look at the preferences of the add-on."""
+def _preferences(state: str, drawn: Counter[tuple[str, str]], told: dict[str, Any], out: Path) -> Walk:
+    """Note whether the preferences of the add-on are drawn."""
     shown = area("VIEW_3D")
     shown.type = "PREFERENCES"
     bpy.context.preferences.active_section = "ADDONS"
     bpy.context.window_manager.addon_search = "tnst_mi"
+    drawn.clear()
+    draw()
     yield _soon()
-    if not drawn["TnstMiPreferences", ""]:
+    if not drawn:
         bpy.ops.preferences.addon_expand(module=ADDON)
     drawn.clear()
-    picture = f"preferences{'_running' if running else ''}.png"
-    told["seen"][picture] = float(pixels(out / picture).std())
-    told["drawn"][picture] = sorted({panel for panel, _ in drawn})
+    pixels(out / f"preferences{state}.png")
+    told["drawn"][f"preferences{state}"] = sorted({panel for panel, _ in drawn})
     shown.type = "VIEW_3D"
 
 
 def runs(told: dict[str, Any], out: Path) -> Walk:
     """A run outlives its window and a change of workspaces; results are steps of Undo."""
     save_own(out)
-    spaces = ("Layout", "Modeling")
-    told["status"] = {space: [] for space in spaces}
+    told["status"] = {}
 
     def note_status(space: str, when: str) -> Walk:
+        """Show a workspace, and note what its status bar shows."""
         window().workspace = bpy.data.workspaces[space]
-        yield lambda: window().workspace.name == space
-        yield _soon()
-        told["status"][space].append(status(out / f"{space}_{when}.png"))
+        yield _soon(0.6)  # jobs are looked at four times in a second
+        told["status"][f"{space}, {when}"] = status(out / f"{space}_{when}.png")
 
-    for space in reversed(spaces):
+    def result_and_original() -> list[bool]:
+        return [visible("Smoke_stylized"), visible("Smoke")]
+
+    for space in ("Modeling", "Layout"):
         yield from note_status(space, "before")
-    called(bpy.ops.wm.window_new)
+    called(bpy.ops.wm.window_new_main)
     second = bpy.context.window_manager.windows[1]
-    told["pressed"] = called(bpy.ops.tnst_mi.stylize, second)
+    yield _soon()
+    told["status"]["second window, before"] = status(out / "second_before.png", second)
+    called(bpy.ops.tnst_mi.stylize, second)
     yield begun(out, 1)
-    yield from note_status("Layout", "during")
-    called(bpy.ops.wm.window_close, bpy.context.window_manager.windows[1])
+    told["status"]["second window, during"] = status(out / "second_during.png", second)
+    called(bpy.ops.wm.window_close, second)
     yield lambda: len(bpy.context.window_manager.windows) == 1
-    yield from note_status("Modeling", "during")
+    for space in ("Layout", "Modeling"):
+        yield from note_status(space, "during")
+    told["before the end"] = result_and_original()
     end_run(out)
     yield nothing_runs
-    told["shown"] = [visible("Smoke"), visible("Smoke_stylized")]
-    for space in reversed(spaces):
+    told["at the end"] = result_and_original()
+    for space in ("Modeling", "Layout"):
         yield from note_status(space, "after")
     told["reported"] = reports()
 
-    told["undone"] = []
-    for name, held in (("Z", {"ctrl": True}), ("Z", {"ctrl": True, "shift": True})):
-        press(name, **held)
-        yield _soon()
-        told["undone"].append([visible("Smoke"), visible("Smoke_stylized")])
-
-    told["again"] = called(bpy.ops.tnst_mi.stylize)
-    yield begun(out, 2)
-    called(bpy.ops.transform.translate, value=(1.0, 0.0, 0.0))
-    told["moved"] = [bpy.data.objects["Smoke"].location.x]
     press("Z", ctrl=True)
-    yield lambda: bpy.data.objects["Smoke"].location.x == 0.0
+    yield _soon()
+    told["undone"] = result_and_original()
+    press("Z", ctrl=True, shift=True)
+    yield _soon()
+    told["redone"] = result_and_original()
+
+    _select("Smoke")
+    called(bpy.ops.tnst_mi.stylize)
+    yield begun(out, 2)
+    _select("Cube")
+    called(bpy.ops.transform.translate, value=(1.0, 0.0, 0.0))
+    told["moved"] = [bpy.data.objects["Cube"].location.x]
+    press("Z", ctrl=True)
+    yield _soon()
+    told["moved"].append(bpy.data.objects["Cube"].location.x)
     end_run(out)
     yield nothing_runs
-    told["after Undo during the run"] = [visible("Smoke"), visible("Smoke_stylized")]
+    told["undone during the run"] = result_and_original()
 
-    bpy.context.view_layer.objects.active = bpy.data.objects["Smoke"]
-    told["third"] = called(bpy.ops.tnst_mi.stylize)
+    _select("Smoke")
+    called(bpy.ops.tnst_mi.stylize)
     yield begun(out, 3)
     bpy.data.objects["Smoke"].hide_viewport = False
     _select("Smoke")
     called(bpy.ops.object.delete)
     end_run(out)
     yield nothing_runs
-    yield _soon()
-    told["of the deleted one"] = reports()
+    yield lambda: "deleted" in reports()
+    told["of the deleted one"] = reports().splitlines()[-1]
 
 
 def stops(told: dict[str, Any], out: Path) -> Walk:
