@@ -41,6 +41,7 @@ SLOW = (
     "integrations/blender/test_addon_in_blender.py::test_the_panel_is_drawn_and_what_is_bad_is_refused[bpy]",
     "integrations/blender/test_addon_in_blender.py::test_the_smoke_of_a_domain_is_seen_where_it_was",
     "integrations/blender/test_addon_runs.py",
+    "integrations/blender/test_addon_window.py",
     "integrations/houdini/test_node.py::test_the_real_tnst_mi_gives_the_node_its_grids_back",
     "optimisation/test_host.py::test_a_run_whose_disk_was_full_goes_on_to_the_same_bits[3]",
     "optimisation/test_kill.py::test_killed_runs_end_with_the_same_bits[3-",

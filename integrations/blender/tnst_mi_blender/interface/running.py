@@ -190,7 +190,8 @@ def _show(text: str | None) -> None:
     for window in windows:
         # Those that were left during the run have its text still.
         for workspace in [window.workspace] if text else bpy.data.workspaces:
-            with bpy.context.temp_override(window=window, workspace=workspace):
+            # One in the other: together with a window, the workspace is that of the window.
+            with bpy.context.temp_override(window=window), bpy.context.temp_override(workspace=workspace):
                 workspace.status_text_set(text)
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "PROPERTIES", "PREFERENCES"):
