@@ -25,7 +25,7 @@ PACE, LINES = 0.2, 8
 
 
 def stylize(folder: Path, given: argparse.Namespace) -> None:
-    """Say how far it has got until the end is asked for; each result is then written in two parts."""
+    """Say how far it has got until the end is asked for; results are then written, one after the other."""
     results, state = given.out / "density", given.out / "run.json"
     if given.overwrite:
         shutil.rmtree(given.out, ignore_errors=True)
@@ -42,12 +42,11 @@ def stylize(folder: Path, given: argparse.Namespace) -> None:
         time.sleep(PACE)
     (folder / "end").unlink()
     for file in sorted(source.parent.glob(source.name.replace("#", "?"))):
-        content = file.read_bytes()
-        with (results / file.name).open("wb") as written:
-            written.write(content[: len(content) // 2])
-            written.flush()
-            time.sleep(PACE)
-            written.write(content[len(content) // 2 :])
+        # Whole or not at all, as of tnst-mi: Blender ends where it shows a file of which a part is there.
+        beside = results / f".{file.name}"
+        shutil.copyfile(file, beside)
+        os.replace(beside, results / file.name)
+        time.sleep(PACE)
     state.write_text(json.dumps({"source": str(source), "status": "done"}), "utf-8")
 
 
