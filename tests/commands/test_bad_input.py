@@ -167,3 +167,21 @@ def test_an_empty_frame_is_left_unchanged(run: Run, tmp_path: Path, tiny_weights
     with np.load(out / "density" / "empty.npz") as file:
         assert not file["density"].any()
     assert "NaN" not in (out / "run.json").read_text()
+
+
+@pytest.mark.parametrize("command", ["stylize", "render", "info", "convert"])
+def test_the_folder_above_runs_names_them(run: Run, tmp_path: Path, command: str) -> None:
+    """As the Blender add-on leaves them: one for each quality, and one for each marker's shot, with masks beside."""
+    above = tmp_path / "Smoke_stylized"
+    for name in ("draft", "markers_final/01_close/smoke"):
+        save_frames(above / name / "density", frames(0.2))
+        for file in ("run.json", "recipe.toml"):
+            (above / name / file).write_text("")
+    save_frames(above / "draft_inputs" / "recipe" / "region_1", frames(0.5))
+    (above / "final" / "density").mkdir(parents=True)
+    arguments = {"stylize": ["--style", "spirals", "--out", tmp_path / "out"], "render": ["--out", tmp_path / "out"]}
+    arguments |= {"info": [], "convert": [tmp_path / "out.usda"]}
+    expected = (
+        "no frames in this folder, .*; those below it that have some are draft, markers_final/01_close/smoke: give"
+    )
+    refused(run, tmp_path, [command, above, *arguments[command]], expected)

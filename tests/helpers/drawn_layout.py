@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -12,6 +13,7 @@ class Layout:
 
     def __init__(self) -> None:
         self.drawn: list[str] = []
+        self.texts: list[str] = []
 
     def prop(self, data: Any, name: str, **_: Any) -> None:
         assert name in data.bl_rna.properties, name
@@ -25,15 +27,19 @@ class Layout:
         self.prop(data, name)
         self.prop(active, index)
 
-    def operator(self, name: str, **_: Any) -> None:
+    def operator(self, name: str, **_: Any) -> SimpleNamespace:
         group, operator = name.split(".")
         getattr(getattr(bpy.ops, group), operator).get_rna_type()
         self.drawn.append(name)
+        return SimpleNamespace()
 
-    def label(self, **_: Any) -> None:
+    def label(self, text: str = "", **_: Any) -> None:
+        self.texts.append(text)
+
+    def template_icon(self, *_: Any, **__: Any) -> None:
         pass
 
-    template_icon = progress = label
+    progress = label
 
     def row(self, **_: Any) -> Layout:
         return self

@@ -9,9 +9,11 @@ it is in told.json there.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -143,7 +145,9 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     settings, stylize = item.tnst_mi, bpy.ops.tnst_mi.stylize
     told: dict[str, Any] = {"package": package, "environment": reported(stylize)}
     program = Path(out, "tnst-mi")
-    program.write_text("#!/bin/sh\necho tnst-mi " + module(package, "version").VERSION + "\n")
+    failing = f"echo \"tnst-mi: {out}/a/recipe.toml: frames = '4': none; lower iterations = 2 or --lam\"; exit 2"
+    version = module(package, "version").VERSION
+    program.write_text(f'#!/bin/sh\ncase "$1" in --version) echo tnst-mi {version};; *) {failing};; esac\n')
     program.chmod(0o755)
     bpy.context.preferences.addons[package].preferences.program = str(program)
     told["no look"] = reported(stylize)
@@ -173,7 +177,13 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     item.scale.x = 0.0
     bpy.context.view_layer.update()
     told["flat"] = reported(stylize)
-    item.scale.x, settings.use_camera = 0.1, False
+    item.scale.x = 0.1
+    told["foreseen"] = foreseen(package, item, out)
+    bpy.context.scene.timeline_markers.new("late", frame=24)
+    bpy.context.scene.frame_end = 40
+    told["no smoke"] = reported(bpy.ops.tnst_mi.bake_markers)
+    bpy.context.scene.timeline_markers.clear()
+    settings.use_camera = False
     bpy.context.view_layer.update()
     sphere = bpy.data.objects.new("sphere", None)
     sphere.empty_display_type, sphere.hide_viewport = "SPHERE", True
@@ -191,14 +201,27 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     told["advanced"] = reported(stylize)
     told["markers"] = reported(bpy.ops.tnst_mi.bake_markers)
     told["resume"] = reported(bpy.ops.tnst_mi.resume)
+    settings.out, settings.overrides[0].text = "//results", "0.5"
+    told["unsaved"] = reported(stylize)
+    settings.out = str(Path(out, "results"))
+    told["failed"] = reported(stylize)
+    preferences = module(package, "interface.preferences")
+    if bpy.app.version >= (4, 2):
+        bpy.context.preferences.system.use_online_access = True
+    install_to = lambda *given: (_ for _ in ()).throw(OSError("\n".join(map(str, given[:2]))))  # noqa: E731
+    preferences.Installation, installation = install_to, preferences.Installation
+    told["installation"] = reported(bpy.ops.tnst_mi.install).removeprefix("Error: ").splitlines()
+    preferences.Installation = installation
     settings.show_advanced = True
+    told["panels"] = panels_of(package, item)
+    told["copies"] = copies(package, item)
     panels = module(package, "interface.panel")
     layout = Layout()
     for goal in ("MOTIF", "PICTURE", "CHANNEL"):
         settings.looks[0].goal = goal
         panels._draw_looks(layout, settings)
     panels._draw_advanced(layout, settings, 300)
-    panels._draw_buttons(layout, bpy.context)
+    panels._draw_buttons(layout)
     module(package, "interface.preferences").TnstMiPreferences.draw(
         type(
             "Drawn", (), {"layout": layout, "bl_rna": module(package, "interface.preferences").TnstMiPreferences.bl_rna}
@@ -208,6 +231,159 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     bpy.ops.preferences.addon_disable(module=package)
     told["drawn"], told["left"] = layout.drawn, hasattr(bpy.types.Object, "tnst_mi")
     return told
+
+
+def panels_of(package: str, item: bpy.types.Object) -> dict[str, list[str]]:
+    """The texts and buttons of the sidebar's panel, with various objects selected, and while another one's run goes on.
+
+    An empty list where there is no panel.
+    """
+    panel, watched = module(package, "interface.panel").TNST_MI_PT_sidebar, module(package, "interface.running")
+    result = bpy.data.objects.new("result", bpy.data.volumes.new("result"))
+    bpy.context.scene.collection.objects.link(result)
+    result.tnst_mi.original = item
+
+    def drawn(selected: bpy.types.Object | None) -> list[str]:
+        context = SimpleNamespace(object=selected, region=SimpleNamespace(width=2000))
+        layout = Layout()
+        if panel.poll(context):
+            panel.draw(SimpleNamespace(layout=layout), context)
+        return [*layout.texts, *layout.drawn]
+
+    told = {"volume": drawn(item), "result": drawn(result), "camera": drawn(bpy.context.scene.camera)}
+    told["nothing"] = drawn(None)
+    now = watched.Running(SimpleNamespace(cancelled=False), "Stylizing other", str)
+    watched._Watched.running = now
+    told |= {"nothing, running": drawn(None), "volume, running": drawn(item)}
+    watched._Watched.running = None
+    collection = item.users_collection[0]
+    collection.objects.unlink(item)
+    told["lost original"] = drawn(result)
+    collection.objects.link(item)
+    bpy.context.view_layer.objects.active = item
+    bpy.data.objects.remove(result)
+    return told
+
+
+def copies(package: str, item: bpy.types.Object) -> dict[str, Any]:
+    """Whose run is in the folder of Smoke, which is copied, renamed, and followed by another object of the name."""
+    last_run = module(package, "interface.last_run")
+    folder = Path(item.tnst_mi.last_run.folder)
+
+    def refused(asking: bpy.types.Object) -> str:
+        try:
+            last_run.require_own(folder, "Smoke", asking)
+        except module(package, "problems").CannotStylizeError as error:
+            return str(error)
+        return ""
+
+    copy = item.copy()
+    bpy.context.scene.collection.objects.link(copy)
+    told: dict[str, Any] = {"named": [refused(item), refused(copy)]}
+    told["said"] = [bool(last_run.text_of(item)), bool(last_run.text_of(copy))]
+    bpy.context.view_layer.objects.active = copy
+    told["stylized"], told["resumed"] = reported(bpy.ops.tnst_mi.stylize), reported(bpy.ops.tnst_mi.resume)
+    bpy.context.view_layer.objects.active = item
+    item.name = "Fog"
+    told["renamed"] = [refused(item), refused(copy)]
+    bpy.data.objects.remove(copy)
+    told["alone"] = refused(item)
+    new = bpy.data.objects.new("Smoke", item.data)
+    bpy.context.scene.collection.objects.link(new)
+    told["new"] = [refused(item), refused(new)]
+    bpy.data.objects.remove(new)
+    return told
+
+
+def foreseen(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """What is known of a shot before it is run: how many frames are gone through for it, and notes."""
+    shots = module(package, "scene.shots")
+    camera_table, scene = shots.camera_table, bpy.context.scene
+    gone_through: list[int] = []
+
+    def noted(*arguments: Any) -> Any:
+        gone_through.append(scene.frame_current)
+        return camera_table(*arguments)
+
+    shots.camera_table = noted
+
+    def prepared() -> dict[str, Any]:
+        gone_through.clear()
+        bpy.context.view_layer.update()
+        smoke = module(package, "scene.smoke").smoke_of(item)
+        _, notes = shots.shot_of(bpy.context, item.tnst_mi, smoke, shots.Take(), Path(out, "foreseen"), "")
+        cameras = json.loads(Path(out, "foreseen", "cameras.json").read_text("utf-8"))
+        return {"frames": list(gone_through), "notes": list(notes), "differ": "frames" in cameras}
+
+    told = {"still": prepared()}
+    camera, holder = scene.camera, bpy.data.objects.new("holder", None)
+    scene.collection.objects.link(holder)
+    camera.parent = holder
+    told["held"] = prepared()
+    holder.keyframe_insert("location", frame=21)
+    holder.location.x = 1.0
+    holder.keyframe_insert("location", frame=23)
+    told["carried"] = prepared()
+    camera.parent = None
+    camera.data.driver_add("lens").driver.expression = "40 + frame"
+    told["driven"] = prepared()
+    camera.data.driver_remove("lens")
+    camera.data.lens = 50.0
+    item.keyframe_insert("location", frame=21)
+    item.location.x += 1.0
+    item.keyframe_insert("location", frame=23)
+    scene.frame_set(21)
+    told["moving smoke"] = prepared()
+    item.animation_data_clear()
+    camera.rotation_euler.z += 3.0
+    told["turned away"] = prepared()
+    camera.rotation_euler.z -= 3.0
+    shots.camera_table = camera_table
+    return told
+
+
+def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """The result of an object that belongs to another file, and of its override."""
+    library = str(Path(out, "library.blend"))
+    bpy.data.libraries.write(library, {item})
+    with bpy.data.libraries.load(library, link=True) as (_, wanted):
+        wanted.objects = [item.name]
+    of_library, told = wanted.objects[0], {}
+    bpy.context.scene.collection.objects.link(of_library)
+    smoke_of = module(package, "scene.smoke").smoke_of
+    visibility = module(package, "scene.visibility")
+    for name, each in (("linked", of_library), ("override", of_library.override_create(remap_local_usages=True))):
+        smoke = smoke_of(each)
+        part = module(package, "recipes.plan").Part("", str(Path(out, "results", "later")))
+        shown = module(package, "scene.results").load_result(each, smoke, part, "IN_PLACE")
+        notes = visibility.hide_in_frames_of_results(each, smoke, "IN_PLACE")
+        told[name] = {
+            "notes": [*module(package, "scene.smoke").note_of_library(each), *notes],
+            "shown": [shown.library is None, shown.parent == each, bpy.context.scene in shown.users_scene],
+            "hidden": hidden_in(each),
+        }
+    each.tnst_mi.quality = "preview"
+    each.tnst_mi.looks.add().picture = "net"
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=str(Path(out, "scene.blend")))
+    (kept,) = (each.tnst_mi for each in bpy.data.objects if each.override_library is not None)
+    told["kept"] = [kept.quality, [look.picture for look in kept.looks]]
+    return told
+
+
+def hidden_in(item: bpy.types.Object) -> list[int]:
+    """The frames, of 18 to 29, in which an object is hidden, in viewports and in pictures."""
+    scene, frames = bpy.context.scene, []
+    current = scene.frame_current
+    for frame in range(18, 30):
+        scene.frame_set(frame)
+        # What is hidden in viewports is not evaluated, but for that.
+        if item.hide_viewport != item.hide_render:
+            raise ValueError(f"frame {frame}: hidden in one of both")
+        if item.hide_render:
+            frames.append(frame)
+    scene.frame_set(current)
+    return frames
 
 
 def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
@@ -227,7 +403,7 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
         return True
 
     once_while_running(package, move)
-    told: dict[str, Any] = {"first": list(bpy.ops.tnst_mi.stylize()), "original": bounds(item)}
+    told: dict[str, Any] = {"first": list(bpy.ops.tnst_mi.stylize())}
     shown = bpy.data.objects["Smoke_stylized"]
     told["in place"], told["objects"] = bounds(shown), shown_objects()
     told["modifiers"] = [[each.type, each.strength] for each in shown.modifiers]
@@ -249,6 +425,37 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
         told["played"][mode] = [files_of(item), files_of(shown)]
     bpy.context.scene.frame_set(21)
     told["beside from afar"] = bounds(shown)
+    # Blender makes bounds anew in a frame with another file.
+    told["original"] = bounds(item)
+    item.data.sequence_mode = "CLIP"
+    told["artist"] = hidden_by_artist(package, item, out)
+    told["of a library"] = linked(package, item, out)
+    return told
+
+
+def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
+    """An original is hidden in the frames of its result alone; the keyframes of an artist that hide it stay."""
+    hide = module(package, "scene.visibility").hide_in_frames_of_results
+    smoke = module(package, "scene.smoke").smoke_of(item)
+    show, Part = module(package, "scene.results").load_result, module(package, "recipes.plan").Part
+    all_frames, later = Path(out, "results", "final"), Path(out, "results", "later")
+    show(item, smoke, Part("", str(all_frames)), "IN_PLACE")
+    told: dict[str, Any] = {"all": [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]}
+    told["no drivers"] = item.animation_data is None
+    (later / "density").mkdir(parents=True)
+    for file in sorted((all_frames / "density").iterdir())[1:]:
+        shutil.copy(file, later / "density")
+    show(item, smoke, Part("", str(later)), "IN_PLACE")
+    told["later"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
+    told["simple"] = [curve.driver.is_simple_expression for curve in item.animation_data.drivers]
+    told["beside"] = [list(hide(item, smoke, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
+    for path in ("hide_viewport", "hide_render"):
+        item.keyframe_insert(path, frame=18)
+        setattr(item, path, True)
+        item.keyframe_insert(path, frame=28)
+    told["keyed"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
+    item.animation_data_clear()
+    item.hide_viewport = item.hide_render = False
     return told
 
 
@@ -286,19 +493,29 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     other.location.x += 4.0
     bpy.context.scene.timeline_markers.new("close", frame=21).camera = bpy.context.scene.camera
     bpy.context.scene.timeline_markers.new("close", frame=23).camera = other
+    bpy.context.scene.timeline_markers.new("late", frame=24)
+    bpy.context.scene.frame_end = 27
     choose(item, package, str(Path(out, "results")))
     # A frame without smoke.
     bpy.context.scene.frame_set(5)
     ended = list(bpy.ops.tnst_mi.bake_markers())
-    return {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    told = {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
+    plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
+    told |= {"notes": plan.notes, "hidden": hidden_in(item), "said": item.tnst_mi.last_run.text}
+    for name, stylize in (("one", bpy.ops.tnst_mi.stylize), ("shots", bpy.ops.tnst_mi.bake_markers)):
+        told[f"then {name}"] = [list(stylize()), {name: each["hidden"] for name, each in shown_objects().items()}]
+    return told
 
 
 def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
-    """A run is cancelled once it iterates, and resumed."""
+    """A run is cancelled once it iterates; it is resumed from the scene saved elsewhere, with the object renamed."""
     package = install(zip, program)
     item = volume_of(folder)
     look_at(item.location, (3.5, -6.0, 3.0))
-    choose(item, package, str(Path(out, "results")), iterations="60")
+    choose(item, package, "//results", iterations="60")
+    for name in ("project", "elsewhere"):
+        Path(out, name).mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "project", "scene.blend")))
     cancel = bpy.ops.tnst_mi.cancel
     told: dict[str, Any] = {"before": cancel.poll()}
 
@@ -313,11 +530,16 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     told["processes"] = [
         process.name
         for process in Path("/proc").iterdir()
-        if process.name.isdigit() and str(Path(out, "results")) in _command_line(process)
+        if process.name.isdigit() and str(Path(out, "project", "results")) in _command_line(process)
     ]
     told["objects"] = shown_objects()
+    item.name = "Fog"
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "elsewhere", "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    item = bpy.data.objects["Fog"]
+    told["stopped"] = item.tnst_mi.last_run.text
     told["resumed"] = list(bpy.ops.tnst_mi.resume())
-    told["then"] = shown_objects()
+    told["then"], told["after"] = shown_objects(), item.tnst_mi.last_run.text
     return told
 
 
@@ -367,6 +589,45 @@ def domain(
     told["hidden"], told["cell"] = item.hide_render, max(sides) / 24
     shown = bpy.data.objects["Domain_stylized"]
     told["bounds"] = bounds(shown)
+    if noise:
+        told["without noise"] = baked_anew(out)
+    return told
+
+
+def baked_anew(out: str) -> dict[str, Any]:
+    """A domain that had noise is baked without it, with no smoke in its first frame; and a part of it is stylized."""
+    # Blender 3.4 crashes where noise is switched off in the session in which it was baked.
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "scene.blend")))
+    bpy.ops.wm.open_mainfile(filepath=str(Path(out, "scene.blend")))
+    scene, item = bpy.context.scene, bpy.data.objects["Domain"]
+    (source,) = (each for each in scene.objects if each.type == "MESH" and each != item)
+    flow, settings = source.modifiers["Fluid"].flow_settings, item.modifiers["Fluid"].domain_settings
+    for frame, flows in ((1, False), (2, True)):
+        flow.use_inflow = flows
+        flow.keyframe_insert("use_inflow", frame=frame)
+    # Blender neither frees nor bakes domains that are hidden.
+    item.hide_viewport = False
+    with bpy.context.temp_override(object=item, active_object=item, scene=scene):
+        bpy.ops.fluid.free_all()
+        settings.use_noise = False
+        bpy.ops.fluid.bake_all()
+    bpy.context.view_layer.objects.active = item
+    item.tnst_mi.place = "BESIDE"
+    told: dict[str, Any] = {"ended": list(bpy.ops.tnst_mi.stylize()), "shown": shown_objects()["Domain_stylized"]}
+    for frame in (2, 3):
+        bpy.data.objects["Domain_stylized"].hide_render = True
+        scene.frame_set(frame)
+        picture(str(Path(out, f"original_{frame}.png")))
+    # Its last frame alone: the others show the original.
+    item.tnst_mi.place = "IN_PLACE"
+    item.tnst_mi.use_range, item.tnst_mi.frame_start, item.tnst_mi.frame_end = True, 3, 3
+    told["in range"] = [list(bpy.ops.tnst_mi.stylize()), shown_objects()["Domain_stylized"]["frames"]]
+    for frame in (2, 3):
+        scene.frame_set(frame)
+        told[f"hidden in {frame}"] = item.hide_render
+        picture(str(Path(out, f"in_range_{frame}.png")))
+    item.tnst_mi.frame_start = item.tnst_mi.frame_end = 1
+    told["without smoke"] = list(bpy.ops.tnst_mi.stylize())
     return told
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -60,6 +61,7 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Inside:
             said += (ran.stdout + ran.stderr).splitlines()
         told = tmp_path / "told.json"
         assert told.is_file(), "\n".join(said)
+        assert not [line for line in said if "does not support blend relative" in line]
         return json.loads(told.read_text("utf-8"))
 
     return run
@@ -89,7 +91,7 @@ def corners(told: list[list[float]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str, folder: str) -> None:
+def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str, folder: str, tmp_path: Path) -> None:
     told = inside(host, "refusals", folder=folder)
     assert told["package"] == ("tnst_mi_blender" if host == "blender" else "bl_ext.user_default.tnst_mi_blender")
     assert told["motifs"] == [[64, 64, True]] * 64
@@ -106,16 +108,54 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "unseen": "sphere: a region has to be in the scene, neither disabled in viewports",
         "repeated": "markers: shots of a sequence that is played again are the same: set its Mode to Clip",
         "advanced": "Advanced, lam = 1.5: expected ",
+        "no smoke": "there is no smoke in the shots of markers, frames 24 to 40, but in 21 to 23: move the markers",
         "markers": "the timeline has no markers",
         "resume": "nothing was started here; press Stylize",
+        "unsaved": "Results, //results: is beside the scene's file, and the scene has not been saved: save it",
+        "failed": "tnst-mi: Frame Range = '4': none; lower Advanced, iterations = 2 or Advanced, lam",
     }
     for what, words in expected.items():
         assert told[what].startswith("Error: ") and words in told[what], (what, told[what])
         assert "\n" not in told[what] and "Traceback" not in told[what]
+    foreseen = told["foreseen"]
+    gone_through = {name: shot["frames"] for name, shot in foreseen.items()}
+    # A still camera is taken as it is in the current frame.
+    assert gone_through == {
+        "still": [21],
+        "held": [21],
+        "carried": [21, 22, 23],
+        "driven": [21, 22, 23],
+        "moving smoke": [21, 22, 23],
+        "turned away": [21],
+    }
+    assert [name for name, shot in foreseen.items() if shot["differ"]] == ["carried", "driven", "moving smoke"]
+    (note,) = foreseen["turned away"]["notes"]
+    assert note.startswith("the camera does not see the smoke of Smoke in any frame") and "switch Camera off" in note
+    assert not any(shot["notes"] for name, shot in foreseen.items() if name != "turned away")
     assert {"motif", "picture", "channel", "region", "tnst_mi.stylize", "tnst_mi.resume", "tnst_mi.install"} <= set(
         told["drawn"]
     )
+    # Another Blender may be writing its log into the folder that both install into.
+    private, log = map(Path, told["installation"])
+    assert log.name == "tnst_mi_install.log" and not log.is_relative_to(private)
     assert not told["left"]
+    failed, log = told["failed"].removeprefix("Error: "), f"Log: {tmp_path / 'results' / 'draft.log'}"
+    panels = told["panels"]
+    assert [failed, log] == [text for text in panels["volume"] if text in (failed, log)]
+    assert panels["result"] == ["Stylizes Smoke", *panels["volume"]]
+    assert panels["camera"] == panels["nothing"] == []
+    assert panels["nothing, running"] == ["Stylizing other", "starting", "tnst_mi.cancel"]
+    assert {*panels["nothing, running"], "quality"} <= set(panels["volume, running"])
+    assert "tnst_mi.stylize" in panels["volume"] and "tnst_mi.stylize" not in panels["volume, running"]
+    assert "Stylizes Smoke" not in panels["lost original"] and "quality" in panels["lost original"]
+    copies, folder = told["copies"], str(tmp_path / "results")
+    others = f"{folder}: has the results of Smoke; choose another folder in Results for Smoke.001, and press Stylize"
+    assert copies["named"] == ["", others] and copies["said"] == [True, False]
+    assert copies["stylized"] == copies["resumed"] == f"Error: {others}"
+    for refused in copies["renamed"]:
+        assert "which is Fog or Smoke.001 now: name the right one Smoke again" in refused
+    assert copies["alone"] == "" and copies["new"][0] == ""
+    assert copies["new"][1].startswith(f"{folder}: has the results of Fog; choose another folder")
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -146,6 +186,16 @@ def test_a_volume_is_stylized_in_its_place(
     first, second, third = (f"smoke_{number:04}.vdb" for number in (7, 8, 9))
     assert told["played"]["CLIP"][1] == [""] * 3 + [first, second, third] + [""] * 6
     assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
+    assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
+    assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
+    assert told["artist"]["beside"] == [[], [], 0]
+    (note,), frames = told["artist"]["keyed"]
+    assert note.startswith("Smoke: when it is hidden is animated, and was left so") and frames == [28, 29]
+    (note,) = told["of a library"]["linked"].pop("notes")
+    assert note.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in note
+    assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": list(range(18, 30))}
+    assert told["of a library"]["kept"] == ["preview", ["spirals", "net"]]
+    assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
 
@@ -154,9 +204,20 @@ def test_a_volume_is_stylized_in_its_place(
 def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: str, tmp_path: Path) -> None:
     told = inside(host, "markers", program=program, folder=folder)
     assert (told["ended"], told["current"]) == (["FINISHED"], 5)
+    skipped, unseen = told["notes"]
+    assert skipped == "late: skipped, there is no smoke in its frames 24 to 27"
+    assert unseen.startswith("the camera of close 2 does not see the smoke of Smoke in any frame")
+    assert told["said"].splitlines() == [skipped, unseen]
+    assert told["hidden"] == list(range(18, 30)), "all frames of the smoke are in the other shots"
     shots = {name: item["frames"] for name, item in told["objects"].items() if name != "Smoke"}
     assert shots == {"Smoke_stylized_close": [21, 6, 2], "Smoke_stylized_close 2": [23, 8, 1]}
-    cameras = [json.loads(file.read_text()) for file in sorted((tmp_path / "results").rglob("cameras.json"))]
+    inputs = tmp_path / "results" / "markers_final_inputs"
+    cameras = [json.loads(file.read_text()) for file in sorted(inputs.rglob("cameras.json"))]
+    whole, shots = {"Smoke_stylized"}, {"Smoke_stylized_close", "Smoke_stylized_close 2"}
+    for then, seen in (("one", whole), ("shots", shots)):
+        ended, hidden = told[f"then {then}"]
+        assert ended == ["FINISHED"] and set(hidden) == {"Smoke", *whole, *shots}
+        assert {name for name in hidden if hidden[name] == [False, False]} == seen
     assert len(cameras) == 2 and cameras[0]["matrix"] != cameras[1]["matrix"]
 
 
@@ -168,7 +229,9 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
     assert told["pressed"] == ["FINISHED"]
     assert (told["cancelled"], told["processes"]) == (["CANCELLED"], [])
     assert set(told["objects"]) == {"Smoke"}
-    assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Smoke", "Smoke_stylized"}
+    assert re.fullmatch(r"Stopped at octave 1/1, frame [789], \d+%: Resume goes on", told["stopped"])
+    assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Fog", "Fog_stylized"} and told["after"] == ""
+    assert told["then"]["Fog_stylized"]["file"] == "//../project/results/final/density/smoke_0007.vdb"
 
 
 @needs_blender
@@ -201,3 +264,16 @@ def test_the_smoke_of_a_domain_is_seen_where_it_was(
     assert np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.99
     # Half a voxel is 6 pixels.
     assert np.corrcoef(before[:, 3:].ravel(), after[:, :-3].ravel())[0, 1] < 0.99
+    if noise:
+        told = told["without noise"]
+        assert told["ended"] == ["FINISHED"]
+        assert (told["shown"]["frames"], told["shown"]["materials"]) == ([1, 0, 3], ["thick smoke"])
+        assert told["in range"] == [["FINISHED"], [3, 2, 1]]
+        assert [told["hidden in 2"], told["hidden in 3"]] == [False, True]
+        assert told["without smoke"] == ["FINISHED"]
+        for frame in (2, 3):
+            before, after = (
+                np.asarray(Image.open(tmp_path / f"{name}_{frame}.png").convert("L"), float)
+                for name in ("original", "in_range")
+            )
+            assert before.std() > 2 and np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.99

@@ -10,13 +10,23 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tnst_mi.errors import InputError
 from tnst_mi.machine.terminal import some_of
+
+#: How far below a folder without frames those are looked for that may be meant: a batch's runs are that deep in the
+#: results of an artist's object (markers_final/01_close/smoke).
+_LEVELS = 3
+
+#: How many folders are looked into for that at most.
+_VISITED = 500
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ def frame_folder(path: Path, suffixes: Sequence[str]) -> FrameFolder:
     if len(scenes) == 1:
         return _led_to(scenes[0], path, "the folder of one simulation")
     expected = f"expected files {', '.join(suffixes)}"
-    raise InputError(f"{path}: no frames in this folder, {expected}{_meant(path, with_frames)}")
+    raise InputError(f"{path}: no frames in this folder, {expected}{_meant(path, suffixes)}")
 
 
 def densities_of_run(velocity: Path) -> Path | None:
@@ -81,8 +91,35 @@ def _is_run(path: Path) -> bool:
     return (path / "run.json").is_file() and (path / "recipe.toml").is_file()
 
 
-def _meant(path: Path, with_frames: dict[str, Path]) -> str:
+def _meant(path: Path, suffixes: Sequence[str]) -> str:
     """The folders nearby that may be meant, as the end of a message."""
     if _is_run(path.resolve().parent):
         return f"; it belongs to a run, whose frames are in {path.parent / 'density'}"
-    return f"; those below it that have some are {some_of(list(with_frames))}: give one" if with_frames else ""
+    names = [str(folder.relative_to(path)) for folder in _inputs_below(path, suffixes)]
+    return f"; those below it that have some are {some_of(names)}: give one" if names else ""
+
+
+def _inputs_below(path: Path, suffixes: Sequence[str]) -> list[Path]:
+    """The folders below one that can be given as inputs, the nearest first: the runs, or what else has frames."""
+    found: list[Path] = []
+    for folder in itertools.islice(_folders_below(path), _VISITED):
+        if any(outer in folder.parents for outer in found):
+            continue
+        frames = folder / "density" if _is_run(folder) else folder
+        if os.access(frames, os.R_OK) and frames.is_dir() and frame_files(frames, suffixes):
+            found.append(folder)
+    # The masks of a run lie beside it.
+    return list(filter(_is_run, found)) or found
+
+
+def _folders_below(path: Path) -> Iterator[Path]:
+    """The visible folders below one, level by level, as far as they can be read."""
+    waiting = deque([(path, 0)])
+    while waiting:
+        parent, level = waiting.popleft()
+        if level == _LEVELS or not os.access(parent, os.R_OK | os.X_OK):
+            continue
+        for folder in sorted(parent.iterdir()):
+            if folder.is_dir() and not folder.name.startswith("."):
+                yield folder
+                waiting.append((folder, level + 1))

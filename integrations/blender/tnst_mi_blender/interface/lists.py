@@ -7,9 +7,56 @@ from bpy.props import EnumProperty
 
 from ..recipes.advanced import fill_in
 from ..recipes.parameters import parameters
+from ..recipes.toml import assignment
+from ..scene.shots import BASIS, MOTIFS, STEADY
 from .settings import OWN_KEYS
+from .subject import subject_of
 
-_KEYS = [(key, key, parameter.help) for key, parameter in parameters().items() if key not in OWN_KEYS]
+
+def help_of(key: str) -> str:
+    """What a key in *Advanced* does, and what it is without an entry there, where a setting of the panel decides that.
+
+    Empty for a key that is none, as in a scene of another version.
+    """
+    if key not in parameters():
+        return ""
+    ways = ((STEADY, "with Steady"), (MOTIFS, "with a Motif"), (BASIS, "in Blender"))
+    notes = [f"{when}, {assignment(key, values[key])}" for values, when in ways if key in values]
+    return "\n".join(filter(None, (parameters()[key].help, f"If not set here: {'; '.join(notes)}." if notes else "")))
+
+
+_KEYS = [(key, key, help_of(key)) for key in parameters() if key not in OWN_KEYS]
+
+
+class ListOperator:
+    """Changes a list of the object that the panel is about."""
+
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a volume or a domain of smoke."""
+        return subject_of(context.object) is not None
+
+
+class Removes(ListOperator):
+    """Removes the selected entry of a list.
+
+    Attributes:
+        entries: the name of the list in the settings.
+        index: the name of the number of the selected one.
+    """
+
+    entries: str
+    index: str
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove it, and select the one before."""
+        settings = subject_of(context.object).tnst_mi
+        selected = getattr(settings, self.index)
+        getattr(settings, self.entries).remove(selected)
+        setattr(settings, self.index, max(0, selected - 1))
+        return {"FINISHED"}
 
 
 class TNST_MI_UL_looks(bpy.types.UIList):
@@ -27,34 +74,27 @@ class TNST_MI_UL_looks(bpy.types.UIList):
         row.label(text="everywhere" if look.region is None else look.region.name)
 
 
-class TNST_MI_OT_add_look(bpy.types.Operator):
+class TNST_MI_OT_add_look(ListOperator, bpy.types.Operator):
     """Add a motif or a picture"""
 
     bl_idname = "tnst_mi.add_look"
     bl_label = "Add Look"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add one at the end and select it."""
-        settings = context.object.tnst_mi
+        settings = subject_of(context.object).tnst_mi
         settings.looks.add()
         settings.look_index = len(settings.looks) - 1
         return {"FINISHED"}
 
 
-class TNST_MI_OT_remove_look(bpy.types.Operator):
+class TNST_MI_OT_remove_look(Removes, bpy.types.Operator):
     """Remove this motif or picture"""
 
     bl_idname = "tnst_mi.remove_look"
     bl_label = "Remove Look"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Remove the selected one."""
-        settings = context.object.tnst_mi
-        settings.looks.remove(settings.look_index)
-        settings.look_index = max(0, settings.look_index - 1)
-        return {"FINISHED"}
+    entries, index = "looks", "look_index"
 
 
 class TNST_MI_UL_overrides(bpy.types.UIList):
@@ -71,13 +111,12 @@ class TNST_MI_UL_overrides(bpy.types.UIList):
         split.prop(override, {"switch": "switch", "choice": "choice"}.get(kind, "text"), text="")
 
 
-class TNST_MI_OT_add_override(bpy.types.Operator):
+class TNST_MI_OT_add_override(ListOperator, bpy.types.Operator):
     """Choose a key of the recipe to give it a value"""
 
     bl_idname = "tnst_mi.add_override"
     bl_label = "Add Key"
     bl_property = "key"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
     key: EnumProperty(name="Key", items=_KEYS)
 
@@ -88,7 +127,7 @@ class TNST_MI_OT_add_override(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add it, or select the one that is there."""
-        settings = context.object.tnst_mi
+        settings = subject_of(context.object).tnst_mi
         index = settings.overrides.find(self.key)
         if index < 0:
             fill_in(settings.overrides.add(), self.key)
@@ -99,19 +138,13 @@ class TNST_MI_OT_add_override(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class TNST_MI_OT_remove_override(bpy.types.Operator):
+class TNST_MI_OT_remove_override(Removes, bpy.types.Operator):
     """Let this key have its default again"""
 
     bl_idname = "tnst_mi.remove_override"
     bl_label = "Remove Key"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Remove the selected one."""
-        settings = context.object.tnst_mi
-        settings.overrides.remove(settings.override_index)
-        settings.override_index = max(0, settings.override_index - 1)
-        return {"FINISHED"}
+    entries, index = "overrides", "override_index"
 
 
 _CLASSES = (

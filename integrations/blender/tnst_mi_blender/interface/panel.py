@@ -6,11 +6,12 @@ import textwrap
 
 import bpy
 
-from ..recipes.parameters import parameters
-from ..scene.smoke import can_be_stylized, domain_settings
+from ..scene.smoke import domain_settings
 from ..versions import show_progress
-from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides
+from .last_run import text_of
+from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides, help_of
 from .running import running
+from .subject import subject_of
 from .thumbnails import picture_icon
 
 #: Pixels of a character of the interface, for lines that are broken.
@@ -23,9 +24,14 @@ class SmokePanel:
     bl_label = "Stylize Smoke"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the panel for the active object."""
-        layout, item = self.layout, context.object
+        """Draw the panel for the active object, or for the original of the active result."""
+        layout, item = self.layout, subject_of(context.object)
         layout.use_property_split, layout.use_property_decorate = True, False
+        if item is None:
+            _draw_running(layout)
+            return
+        if item != context.object:
+            layout.label(text=f"Stylizes {item.name}", icon="OBJECT_ORIGIN")
         settings = item.tnst_mi
         _draw_looks(layout, settings)
         column = layout.column()
@@ -42,7 +48,11 @@ class SmokePanel:
         column.prop(settings, "out")
         column.prop(settings, "place")
         _draw_advanced(layout, settings, context.region.width)
-        _draw_buttons(layout, context)
+        if running() is None:
+            _draw_last_run(layout, item, context.region.width)
+            _draw_buttons(layout)
+        else:
+            _draw_running(layout)
 
 
 def _draw_looks(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
@@ -95,21 +105,43 @@ def _draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
         return
     buttons.operator("tnst_mi.remove_override", text="", icon="REMOVE")
     override = settings.overrides[min(settings.override_index, len(settings.overrides) - 1)]
-    parameter = parameters().get(override.key)
-    lines = box.column(align=True)
+    _draw_text(box.column(align=True), help_of(override.key), width)
+
+
+def _draw_text(column: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
+    """A text in lines as wide as the panel, in pixels; the icon is before the first."""
     scale = bpy.context.preferences.system.ui_scale or 1.0
-    for line in textwrap.wrap(parameter.help if parameter else "", max(20, int(width / (_CHARACTER * scale)) - 6)):
-        lines.label(text=line)
+    across = max(20, int(width / (_CHARACTER * scale)) - (6 if icon == "NONE" else 10))
+    lines = [part for line in text.splitlines() for part in textwrap.wrap(line, across)]
+    for number, line in enumerate(lines):
+        column.label(text=line, icon=icon if number == 0 or icon == "NONE" else "BLANK1")
 
 
-def _draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What starts and stops."""
-    now = running()
-    if now is not None:
-        column = layout.column()
-        show_progress(column, now.progress.fraction, "stopping" if now.job.cancelled else now.progress.text)
-        column.operator("tnst_mi.cancel", icon="X")
+def _draw_last_run(layout: bpy.types.UILayout, item: bpy.types.Object, width: int) -> None:
+    """How the last run of an object has ended, if not well."""
+    text, log = text_of(item), item.tnst_mi.last_run.log
+    if not text:
         return
+    column = layout.box().column(align=True)
+    _draw_text(column, text, width, icon="ERROR" if log else "INFO")
+    if log:
+        _draw_text(column, f"Log: {log}", width, icon="TEXT")
+        column.operator("wm.path_open", text="Open Log", icon="FILE_TEXT").filepath = log
+
+
+def _draw_running(layout: bpy.types.UILayout) -> None:
+    """What runs, which may be for another object than the active one."""
+    now = running()
+    if now is None:
+        return
+    column = layout.column()
+    column.label(text=now.title, icon="PLAY")
+    show_progress(column, now.progress.fraction, "stopping" if now.job.cancelled else now.progress.text)
+    column.operator("tnst_mi.cancel", icon="X")
+
+
+def _draw_buttons(layout: bpy.types.UILayout) -> None:
+    """What starts."""
     row = layout.row()
     row.scale_y = 1.4
     row.operator("tnst_mi.stylize", icon="PLAY")
@@ -127,8 +159,8 @@ class TNST_MI_PT_sidebar(SmokePanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """For volumes and domains."""
-        return can_be_stylized(context.object)
+        """For volumes and domains; while something runs, whatever is selected."""
+        return running() is not None or subject_of(context.object) is not None
 
 
 class TNST_MI_PT_volume(SmokePanel, bpy.types.Panel):

@@ -9,7 +9,7 @@ from bpy.props import StringProperty
 
 from ..problems import CannotStylizeError
 from ..processes.environment import EnvironmentMissing, Installation, find_environment, forget_checks, installed_program
-from ..versions import ADDON, show_progress
+from ..versions import ADDON, PATH, show_progress
 from .running import Running, RunsJob, running
 
 
@@ -40,16 +40,19 @@ class TnstMiPreferences(bpy.types.AddonPreferences):
     program: StringProperty(
         name="tnst-mi",
         subtype="FILE_PATH",
+        options=PATH,
         description="The program, or the folder of its environment; empty for the one on the PATH, or installed here",
     )
     weights: StringProperty(
         name="Network",
         subtype="FILE_PATH",
+        options=PATH,
         description="File or folder of weights, or the word patterns; empty for those that are found",
     )
     checkout: StringProperty(
         name="Install From",
         subtype="DIR_PATH",
+        options=PATH,
         description="A checkout of tnst_mi to install; empty for the version that the add-on brings",
     )
 
@@ -90,7 +93,9 @@ class TNST_MI_OT_install(RunsJob, bpy.types.Operator):
                 "Install needs Allow Online Access, in the preferences of Blender, System, Network"
             )
         chosen, private = preferences_of(context).checkout, private_folder()
-        job = Installation(private, private / "install.log", Path(bpy.path.abspath(chosen)) if chosen else None)
+        # Of this Blender alone: in the private folder, another one may be installing.
+        log = Path(bpy.app.tempdir, "tnst_mi_install.log")
+        job = Installation(private, log, Path(bpy.path.abspath(chosen)) if chosen else None)
         job.start()
         return Running(job, "Installing tnst-mi", lambda: f"Installed in {private}")
 

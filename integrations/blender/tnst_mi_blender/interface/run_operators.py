@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -15,20 +16,23 @@ from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
 from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
 from ..scene.results import load_result, show_original_of_lost
-from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers
-from ..scene.smoke import Smoke, can_be_stylized, smoke_of
+from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers, takes_with_smoke
+from ..scene.smoke import Smoke, note_of_library, smoke_of
+from ..scene.visibility import hide_in_frames_of_results, hide_other_parts
 from .kept import Kept
+from .last_run import begun, ended, require_own
 from .preferences import environment_of, preferences_of
 from .running import Running, RunsJob
+from .subject import subject_of
 
 
 class OfSmoke(RunsJob):
-    """Works on the active object, which has smoke."""
+    """Works on the active object, which has smoke, or on the original of the active result."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """With a volume or a domain of smoke, and while nothing runs."""
-        return super().poll(context) and can_be_stylized(context.object)
+        return super().poll(context) and subject_of(context.object) is not None
 
 
 class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
@@ -39,7 +43,7 @@ class TNST_MI_OT_stylize(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One run."""
-        return _started(context, [Take(bounds=frame_bounds(context.object.tnst_mi))], batch=False)
+        return _started(self, context, [Take(bounds=frame_bounds(subject_of(context.object).tnst_mi))], batch=False)
 
 
 class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
@@ -50,7 +54,7 @@ class TNST_MI_OT_bake_markers(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """One batch, with a run for each marker, one after the other."""
-        return _started(context, takes_of_markers(context.scene), batch=True)
+        return _started(self, context, takes_of_markers(context.scene), batch=True)
 
 
 class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
@@ -61,68 +65,102 @@ class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Running:
         """The last run or batch of the object."""
-        item = context.object
+        item = subject_of(context.object)
         program = environment_of(context)
-        folder = results_folder(item)
-        plan = read_plan(folder)
-        _require_own(folder, plan.item, item)
+        folder, plan = _last_plan(item)
+        require_own(folder, plan.item, item)
+        if plan.item != item.name:
+            plan = replace(plan, item=item.name)
+            write_plan(plan, folder)
         out = Path(plan.out)
         command = resume_command(program, out)
         if plan.is_batch:
             command = batch_command(program, Path(plan.source), [Path(recipe) for recipe in plan.recipes], out)
-        return _running(item, smoke_of(item, item.tnst_mi.source), plan, command)
+        return _running(item, smoke_of(item, item.tnst_mi.source), folder, plan, command)
 
 
 def results_folder(item: bpy.types.Object) -> Path:
     """Where the results of an object are: as chosen, or beside the scene's file, or else beside the smoke.
 
     Raises:
-        CannotStylizeError: the smoke has no files that it could be beside.
+        CannotStylizeError: the smoke has no files that it could be beside, or the scene none.
     """
-    if item.tnst_mi.out:
-        return Path(bpy.path.abspath(item.tnst_mi.out))
+    chosen = item.tnst_mi.out
+    if chosen.startswith("//") and not bpy.data.filepath:
+        raise CannotStylizeError(
+            f"Results, {chosen}: is beside the scene's file, and the scene has not been saved: save it, or choose a "
+            "folder by its whole path"
+        )
+    if chosen:
+        return Path(bpy.path.abspath(chosen))
     name = f"{_plain(item.name)}_stylized"
     if bpy.data.filepath:
         return Path(bpy.data.filepath).parent / name
     return smoke_of(item, item.tnst_mi.source).source.parent / name
 
 
-def _started(context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
-    """Write the recipes of takes and start their stylization."""
-    item, settings = context.object, context.object.tnst_mi
+def _last_plan(item: bpy.types.Object) -> tuple[Path, Plan]:
+    """The folder and the plan of the last run of an object.
+
+    Where the object does not know it, as in a scene that was not saved since, it is in the folder for its results.
+    """
+    kept = item.tnst_mi.last_run.folder
+    if kept:
+        with suppress(UnreadablePlanError):
+            return Path(kept), read_plan(Path(kept))
+    folder = results_folder(item)
+    return folder, read_plan(folder)
+
+
+def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take], batch: bool) -> Running:
+    """Write the recipes of takes, report what is to be known of them, and start their stylization."""
+    item = subject_of(context.object)
+    settings = item.tnst_mi
     program = environment_of(context)
     smoke = smoke_of(item, settings.source)
     folder = results_folder(item)
     out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
     # What cannot be read, as of an earlier version, is replaced.
     with suppress(UnreadablePlanError):
-        _require_own(folder, read_plan(folder).item, item)
+        require_own(folder, read_plan(folder).item, item)
     inputs, before = folder / f"{out.name}_inputs", folder / f".{out.name}_inputs.before"
     # Those of the run before come back if this one is refused: it can be resumed then.
     if inputs.exists():
         shutil.rmtree(before, ignore_errors=True)
         inputs.rename(before)
     try:
-        plan, command = _prepared(context, smoke, takes, (program, folder, out, inputs), batch)
+        plan, command = _prepared(context, item, smoke, takes, (program, folder, out, inputs), batch)
     except BaseException:
         shutil.rmtree(inputs, ignore_errors=True)
         if before.exists():
             before.rename(inputs)
         raise
     shutil.rmtree(before, ignore_errors=True)
-    return _running(item, smoke, plan, command)
+    for note in plan.notes:
+        operator.report({"WARNING"}, note)
+    return _running(item, smoke, folder, plan, command)
 
 
 def _prepared(
-    context: bpy.types.Context, smoke: Smoke, takes: Sequence[Take], paths: tuple[Path, Path, Path, Path], batch: bool
+    context: bpy.types.Context,
+    item: bpy.types.Object,
+    smoke: Smoke,
+    takes: Sequence[Take],
+    paths: tuple[Path, Path, Path, Path],
+    batch: bool,
 ) -> tuple[Plan, list[str]]:
     """Write the recipes of takes and the plan; `paths` are the program, the folder, that of results and of recipes."""
-    item, settings = context.object, context.object.tnst_mi
+    settings = item.tnst_mi
     program, folder, out, inputs = paths
+    notes = note_of_library(item)
+    if batch:
+        takes, skipped = takes_with_smoke(smoke, takes)
+        notes += skipped
     names = [f"{number:02}_{_plain(take.name)}" if batch else "recipe" for number, take in enumerate(takes, 1)]
     recipes = [inputs / f"{name}.toml" for name in names]
     for take, name, recipe in zip(takes, names, recipes, strict=True):
-        shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        shot, of_shot = shot_of(context, settings, smoke, take, inputs / name, preferences_of(context).weights)
+        notes += of_shot
         write_recipe(shot, recipe)
     if batch:
         parts = tuple(
@@ -133,28 +171,17 @@ def _prepared(
     else:
         parts = (Part("", str(out)),)
         command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
-    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts)
+    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts, notes)
     write_plan(plan, folder)
     return plan, command
 
 
-def _require_own(folder: Path, owner: str, item: bpy.types.Object) -> None:
-    """Check that the results in a folder are not those of another object.
-
-    Raises:
-        CannotStylizeError: they are.
-    """
-    if owner != item.name and owner in bpy.data.objects:
-        raise CannotStylizeError(
-            f"{folder}: has the results of {owner}; choose another folder in Results for {item.name}"
-        )
-
-
-def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str]) -> Running:
-    """Start a command, whose results are shown when it has ended."""
+def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, command: list[str]) -> Running:
+    """Start a command, whose plan is in a folder, and whose results are shown when it has ended."""
     out = Path(plan.out)
     job = Job(command, out.parent / f"{out.name}.log")
     job.start()
+    begun(item, folder)
     kept = Kept(item)
 
     def done() -> str:
@@ -162,14 +189,25 @@ def _running(item: bpy.types.Object, smoke: Smoke, plan: Plan, command: list[str
         if original is None:
             raise CannotStylizeError(f"{kept.name} was deleted meanwhile; its results are in {out}")
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
-        return f"Stylized: {', '.join(map(_in_words, shown))}"
+        hide_other_parts(original, [part.name for part in plan.parts])
+        notes = plan.notes + hide_in_frames_of_results(original, smoke, original.tnst_mi.place)
+        ended(original, "\n".join(notes))
+        return "; ".join((f"Stylized: {', '.join(map(_in_words, shown))}", *notes))
 
-    def stopped() -> None:
+    def stopped(problem: str | None) -> None:
         original = kept.find()
-        if original is not None:
-            show_original_of_lost(original)
+        if original is None:
+            return
+        show_original_of_lost(original)
+        if problem is not None:
+            ended(original, problem, job.log)
+        elif now.progress.fraction is None:
+            ended(original, "Stopped before its first step: press Stylize")
+        else:
+            ended(original, f"Stopped at {now.progress.doing}: Resume goes on")
 
-    return Running(job, f"Stylizing {item.name}", done, kept, stopped)
+    now = Running(job, f"Stylizing {item.name}", done, kept, stopped)
+    return now
 
 
 def _in_words(result: bpy.types.Object) -> str:

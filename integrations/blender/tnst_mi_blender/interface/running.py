@@ -16,6 +16,7 @@ from ..processes.environment import EnvironmentMissing
 from ..processes.job import Job
 from ..processes.progress import Progress
 from .kept import Kept
+from .labels import in_panel_words
 
 #: Seconds between two looks at a job.
 _EVERY = 0.25
@@ -29,7 +30,7 @@ class Running:
         title: what it does, in a few words.
         done: called in the end if it has succeeded; returns what is reported.
         item: the object that it is for; None of installations, which go on when another file is opened.
-        stopped: called in the end if it has not succeeded.
+        stopped: called in the end if it has not succeeded, with what was wrong; with None if it was cancelled.
         progress: how far it has got.
     """
 
@@ -39,7 +40,7 @@ class Running:
         title: str,
         done: Callable[[], str],
         item: Kept | None = None,
-        stopped: Callable[[], None] = lambda: None,
+        stopped: Callable[[str | None], None] = lambda _problem: None,
     ) -> None:
         self.job, self.title, self.done, self.item, self.stopped = job, title, done, item, stopped
         self.progress = Progress(None, "starting")
@@ -168,16 +169,19 @@ def _watch() -> float | None:
 def _end(ended: Running) -> tuple[str, str]:
     """Use what a job has made; returns the kind and the words of a report."""
     _Watched.running = None
-    if ended.job.cancelled or ended.job.error is not None:
-        ended.stopped()
+    ended.progress = ended.job.poll()
     if ended.job.cancelled:
+        ended.stopped(None)
         return "INFO", f"{ended.title}: stopped"
-    if ended.job.error is not None:
-        return "ERROR", ended.job.error
-    try:
-        return "INFO", ended.done()
-    except (CannotStylizeError, OSError) as error:
-        return "ERROR", str(error)
+    problem = ended.job.error
+    if problem is None:
+        try:
+            return "INFO", ended.done()
+        except (CannotStylizeError, OSError) as error:
+            problem = str(error)
+    problem = in_panel_words(problem)
+    ended.stopped(problem)
+    return "ERROR", problem
 
 
 def _show(text: str | None) -> None:
@@ -198,6 +202,7 @@ def _show(text: str | None) -> None:
 def _end_with_scene(*_: object) -> None:
     """Another file was opened: what runs for an object of the last one is ended."""
     if _Watched.running is not None and _Watched.running.item is not None:
+        _Watched.running.item.forget()
         end_job()
 
 

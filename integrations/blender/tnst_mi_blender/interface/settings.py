@@ -12,9 +12,10 @@ from bpy.props import (
 )
 
 from ..recipes.parameters import parameters
+from ..versions import PATH
 from . import thumbnails
 
-#: Keys of a recipe that the panel has controls for, or that it writes itself.
+#: Keys of a recipe that cannot be set in *Advanced*: the panel has controls for them, or the add-on writes them itself.
 OWN_KEYS = frozenset(
     "style tag semantic content match mask target quality frames camera format origin voxel_size up strength".split()
 )
@@ -56,6 +57,7 @@ class TnstMiLook(bpy.types.PropertyGroup):
     picture: StringProperty(
         name="Picture",
         subtype="FILE_PATH",
+        options=PATH,
         description="Picture whose style the smoke takes on: a file, or one that ships: spirals, net, flames, cells",
     )
     channel: StringProperty(name="Channel", description="LAYER:NUMBER, such as inception_4b/pool_proj:63")
@@ -83,12 +85,22 @@ class TnstMiOverride(bpy.types.PropertyGroup):
     choice: EnumProperty(name="Value", items=_choices)
 
 
+class TnstMiLastRun(bpy.types.PropertyGroup):
+    """Of an object's last run; see `last_run`."""
+
+    folder: StringProperty(description="Where its plan is, as an absolute path")
+    item: StringProperty(description="Name of the object as it began")
+    text: StringProperty(description="What is said of it until the next run; empty if it has ended well")
+    log: StringProperty(description="Of one that has failed")
+
+
 class TnstMiSettings(bpy.types.PropertyGroup):
     """Of an object with smoke."""
 
     source: StringProperty(
         name="Smoke",
         subtype="FILE_PATH",
+        options=PATH,
         description="Folder of the cache, or VDB file, to read instead of the object's own; empty for its own",
     )
     looks: CollectionProperty(type=TnstMiLook)
@@ -113,6 +125,7 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     out: StringProperty(
         name="Results",
         subtype="DIR_PATH",
+        options=PATH,
         description="Folder for the results; empty for one beside the scene's file, or beside the smoke",
     )
     place: EnumProperty(name="Show", items=_PLACES, description="Where the stylized smoke is shown")
@@ -121,16 +134,25 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     override_index: IntProperty()
     original: PointerProperty(type=bpy.types.Object, description="Of a result: what it was made of")
     part: StringProperty(description="Of a result: the marker that it begins at")
+    last_run: PointerProperty(type=TnstMiLastRun)
 
 
-_CLASSES = (TnstMiLook, TnstMiOverride, TnstMiSettings)
+_CLASSES = (TnstMiLook, TnstMiOverride, TnstMiLastRun, TnstMiSettings)
+
+
+def _let_overrides_have(group: type[bpy.types.PropertyGroup]) -> None:
+    """Let overrides of objects of other files have settings of their own, which Blender allows one by one."""
+    for wanted in group.__annotations__.values():
+        inserted = {"USE_INSERTION"} if wanted.function is CollectionProperty else set()
+        wanted.keywords["override"] = {"LIBRARY_OVERRIDABLE"} | inserted
 
 
 def register() -> None:
     """Add the settings to objects."""
     for each in _CLASSES:
+        _let_overrides_have(each)
         bpy.utils.register_class(each)
-    bpy.types.Object.tnst_mi = PointerProperty(type=TnstMiSettings)
+    bpy.types.Object.tnst_mi = PointerProperty(type=TnstMiSettings, override={"LIBRARY_OVERRIDABLE"})
 
 
 def unregister() -> None:

@@ -24,11 +24,18 @@ class Progress:
 
     Attributes:
         fraction: of its work, 0 to 1; None while that is not known.
-        text: one short line for a status bar, such as "octave 2/3, frame 12, 40%, 1:20 left".
+        doing: what it is at, such as "octave 2/3, frame 12, 40%".
+        left: the time that is left, such as "1:20"; empty where it is not known.
     """
 
     fraction: float | None
-    text: str
+    doing: str
+    left: str = ""
+
+    @property
+    def text(self) -> str:
+        """One short line for a status bar, such as "octave 2/3, frame 12, 40%, 1:20 left"."""
+        return f"{self.doing}, {self.left} left" if self.left else self.doing
 
 
 class ProgressReader:
@@ -63,8 +70,8 @@ class ProgressReader:
         run = f"run {self._run}/{self._runs}, " if self._runs > 1 else ""
         known = self._share is not None or self._run > 1
         fraction = (self._run - 1 + (self._share or 0.0)) / self._runs if known else None
-        left = "" if self._ends is None else f", {_clock_text(self._ends - self._clock())} left"
-        return Progress(fraction, f"{run}{self._text}{left}")
+        left = "" if self._ends is None else _clock_text(self._ends - self._clock())
+        return Progress(fraction, f"{run}{self._text}", left)
 
     def _begin(self, text: str) -> None:
         self._text = text

@@ -40,6 +40,7 @@ class Plan:
         out: folder of the run, or of the batch.
         recipes: files of the recipes of a batch; none for a run.
         parts: what comes of it.
+        notes: what the artist should know of it, a line each: shots that are skipped, cameras that see no smoke.
     """
 
     item: str
@@ -47,6 +48,7 @@ class Plan:
     out: str
     recipes: tuple[str, ...]
     parts: tuple[Part, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def is_batch(self) -> bool:
@@ -76,7 +78,8 @@ def read_plan(folder: Path) -> Plan:
         table = json.loads((folder / FILE).read_text("utf-8"))
         parts = tuple(Part(str(part["name"]), str(part["results"])) for part in table["parts"])
         texts = [str(table[key]) for key in ("item", "source", "out")]
-        return Plan(*texts, recipes=tuple(map(str, table["recipes"])), parts=parts)
+        notes = tuple(map(str, table.get("notes", ())))
+        return Plan(*texts, recipes=tuple(map(str, table["recipes"])), parts=parts, notes=notes)
     except FileNotFoundError:
         raise UnreadablePlanError(f"{folder}: nothing was started here; press Stylize") from None
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -14,6 +14,7 @@ from mathutils import Matrix, Vector
 from .. import versions
 from ..problems import CannotStylizeError
 from ..recipes.commands import Box, Mask, MaskFile, Sphere
+from .motion import may_change_shape
 from .smoke import EVEN, Smoke, is_even
 
 #: Displays of empties that can be regions.
@@ -32,6 +33,9 @@ class Region:
         smoke: that it is a region of.
         files: folder for the mask's files, where it needs any.
 
+    Attributes:
+        item: that object.
+
     Raises:
         CannotStylizeError: it cannot be a region.
     """
@@ -49,15 +53,24 @@ class Region:
                 f"{item.name}: a region has to be in the scene, neither disabled in viewports (the eye does no harm) "
                 "nor in a collection that is excluded"
             )
-        self._item, self._smoke, self._files = item, smoke, files
+        self.item = item
+        self._smoke, self._files = smoke, files
         self._edge = round(edge / smoke.scale, _DIGITS)
         self._matrices: dict[int, Matrix] = {}
+        self._spaces: dict[int, Matrix] = {}
         self._sizes: dict[int, float] = {}
 
-    def record(self, number: int, graph: bpy.types.Depsgraph) -> None:
-        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number."""
-        now = self._item.evaluated_get(graph)
-        self._matrices[number] = self._smoke.space.inverted() @ now.matrix_world
+    def record(self, number: int, graph: bpy.types.Depsgraph, space: Matrix) -> None:
+        """Take note of where it is in the scene's current frame, which is the smoke's frame of a number.
+
+        Args:
+            number: of that frame.
+            graph: the evaluated scene.
+            space: that of the smoke in this frame.
+        """
+        now = self.item.evaluated_get(graph)
+        self._spaces[number] = space
+        self._matrices[number] = space.inverted() @ now.matrix_world
         self._sizes[number] = now.empty_display_size
 
     def mask(self) -> Mask:
@@ -67,23 +80,23 @@ class Region:
             CannotStylizeError: it has to be a file, and the smoke's files do not say where they are, or the size of
                 an empty is animated; or the mesh encloses nothing.
         """
-        shape = None if self._item.type == "MESH" else self._shape()
+        shape = None if self.item.type == "MESH" else self._shape()
         if shape is not None:
             return shape
         if not self._smoke.placed:
             raise CannotStylizeError(
-                f"{self._item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB "
+                f"{self.item.name}: meshes, and empties that are turned against the smoke, are regions of OpenVDB "
                 "files alone: bake the domain with Cache > Format Volumes OpenVDB"
             )
-        if self._item.type == "EMPTY" and len(set(self._sizes.values())) > 1:
+        if self.item.type == "EMPTY" and len(set(self._sizes.values())) > 1:
             raise CannotStylizeError(
-                f"{self._item.name}: is turned against the smoke, and its display size is animated: animate its scale"
+                f"{self.item.name}: is turned against the smoke, and its display size is animated: animate its scale"
             )
         return MaskFile(self._written())
 
     def _shape(self) -> Mask | None:
         """The mask of an empty; None if it is no sphere, and no box along the axes of the smoke, in some frame."""
-        sphere = self._item.empty_display_type == "SPHERE"
+        sphere = self.item.empty_display_type == "SPHERE"
         first, second = {}, {}
         for number, matrix in self._matrices.items():
             centre, size = matrix.translation, self._sizes[number]
@@ -103,11 +116,14 @@ class Region:
     def _written(self) -> Path:
         """Write the file of the mask, or one for each frame where the object changes."""
         self._files.mkdir(parents=True, exist_ok=True)
-        with _volume_of(self._item, self._edge, self._smoke) as volume:
+        with _volume_of(self.item, self._edge, self._smoke) as volume:
             if not self._changes():
+                # The scene is in the frame that was recorded last.
+                volume.matrix_world = list(self._spaces.values())[-1]
                 return self._save(volume, "mask.vdb")
-            for number in self._matrices:
+            for number, space in self._spaces.items():
                 bpy.context.scene.frame_set(number - self._smoke.shift)
+                volume.matrix_world = space
                 self._save(volume, f"mask_{number:04d}.vdb")
         return self._files / "mask_####.vdb"
 
@@ -117,16 +133,14 @@ class Region:
         near = 1e-3 * self._smoke.cell
         if any((a - b).length > near for matrix in others for a, b in zip(matrix.col, first.col, strict=True)):
             return True
-        data = self._item.data
-        shaped = len(self._item.modifiers) > 0 or (data is not None and data.shape_keys is not None)
-        return bool(others) and shaped
+        return bool(others) and may_change_shape(self.item)
 
     def _save(self, volume: bpy.types.Object, name: str) -> Path:
         bpy.context.view_layer.update()
         grids = volume.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.grids
         file = self._files / name
         if not len(grids) or not grids.save(filepath=str(file)):
-            raise CannotStylizeError(f"{self._item.name}: encloses nothing: close the holes of its mesh")
+            raise CannotStylizeError(f"{self.item.name}: encloses nothing: close the holes of its mesh")
         return file
 
 
@@ -140,7 +154,6 @@ def _volume_of(item: bpy.types.Object, edge: float, smoke: Smoke) -> Iterator[bp
     try:
         for each in {volume, solid} - {item}:
             scene.collection.objects.link(each)
-        volume.matrix_world = smoke.space
         modifier = volume.modifiers.new("Mesh to Volume", "MESH_TO_VOLUME")
         modifier.object, modifier.density = solid, 1.0
         modifier.resolution_mode, modifier.voxel_size = "VOXEL_SIZE", smoke.cell

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Set
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
 from ..problems import CannotStylizeError
 from ..recipes.plan import Part
+from .extent import width
 from .smoke import Smoke, domain_settings, grids_in
+from .visibility import results_of, show_always
 
 #: What the grids of a domain's noise have behind their names.
 _NOISE = "_noise"
 
 
 def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str) -> bpy.types.Object:
-    """Show a result; one of an earlier run of the same part is replaced.
+    """Show a result; one of an earlier run of the same part is replaced. The original stays as visible as it is.
 
     Args:
         original: the object whose smoke was stylized.
         smoke: of that object.
         part: the run.
-        place: "IN_PLACE", with the original hidden, or "BESIDE".
+        place: "IN_PLACE" or "BESIDE" the original.
 
     Returns:
         The volume object.
@@ -38,7 +41,7 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
         raise CannotStylizeError(f"{folder}: has no results; see the log beside it")
     shown = _shown(original, part.name, bpy.context.scene)
     volume = shown.data
-    volume.filepath = str(files[0])
+    volume.filepath = _as_blender_writes(files[0])
     numbers = [number for file in files if (number := _number(file)) is not None]
     volume.is_sequence = bool(smoke.numbers) and bool(numbers)
     if volume.is_sequence and smoke.playback is not None and smoke.playback.mode != "CLIP":
@@ -55,23 +58,17 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     shown.matrix_basis = smoke.on_object
     if place == "BESIDE":
         there = original.matrix_world
-        aside = Matrix.Translation((_width(there @ smoke.on_object, files), 0.0, 0.0))
+        aside = Matrix.Translation((1.1 * width(there @ smoke.on_object, files), 0.0, 0.0))
         shown.matrix_basis = there.inverted() @ aside @ there @ smoke.on_object
-    for item in original, shown:
-        item.hide_render = item.hide_viewport = place == "IN_PLACE" and item is original
+    shown.hide_render = shown.hide_viewport = False
     return shown
-
-
-def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
-    """The results of an object that are shown."""
-    return (item for item in bpy.data.objects if item.type == "VOLUME" and item.tnst_mi.original == original)
 
 
 def show_original_of_lost(original: bpy.types.Object) -> None:
     """Show an original again whose result is gone: a run that replaces it has been stopped before it had another."""
     files = [Path(bpy.path.abspath(result.data.filepath)) for result in results_of(original)]
     if not all(file.exists() for file in files):
-        original.hide_render = original.hide_viewport = False
+        show_always(original)
 
 
 def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy.types.Object:
@@ -149,23 +146,13 @@ def _for_grids(material: bpy.types.Material, grids: Set[str]) -> bpy.types.Mater
     return material
 
 
-def _width(space: Matrix, files: Sequence[Path]) -> float:
-    """The extent of what files have together along x, in the space that a matrix leads to, and a little more.
-
-    Volumes of the scene have that of the current frame alone, where there may be no smoke.
-    """
-    data = bpy.data.volumes.new("tnst_mi extent")
-    item = bpy.data.objects.new(data.name, data)
-    along: list[float] = []
-    try:
-        for file in files:
-            data.filepath = str(file)
-            if data.grids.load():
-                along += [(space @ Vector(corner)).x for corner in item.bound_box]
-            data.grids.unload()
-    finally:
-        bpy.data.volumes.remove(data)
-    return 1.1 * (max(along) - min(along)) if along else 0.0
+def _as_blender_writes(file: Path) -> str:
+    """A path as Blender's own buttons write it: relative to the scene's file, if that is preferred."""
+    if bpy.data.filepath and bpy.context.preferences.filepaths.use_relative_paths:
+        # Not from one drive of Windows to another.
+        with suppress(ValueError):
+            return bpy.path.relpath(str(file))
+    return str(file)
 
 
 def _number(file: Path) -> int | None:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Matrix
 
 from ..export_camera import UnusableCameraError, camera_table, cameras_of
 from ..problems import CannotStylizeError
 from ..recipes import commands
 from ..recipes.advanced import keys_of
 from ..recipes.commands import Goal, Shot
+from .extent import corners_at
+from .motion import may_change_shape, may_move
 from .regions import Region
-from .smoke import Smoke, frames_between
+from .sight import may_see
+from .smoke import Smoke, frames_between, note_of_library
 
 #: What a stylization begins with; that of the bundled recipes. The list Advanced changes it.
 BASIS = {"octaves": 2, "views": 3, "eta": 0.004}
@@ -68,6 +72,29 @@ def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
     return takes
 
 
+def takes_with_smoke(smoke: Smoke, takes: Sequence[Take]) -> tuple[list[Take], tuple[str, ...]]:
+    """The takes in whose frames there is smoke, and a note of each other one.
+
+    Raises:
+        CannotStylizeError: there is smoke in none of them.
+    """
+    found, notes = [], []
+    for take in takes:
+        try:
+            frames_between(smoke, take.bounds)
+        except CannotStylizeError:
+            notes.append(f"{take.name}: skipped, there is no smoke in its frames {take.bounds[0]} to {take.bounds[1]}")
+        else:
+            found.append(take)
+    if not found:
+        first, last = takes[0].bounds[0], takes[-1].bounds[1]
+        raise CannotStylizeError(
+            f"there is no smoke in the shots of markers, frames {first} to {last}, but in "
+            f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}: move the markers, or bake these"
+        )
+    return found, tuple(notes)
+
+
 def _distinct(names: Sequence[str]) -> list[str]:
     """The names of markers; those that are empty or there before, with a number."""
     found: list[str] = []
@@ -95,8 +122,8 @@ def shot_of(
     take: Take,
     files: Path,
     weights: str,
-) -> Shot:
-    """The shot of a take; goes through its frames, and comes back to the current one.
+) -> tuple[Shot, tuple[str, ...]]:
+    """The shot of a take; goes through its frames if anything changes in them, and comes back to the current one.
 
     Args:
         context: of Blender.
@@ -106,12 +133,16 @@ def shot_of(
         files: folder for its cameras and masks.
         weights: of the network for pictures and channels; empty for those that are found.
 
+    Returns:
+        The shot, and what the artist should know of it before it is run.
+
     Raises:
         CannotStylizeError: something is missing, or cannot be used.
         OSError: a file cannot be written.
     """
     if not settings.looks:
-        raise CannotStylizeError("choose what the smoke is to look like: press + under Look")
+        wanted = "choose what the smoke is to look like: press + under Look"
+        raise CannotStylizeError("; ".join((wanted, *note_of_library(settings.id_data))))
     goals = [_goal(look) for look in settings.looks]
     if take.name and smoke.playback is not None and smoke.playback.mode != "CLIP":
         raise CannotStylizeError("markers: shots of a sequence that is played again are the same: set its Mode to Clip")
@@ -120,22 +151,24 @@ def shot_of(
         None if look.region is None else Region(look.region, look.edge, smoke, files / f"region_{index + 1}")
         for index, look in enumerate(settings.looks)
     ]
-    camera = None
+    camera, notes = None, ()
     current = context.scene.frame_current
     try:
         tables = _through_frames(context, settings, smoke, take, numbers, [region for region in placed if region])
         if tables:
             camera = _write(cameras_of(tables), files / "cameras.json")
+            notes = _of_what_is_seen(settings.id_data, smoke, numbers, tables, take)
         masks = [() if region is None else (region.mask(),) for region in placed]
     finally:
-        context.scene.frame_set(current)
+        if context.scene.frame_current != current:
+            context.scene.frame_set(current)
     regions = ()
     if any(masks) or any(look.weight != 1.0 for look in settings.looks):
         regions = tuple(
             commands.Region(goal, mask, look.weight)
             for goal, mask, look in zip(goals, masks, settings.looks, strict=True)
         )
-    return Shot(
+    shot = Shot(
         goals=() if regions else tuple(goals),
         regions=regions,
         quality=settings.quality,
@@ -144,6 +177,7 @@ def shot_of(
         voxel_size=smoke.voxel_size,
         keys=_keys(context.scene, settings, len(numbers), any(masks), weights),
     )
+    return shot, notes
 
 
 def _goal(look: bpy.types.PropertyGroup) -> Goal:
@@ -164,28 +198,85 @@ def _through_frames(
     regions: Sequence[Region],
 ) -> dict[str, dict[str, Any]]:
     """Let regions take note of each frame, and return the tables of its cameras, if they count."""
+    _require_even(smoke, settings, regions)
+    scene, item, tables = context.scene, settings.id_data, {}
+    cameras = _cameras(scene, take) if settings.use_camera else set()
+    frames = [number - smoke.shift for number in numbers] or [scene.frame_current]
+    watched = [item, *cameras, *(region.item for region in regions)]
+    if len(cameras) < 2 and not may_move(watched, scene) and not any(may_change_shape(each.item) for each in regions):
+        frames = frames[:1]
+    there, manager = item.matrix_world.copy(), context.window_manager
+    manager.progress_begin(0, len(frames))
+    try:
+        for done, frame in enumerate(frames):
+            manager.progress_update(done)
+            if len(frames) > 1:
+                scene.frame_set(frame)
+            graph = context.evaluated_depsgraph_get()
+            # Keyframes may move the smoke, too.
+            now = replace(smoke, space=item.evaluated_get(graph).matrix_world @ there.inverted() @ smoke.space)
+            _require_even(now, settings, regions)
+            for region in regions:
+                region.record(frame + smoke.shift, graph, now.space)
+            if settings.use_camera:
+                tables[str(frame + smoke.shift)] = _camera(take.camera or scene.camera, scene, graph, now.space)
+    finally:
+        manager.progress_end()
+    return tables
+
+
+def _require_even(smoke: Smoke, settings: bpy.types.PropertyGroup, regions: Sequence[Region]) -> None:
+    """Require that cameras and regions can be brought into the space of the smoke, if there are any."""
     if regions:
         smoke.require_even("regions")
     if settings.use_camera:
         smoke.require_even("the camera")
         smoke.require_unmirrored()
-    scene, tables = context.scene, {}
-    for number in numbers or (scene.frame_current + smoke.shift,):
-        if settings.use_camera or regions:
-            scene.frame_set(number - smoke.shift)
-        graph = context.evaluated_depsgraph_get()
-        for region in regions:
-            region.record(number, graph)
-        if not settings.use_camera:
-            continue
-        camera = take.camera or scene.camera
-        if camera is None:
-            raise CannotStylizeError("the scene has no camera: add one, or switch Camera off")
-        try:
-            tables[str(number)] = camera_table(camera, scene, graph, smoke.space)
-        except UnusableCameraError as error:
-            raise CannotStylizeError(str(error)) from None
-    return tables
+
+
+def _cameras(scene: bpy.types.Scene, take: Take) -> set[bpy.types.Object]:
+    """The cameras that a take may be seen through.
+
+    Raises:
+        CannotStylizeError: there are none.
+    """
+    of_markers = {marker.camera for marker in scene.timeline_markers}
+    cameras = ({take.camera} if take.camera else of_markers | {scene.camera}) - {None}
+    if not cameras:
+        raise CannotStylizeError("the scene has no camera: add one, or switch Camera off")
+    return cameras
+
+
+def _camera(
+    camera: bpy.types.Object | None, scene: bpy.types.Scene, graph: bpy.types.Depsgraph, space: Matrix
+) -> dict[str, Any]:
+    """The table of a camera in the space of the smoke."""
+    if camera is None:
+        raise CannotStylizeError(
+            f"the scene has no camera in frame {scene.frame_current}: add one, or switch Camera off"
+        )
+    try:
+        return camera_table(camera, scene, graph, space)
+    except UnusableCameraError as error:
+        raise CannotStylizeError(str(error)) from None
+
+
+def _of_what_is_seen(
+    item: bpy.types.Object,
+    smoke: Smoke,
+    numbers: Sequence[int],
+    tables: Mapping[str, dict[str, Any]],
+    take: Take,
+) -> tuple[str, ...]:
+    """A note if the cameras see the smoke in no frame."""
+    still = next(iter(tables.values()))
+    if any(may_see(tables.get(str(number), still), corners_at(item, smoke, number)) for number in numbers or [None]):
+        return ()
+    of = f" of {take.name}" if take.name else ""
+    return (
+        f"the camera{of} does not see the smoke of {item.name} in any frame: nothing leads the stylization there; turn "
+        "it to the smoke, or switch Camera off",
+    )
 
 
 def _keys(

@@ -106,6 +106,16 @@ def can_be_stylized(item: bpy.types.Object | None) -> bool:
     return item is not None and (item.type == "VOLUME" or domain_settings(item) is not None)
 
 
+def note_of_library(item: bpy.types.Object) -> tuple[str, ...]:
+    """A note if Blender does not save the settings of an object, since it belongs to another file."""
+    if item.library is None:
+        return ()
+    return (
+        f"{item.name} belongs to {Path(item.library.filepath).name}: its settings here, and that it is hidden, are not "
+        "saved; make it an override (Object > Library Override > Make)",
+    )
+
+
 def smoke_of(item: bpy.types.Object, chosen: str = "") -> Smoke:
     """The smoke of an object.
 

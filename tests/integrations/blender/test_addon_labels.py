@@ -1,0 +1,45 @@
+"""Errors of tnst-mi in the words of the Blender add-on's panel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import blender_addon
+import pytest
+from tnst_mi_blender.interface import labels
+
+from tnst_mi.recipe.parameters import parameters
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("tnst-mi: /a b/r.x/recipe.toml: style = '/a/x.png': no such", "tnst-mi: Picture = '/a/x.png': no such"),
+        ("tnst-mi: C:\\a\\recipe.toml: camera = 'c': no", "tnst-mi: Camera = 'c': no"),
+        ("tnst-mi: /a/02_close.toml: window = 4: expected", "tnst-mi: 02_close: Advanced, window = 4: expected"),
+        (
+            "tnst-mi: expected --style PICTURE, or colour = 'off'",
+            "tnst-mi: expected Picture, or Advanced, colour = 'off'",
+        ),
+        ("tnst-mi: --style-layers would do", "tnst-mi: Advanced, style_layers would do"),
+        ("tnst-mi: free = 3 GB, with --force: no", "tnst-mi: free = 3 GB, with --force: no"),
+        ("tnst-mi: /a/smoke.vdb: no such file", "tnst-mi: /a/smoke.vdb: no such file"),
+        ("tnst-mi: o: its run was ended before it began; give its INPUT too to begin it", None),
+    ],
+)
+def test_settings_stand_in_place_of_keys(said: str, shown: str | None) -> None:
+    assert labels.in_panel_words(said) == (shown or "tnst-mi: o: its run was ended before it began; press Stylize")
+
+
+def test_labels_are_those_of_the_panel_and_keys_those_of_a_recipe() -> None:
+    assert set(labels.LABELS) <= {row["key"] for row in parameters()}
+    interface = "".join(file.read_text("utf-8") for file in (blender_addon.ADDON / "interface").glob("*s.py"))
+    for key, label in labels.LABELS.items():
+        assert f'name="{label}"' in interface, key
+
+
+def test_remedies_are_those_that_tnst_mi_says() -> None:
+    program = Path(blender_addon.ADDON).parents[2] / "tnst_mi"
+    says = "".join((program / name).read_text("utf-8") for name in ("commands/stylize.py", "run/resuming.py"))
+    for remedy in labels.REMEDIES:
+        assert remedy in says
