@@ -126,6 +126,7 @@ def _drawn(name: str, state: str, drawn: Counter[tuple[str, str]], told: dict[st
     _select(name)
     yield _soon()
     drawn.clear()
+    draw()
     properties = area("PROPERTIES").spaces.active
     for context in ("DATA", "PHYSICS"):
         try:
