@@ -100,9 +100,9 @@ def test_panels_are_drawn_and_motifs_have_their_thumbnails(walk: Walk, tmp_path:
     expected: dict[str, list[str]] = {"Smoke_stylized": of_volumes}
     for state in ("", ", running"):
         expected |= {f"{name}{state}": of_volumes for name in ("Smoke", "Linked")} | {f"Domain{state}": of_domains}
-        # What goes on is shown whatever is selected.
-        others = ["TNST_MI_PT_sidebar"] if state else []
-        expected |= {f"{name}{state}": others for name in ("Cube", "Camera", "Empty", "nothing")}
+        # A run can be cancelled whatever is selected.
+        of_others = ["TNST_MI_PT_sidebar"] if state else []
+        expected |= {f"{name}{state}": of_others for name in ("Cube", "Camera", "Empty", "nothing")}
         expected[f"preferences{state}"] = ["TnstMiPreferences"]
     assert drawn == expected
     for name in ("motif_net", "preferences", "preferences, running"):
