@@ -16,8 +16,9 @@ from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
 from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
 from ..scene.results import load_result, show_original_of_lost
-from ..scene.shots import Take, frame_bounds, shot_of, takes_of_markers, takes_with_smoke
+from ..scene.shots import shot_of
 from ..scene.smoke import Smoke, note_of_library, smoke_of
+from ..scene.takes import Take, frame_bounds, takes_of_markers, takes_with_smoke
 from ..scene.visibility import hide_in_frames_of_results, hide_other_parts
 from .kept import Kept
 from .last_run import begun, ended, require_own

@@ -25,7 +25,7 @@ def corners_at(item: bpy.types.Object, smoke: Smoke, number: int | None) -> list
         Eight of them, or none where a file is empty.
     """
     if domain_settings(item) is not None:
-        to_files = smoke.space.inverted() @ item.matrix_world
+        to_files = smoke.cells.inverted()
         sides = [sorted(vertex.co[axis] for vertex in item.data.vertices) for axis in range(3)]
         return [to_files @ Vector(each) for each in itertools.product(*((side[0], side[-1]) for side in sides))]
     file = smoke.source

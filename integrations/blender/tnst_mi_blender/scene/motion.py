@@ -45,7 +45,11 @@ def _may_move(item: bpy.types.Object, seen: set[bpy.types.Object]) -> bool:
             return True
         attached.append(item.parent)
     for constraint in item.constraints:
-        if constraint.mute or constraint.type in _ALONE:
+        if constraint.mute:
+            continue
+        if constraint.space_object is not None:
+            attached.append(constraint.space_object)
+        if constraint.type in _ALONE:
             continue
         if constraint.type not in _OF_TARGETS or constraint.subtarget:
             return True

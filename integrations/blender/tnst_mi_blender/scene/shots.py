@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +21,8 @@ from .motion import may_change_shape, may_move
 from .regions import Region
 from .sight import may_see
 from .smoke import Smoke, frames_between, note_of_library
+from .takes import Take
+from .walk import coming_back, evaluated, frame_by_frame
 
 #: What a stylization begins with; that of the bundled recipes. The list Advanced changes it.
 BASIS = {"octaves": 2, "views": 3, "eta": 0.004}
@@ -37,82 +38,26 @@ FASTEST = 240.0
 
 
 @dataclass(frozen=True)
-class Take:
-    """A part of the timeline that is stylized by itself.
+class _Seen:
+    """What the scene has to be looked at for, frame by frame.
 
     Attributes:
-        name: of the marker that it begins at, as no other take's; empty for all of it.
-        bounds: first and last frame of the scene; None for all frames of the smoke.
-        camera: the marker's own; None for that of the scene.
+        cameras: that smoke is seen through.
+        regions: that it is in.
     """
 
-    name: str = ""
-    bounds: tuple[int, int] | None = None
-    camera: bpy.types.Object | None = None
+    cameras: set[bpy.types.Object]
+    regions: list[Region]
 
+    @property
+    def items(self) -> set[bpy.types.Object]:
+        """The objects of both."""
+        return self.cameras | {region.item for region in self.regions}
 
-def takes_of_markers(scene: bpy.types.Scene) -> list[Take]:
-    """A take for each marker: from its frame to the one before the next marker, or to the end of the scene.
-
-    Raises:
-        CannotStylizeError: there are no markers before the end of the scene.
-    """
-    markers = sorted(scene.timeline_markers, key=lambda marker: marker.frame)
-    if not markers:
-        raise CannotStylizeError("the timeline has no markers: add one at the first frame of each shot")
-    ends = [marker.frame - 1 for marker in markers[1:]] + [scene.frame_end]
-    names = _distinct([marker.name for marker in markers])
-    takes = [
-        Take(name, (marker.frame, end), marker.camera)
-        for name, marker, end in zip(names, markers, ends, strict=True)
-        if marker.frame <= end
-    ]
-    if not takes:
-        raise CannotStylizeError(f"all markers are after the scene, which ends at {scene.frame_end}: move them")
-    return takes
-
-
-def takes_with_smoke(smoke: Smoke, takes: Sequence[Take]) -> tuple[list[Take], tuple[str, ...]]:
-    """The takes in whose frames there is smoke, and a note of each other one.
-
-    Raises:
-        CannotStylizeError: there is smoke in none of them.
-    """
-    found, notes = [], []
-    for take in takes:
-        try:
-            frames_between(smoke, take.bounds)
-        except CannotStylizeError:
-            notes.append(f"{take.name}: skipped, there is no smoke in its frames {take.bounds[0]} to {take.bounds[1]}")
-        else:
-            found.append(take)
-    if not found:
-        first, last = takes[0].bounds[0], takes[-1].bounds[1]
-        raise CannotStylizeError(
-            f"there is no smoke in the shots of markers, frames {first} to {last}, but in "
-            f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}: move the markers, or bake these"
-        )
-    return found, tuple(notes)
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The names of markers; those that are empty or there before, with a number."""
-    found: list[str] = []
-    for name in names:
-        free = (f"{name or 'marker'} {number}" for number in itertools.count(2 if name else 1))
-        found.append(name if name and name not in found else next(each for each in free if each not in found))
-    return found
-
-
-def frame_bounds(settings: bpy.types.PropertyGroup) -> tuple[int, int] | None:
-    """The frames of the scene that are asked for; None for all of the smoke."""
-    if not settings.use_range:
-        return None
-    if settings.frame_start > settings.frame_end:
-        raise CannotStylizeError(
-            f"the frames {settings.frame_start} to {settings.frame_end} are none: expected a first and a last frame"
-        )
-    return settings.frame_start, settings.frame_end
+    def may_change(self, smoke: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+        """Whether it may be another one, or somewhere else on an object with smoke, in other frames."""
+        shapes = any(may_change_shape(region.item) for region in self.regions)
+        return len(self.cameras) > 1 or shapes or may_move({smoke, *self.items}, scene)
 
 
 def shot_of(
@@ -140,9 +85,10 @@ def shot_of(
         CannotStylizeError: something is missing, or cannot be used.
         OSError: a file cannot be written.
     """
+    scene, item = context.scene, settings.id_data
     if not settings.looks:
         wanted = "choose what the smoke is to look like: press + under Look"
-        raise CannotStylizeError("; ".join((wanted, *note_of_library(settings.id_data))))
+        raise CannotStylizeError("; ".join((wanted, *note_of_library(item))))
     goals = [_goal(look) for look in settings.looks]
     if take.name and smoke.playback is not None and smoke.playback.mode != "CLIP":
         raise CannotStylizeError("markers: shots of a sequence that is played again are the same: set its Mode to Clip")
@@ -151,17 +97,17 @@ def shot_of(
         None if look.region is None else Region(look.region, look.edge, smoke, files / f"region_{index + 1}")
         for index, look in enumerate(settings.looks)
     ]
-    camera, notes = None, ()
-    current = context.scene.frame_current
-    try:
-        tables = _through_frames(context, settings, smoke, take, numbers, [region for region in placed if region])
+    camera, notes, masks = None, (), [() for _look in placed]
+    seen = _Seen(
+        _cameras(scene, take) if settings.use_camera else set(), [region for region in placed if region is not None]
+    )
+    if seen.cameras or seen.regions:
+        with evaluated({item, *seen.items}, scene), coming_back(scene):
+            tables = _through_frames(context, item, smoke, numbers, seen)
+            masks = [() if region is None else (region.mask(),) for region in placed]
         if tables:
             camera = _write(cameras_of(tables), files / "cameras.json")
-            notes = _of_what_is_seen(settings.id_data, smoke, numbers, tables, take)
-        masks = [() if region is None else (region.mask(),) for region in placed]
-    finally:
-        if context.scene.frame_current != current:
-            context.scene.frame_set(current)
+            notes = _of_what_is_seen(item, smoke, numbers, tables, take)
     regions = ()
     if any(masks) or any(look.weight != 1.0 for look in settings.looks):
         regions = tuple(
@@ -175,7 +121,7 @@ def shot_of(
         frames=(numbers[0], numbers[-1]) if numbers else None,
         camera=camera,
         voxel_size=smoke.voxel_size,
-        keys=_keys(context.scene, settings, len(numbers), any(masks), weights),
+        keys=_keys(scene, settings, len(numbers), any(masks), weights),
     )
     return shot, notes
 
@@ -190,71 +136,76 @@ def _goal(look: bpy.types.PropertyGroup) -> Goal:
 
 
 def _through_frames(
-    context: bpy.types.Context,
-    settings: bpy.types.PropertyGroup,
-    smoke: Smoke,
-    take: Take,
-    numbers: Sequence[int],
-    regions: Sequence[Region],
+    context: bpy.types.Context, item: bpy.types.Object, smoke: Smoke, numbers: Sequence[int], seen: _Seen
 ) -> dict[str, dict[str, Any]]:
     """Let regions take note of each frame, and return the tables of its cameras, if they count."""
-    _require_even(smoke, settings, regions)
-    scene, item, tables = context.scene, settings.id_data, {}
-    cameras = _cameras(scene, take) if settings.use_camera else set()
+    scene, tables = context.scene, {}
     frames = [number - smoke.shift for number in numbers] or [scene.frame_current]
-    watched = [item, *cameras, *(region.item for region in regions)]
-    if len(cameras) < 2 and not may_move(watched, scene) and not any(may_change_shape(each.item) for each in regions):
-        frames = frames[:1]
-    there, manager = item.matrix_world.copy(), context.window_manager
-    manager.progress_begin(0, len(frames))
-    try:
-        for done, frame in enumerate(frames):
-            manager.progress_update(done)
-            if len(frames) > 1:
-                scene.frame_set(frame)
-            graph = context.evaluated_depsgraph_get()
-            # Keyframes may move the smoke, too.
-            now = replace(smoke, space=item.evaluated_get(graph).matrix_world @ there.inverted() @ smoke.space)
-            _require_even(now, settings, regions)
-            for region in regions:
-                region.record(frame + smoke.shift, graph, now.space)
-            if settings.use_camera:
-                tables[str(frame + smoke.shift)] = _camera(take.camera or scene.camera, scene, graph, now.space)
-    finally:
-        manager.progress_end()
+
+    def look(frame: int) -> None:
+        graph = context.evaluated_depsgraph_get()
+        # Keyframes may move the smoke, too.
+        now = replace(smoke, world=item.evaluated_get(graph).matrix_world.copy())
+        _require_even(now, seen)
+        for region in seen.regions:
+            region.record(frame + smoke.shift, graph, now.space)
+        if seen.cameras:
+            # Of several, which are those of markers, Blender takes the frame's own.
+            camera = scene.camera if len(seen.cameras) > 1 else next(iter(seen.cameras))
+            tables[str(frame + smoke.shift)] = _table(camera, scene, graph, now.space)
+
+    if seen.may_change(item, scene):
+        _require_no_stretching(scene)
+        with frame_by_frame(context, frames) as each:
+            for frame in each:
+                look(frame)
+    else:
+        look(frames[0])
     return tables
 
 
-def _require_even(smoke: Smoke, settings: bpy.types.PropertyGroup, regions: Sequence[Region]) -> None:
+def _require_no_stretching(scene: bpy.types.Scene) -> None:
+    """Require that each frame of the scene is one of the smoke.
+
+    Raises:
+        CannotStylizeError: time is stretched: a frame of the smoke is shown in several, or in none.
+    """
+    old, new = scene.render.frame_map_old, scene.render.frame_map_new
+    if old != new:
+        raise CannotStylizeError(
+            f"what moves cannot be followed in a scene whose time is stretched, Old {old} to New {new}: make both the "
+            "same (Output properties > Frame Range > Time Stretching), or switch Camera off and choose no Region"
+        )
+
+
+def _require_even(smoke: Smoke, seen: _Seen) -> None:
     """Require that cameras and regions can be brought into the space of the smoke, if there are any."""
-    if regions:
+    if seen.regions:
         smoke.require_even("regions")
-    if settings.use_camera:
+    if seen.cameras:
         smoke.require_even("the camera")
         smoke.require_unmirrored()
 
 
 def _cameras(scene: bpy.types.Scene, take: Take) -> set[bpy.types.Object]:
-    """The cameras that a take may be seen through.
+    """The cameras that a take is seen through, one or more.
+
+    As Blender does, the scene's own counts only if no marker has any that is not disabled in renders.
 
     Raises:
         CannotStylizeError: there are none.
     """
-    of_markers = {marker.camera for marker in scene.timeline_markers}
-    cameras = ({take.camera} if take.camera else of_markers | {scene.camera}) - {None}
+    of_markers = {marker.camera for marker in scene.timeline_markers if marker.camera and not marker.camera.hide_render}
+    cameras = ({take.camera} if take.camera else of_markers or {scene.camera}) - {None}
     if not cameras:
         raise CannotStylizeError("the scene has no camera: add one, or switch Camera off")
     return cameras
 
 
-def _camera(
-    camera: bpy.types.Object | None, scene: bpy.types.Scene, graph: bpy.types.Depsgraph, space: Matrix
+def _table(
+    camera: bpy.types.Object, scene: bpy.types.Scene, graph: bpy.types.Depsgraph, space: Matrix
 ) -> dict[str, Any]:
     """The table of a camera in the space of the smoke."""
-    if camera is None:
-        raise CannotStylizeError(
-            f"the scene has no camera in frame {scene.frame_current}: add one, or switch Camera off"
-        )
     try:
         return camera_table(camera, scene, graph, space)
     except UnusableCameraError as error:

@@ -38,7 +38,8 @@ class Smoke:
         shift: number of a file's frame less that of the scene's, where it is shown for the first time.
         playback: of a sequence; None for one file, and for domains, which play each frame once.
         on_object: from the space of the files to that of the object, as a child that is a volume of them has it.
-        space: from the space in which cell centres are to the world, as they are drawn.
+        world: from the space of the object to the world.
+        cells: from the space in which cell centres are to that of the object, as they are drawn.
         cell: edge of a cell in the space of the files.
         voxel_size: that edge, where the files do not tell it truly and tnst-mi has to be told; else None.
         placed: whether the files say where they are, so that masks in files can lie among them.
@@ -49,10 +50,16 @@ class Smoke:
     shift: int
     playback: Playback | None
     on_object: Matrix
-    space: Matrix
+    world: Matrix
+    cells: Matrix
     cell: float
     voxel_size: float | None
     placed: bool
+
+    @property
+    def space(self) -> Matrix:
+        """From the space in which cell centres are to the world, as they are drawn."""
+        return self.world @ self.cells
 
     @property
     def scale(self) -> float:
@@ -172,7 +179,8 @@ def _of_domain(item: bpy.types.Object, settings: bpy.types.FluidDomainSettings, 
         shift=-settings.cache_frame_offset,
         playback=None,
         on_object=corner @ Matrix.Diagonal(drawn).to_4x4() @ Matrix.Translation([(0.5 - DRAWN_OFF) * cell] * 3),
-        space=item.matrix_world @ corner @ Matrix.Diagonal(even).to_4x4() @ Matrix.Translation([0.5 * cell] * 3),
+        world=item.matrix_world.copy(),
+        cells=corner @ Matrix.Diagonal(even).to_4x4() @ Matrix.Translation([0.5 * cell] * 3),
         cell=cell,
         voxel_size=cell if untrue else None,
         placed=openvdb,
@@ -207,7 +215,8 @@ def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
         shift=0 if playback is None else playback.shift,
         playback=playback,
         on_object=Matrix(),
-        space=item.matrix_world @ Matrix.Translation(axes @ Vector([DRAWN_OFF] * 3)),
+        world=item.matrix_world.copy(),
+        cells=Matrix.Translation(axes @ Vector([DRAWN_OFF] * 3)),
         cell=abs(axes.determinant()) ** (1 / 3),
         voxel_size=None,
         placed=True,
@@ -232,6 +241,13 @@ def grids_in(file: Path) -> dict[str, Matrix]:
         bpy.data.volumes.remove(volume)
 
 
+def shown_between(smoke: Smoke, bounds: tuple[int, int]) -> tuple[int, ...]:
+    """The numbers of the files' frames that are shown in a range of the scene's frames; none for one file."""
+    frames = range(bounds[0], bounds[1] + 1)
+    shown = {frame + smoke.shift if smoke.playback is None else smoke.playback.number_at(frame) for frame in frames}
+    return tuple(number for number in smoke.numbers if number in shown)
+
+
 def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, ...]:
     """The numbers of the files' frames that are in a range of the scene's frames, all of them for None.
 
@@ -240,9 +256,7 @@ def frames_between(smoke: Smoke, bounds: tuple[int, int] | None) -> tuple[int, .
     """
     if bounds is None or not smoke.numbers:
         return smoke.numbers
-    frames = range(bounds[0], bounds[1] + 1)
-    shown = {frame + smoke.shift if smoke.playback is None else smoke.playback.number_at(frame) for frame in frames}
-    found = tuple(number for number in smoke.numbers if number in shown)
+    found = shown_between(smoke, bounds)
     if not found:
         has = f"{smoke.numbers[0] - smoke.shift} to {smoke.numbers[-1] - smoke.shift}"
         raise CannotStylizeError(
