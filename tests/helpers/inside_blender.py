@@ -169,8 +169,9 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     settings.use_range = False
     item.scale.x = 0.3
     settings.use_camera = True
-    told["uneven"] = reported(stylize)
     look_at(item.location, (3.5, -6.0, 3.0))
+    bpy.context.view_layer.update()
+    told["uneven"] = reported(stylize)
     item.scale.x = -0.1
     bpy.context.view_layer.update()
     told["mirrored"] = reported(stylize)
@@ -307,13 +308,14 @@ def foreseen(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
 
     shots.camera_table = noted
 
-    def prepared() -> dict[str, Any]:
+    def prepared(**part: Any) -> dict[str, Any]:
         gone_through.clear()
         bpy.context.view_layer.update()
         smoke = module(package, "scene.smoke").smoke_of(item)
-        _, notes = shots.shot_of(bpy.context, item.tnst_mi, smoke, shots.Take(), Path(out, "foreseen"), "")
-        cameras = json.loads(Path(out, "foreseen", "cameras.json").read_text("utf-8"))
-        return {"frames": list(gone_through), "notes": list(notes), "differ": "frames" in cameras}
+        shot, notes = shots.shot_of(bpy.context, item.tnst_mi, smoke, shots.Take(**part), Path(out, "foreseen"), "")
+        cameras = {} if shot.camera is None else json.loads(shot.camera.read_text("utf-8"))
+        found = {"frames": list(gone_through), "notes": list(notes), "differ": "frames" in cameras}
+        return found | {"across": [table["matrix"][0][3] for table in cameras.get("frames", {"": cameras}).values()]}
 
     told = {"still": prepared()}
     camera, holder = scene.camera, bpy.data.objects.new("holder", None)
@@ -323,7 +325,23 @@ def foreseen(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     holder.keyframe_insert("location", frame=21)
     holder.location.x = 1.0
     holder.keyframe_insert("location", frame=23)
+    scene.frame_set(21, subframe=0.5)
     told["carried"] = prepared()
+    told["came back"] = [scene.frame_current, scene.frame_subframe]
+    scene.frame_set(21)
+    told["last frame"] = prepared(bounds=(23, 23))
+    camera.hide_viewport, scene.camera = True, None
+    told["hidden camera"] = prepared(camera=camera)
+    scene.timeline_markers.new("only", frame=30).camera = camera
+    told["only of a marker"] = prepared()
+    scene.timeline_markers.clear()
+    camera.hide_viewport, scene.camera = False, camera
+    scene.render.frame_map_new = 200
+    try:
+        prepared()
+    except module(package, "problems").CannotStylizeError as error:
+        told["stretched"] = str(error)
+    scene.render.frame_map_new = 100
     camera.parent = None
     camera.data.driver_add("lens").driver.expression = "40 + frame"
     told["driven"] = prepared()
@@ -334,11 +352,76 @@ def foreseen(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     item.keyframe_insert("location", frame=23)
     scene.frame_set(21)
     told["moving smoke"] = prepared()
+    item.hide_viewport = True
+    told["hidden smoke"] = prepared()
+    item.hide_viewport = False
+    collection = bpy.data.collections.new("excluded")
+    scene.collection.children.link(collection)
+    collection.objects.link(item)
+    scene.collection.objects.unlink(item)
+    bpy.context.view_layer.layer_collection.children["excluded"].exclude = True
+    told["excluded smoke"] = prepared()
+    scene.collection.objects.link(item)
+    bpy.data.collections.remove(collection)
+    bpy.context.view_layer.objects.active = item
+    item.tnst_mi.use_camera = False
+    handler = lambda scene, *_: gone_through.append(scene.frame_current)  # noqa: E731
+    bpy.app.handlers.frame_change_pre.append(handler)
+    gone_through_for_nothing = module(package, "scene.smoke").smoke_of(item)
+    gone_through.clear()
+    shots.shot_of(bpy.context, item.tnst_mi, gone_through_for_nothing, shots.Take(), Path(out, "foreseen"), "")
+    told["without camera"] = list(gone_through)
+    bpy.app.handlers.frame_change_pre.remove(handler)
+    item.tnst_mi.use_camera = True
+    told["left"] = [each.name for each in bpy.data.objects if "tnst_mi" in each.name]
     item.animation_data_clear()
     camera.rotation_euler.z += 3.0
     told["turned away"] = prepared()
     camera.rotation_euler.z -= 3.0
     shots.camera_table = camera_table
+    told["may move"] = may_move(package)
+    return told
+
+
+def may_move(package: str) -> dict[str, bool]:
+    """Whether an object that is attached in various ways to one that has keyframes, or that stays, may move."""
+    scene, tested = bpy.context.scene, module(package, "scene.motion").may_move
+    keyed, still = bpy.data.objects.new("keyed", None), bpy.data.objects.new("still", None)
+    keyed.keyframe_insert("location", frame=21)
+    mesh = bpy.data.objects.new("mesh", bpy.data.meshes.new("mesh"))
+    items = [keyed, still, mesh]
+    ways: dict[str, Callable[[bpy.types.Object], object]] = {
+        "alone": lambda item: None,
+        "child of keyed": lambda item: setattr(item, "parent", keyed),
+        "child of still": lambda item: setattr(item, "parent", still),
+        "child of a vertex": lambda item: (setattr(item, "parent", mesh), setattr(item, "parent_type", "VERTEX")),
+        "hidden by a driver": lambda item: item.driver_add("hide_render"),
+        "driven": lambda item: item.driver_add("location", 0),
+        "follows a path": lambda item: item.constraints.new("FOLLOW_PATH"),
+        "follows a path, muted": lambda item: setattr(item.constraints.new("FOLLOW_PATH"), "mute", True),
+        "limited": lambda item: item.constraints.new("LIMIT_LOCATION"),
+        "tracks keyed": lambda item: setattr(item.constraints.new("TRACK_TO"), "target", keyed),
+        "tracks still": lambda item: setattr(item.constraints.new("TRACK_TO"), "target", still),
+        "limited in space of keyed": lambda item: setattr(
+            item.constraints.new("LIMIT_LOCATION"), "space_object", keyed
+        ),
+        "tracks in space of keyed": lambda item: setattr(item.constraints.new("TRACK_TO"), "space_object", keyed),
+        "tracks in space of still": lambda item: setattr(item.constraints.new("TRACK_TO"), "space_object", still),
+    }
+    told = {}
+    for name, attach in ways.items():
+        items.append(bpy.data.objects.new(name, None))
+        attach(items[-1])
+        told[name] = tested([items[-1]], scene)
+    called = lambda *_: None  # noqa: E731
+    bpy.app.handlers.frame_change_post.append(called)
+    told["alone, with a script"] = tested([still], scene)
+    bpy.app.handlers.frame_change_post.remove(called)
+    scene.keyframe_insert("gravity", frame=21)
+    told["alone, in a scene with keyframes"] = tested([still], scene)
+    scene.animation_data_clear()
+    for each in items:
+        bpy.data.objects.remove(each)
     return told
 
 

@@ -118,6 +118,21 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         assert told[what].startswith("Error: ") and words in told[what], (what, told[what])
         assert "\n" not in told[what] and "Traceback" not in told[what]
     foreseen = told["foreseen"]
+    assert foreseen.pop("came back") == [21, 0.5] and foreseen.pop("left") == []
+    assert "Old 100 to New 200: make both the same" in foreseen.pop("stretched")
+    assert foreseen.pop("without camera") == [], "no frame is gone through for what does not count"
+    moves = {name for name, may in foreseen.pop("may move").items() if may}
+    assert moves == {
+        "child of keyed",
+        "child of a vertex",
+        "driven",
+        "follows a path",
+        "tracks keyed",
+        "limited in space of keyed",
+        "tracks in space of keyed",
+        "alone, with a script",
+        "alone, in a scene with keyframes",
+    }
     gone_through = {name: shot["frames"] for name, shot in foreseen.items()}
     # A still camera is taken as it is in the current frame.
     assert gone_through == {
@@ -125,10 +140,21 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "held": [21],
         "carried": [21, 22, 23],
         "driven": [21, 22, 23],
+        "last frame": [23],
+        "hidden camera": [21, 22, 23],
+        "only of a marker": [21, 22, 23],
         "moving smoke": [21, 22, 23],
+        "hidden smoke": [21, 22, 23],
+        "excluded smoke": [21, 22, 23],
         "turned away": [21],
     }
-    assert [name for name, shot in foreseen.items() if shot["differ"]] == ["carried", "driven", "moving smoke"]
+    across = {name: shot["across"] for name, shot in foreseen.items()}
+    assert {name for name, shot in foreseen.items() if shot["differ"]} == {
+        name for name, frames in gone_through.items() if len(frames) > 1
+    }
+    assert across["last frame"] == across["carried"][-1:] and across["carried"][0] != across["carried"][-1]
+    assert across["hidden camera"] == across["only of a marker"] == across["carried"]
+    assert across["hidden smoke"] == across["excluded smoke"] == across["moving smoke"]
     (note,) = foreseen["turned away"]["notes"]
     assert note.startswith("the camera does not see the smoke of Smoke in any frame") and "switch Camera off" in note
     assert not any(shot["notes"] for name, shot in foreseen.items() if name != "turned away")
