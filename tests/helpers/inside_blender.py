@@ -426,16 +426,23 @@ def may_move(package: str) -> dict[str, bool]:
 
 
 def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
-    """The result of an object that belongs to another file, and of its override."""
+    """The result of an object that belongs to another file, of its override, and of one of an object with keyframes."""
+    keyed = item.copy()
+    keyed.name = "Keyed"
+    keyed.keyframe_insert("location", frame=21)
     library = str(Path(out, "library.blend"))
-    bpy.data.libraries.write(library, {item})
+    bpy.data.libraries.write(library, {item, keyed})
+    bpy.data.objects.remove(keyed)
     with bpy.data.libraries.load(library, link=True) as (_, wanted):
-        wanted.objects = [item.name]
-    of_library, told = wanted.objects[0], {}
-    bpy.context.scene.collection.objects.link(of_library)
+        wanted.objects = [item.name, "Keyed"]
+    (of_library, with_keyframes), told = wanted.objects, {}
+    for each in (of_library, with_keyframes):
+        bpy.context.scene.collection.objects.link(each)
     smoke_of = module(package, "scene.smoke").smoke_of
     visibility = module(package, "scene.visibility")
-    for name, each in (("linked", of_library), ("override", of_library.override_create(remap_local_usages=True))):
+    own = of_library.override_create(remap_local_usages=True)
+    own_keyed = with_keyframes.override_create(remap_local_usages=True)
+    for name, each in (("linked", of_library), ("keyed", own_keyed), ("override", own)):
         smoke = smoke_of(each)
         part = module(package, "recipes.plan").Part("", str(Path(out, "results", "later")))
         shown = module(package, "scene.results").load_result(each, smoke, part, "IN_PLACE")
@@ -449,8 +456,11 @@ def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     each.tnst_mi.looks.add().picture = "net"
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "scene.blend")))
     bpy.ops.wm.open_mainfile(filepath=str(Path(out, "scene.blend")))
-    (kept,) = (each.tnst_mi for each in bpy.data.objects if each.override_library is not None)
+    overrides = [item for item in bpy.data.objects if item.override_library is not None]
+    opened = {item.override_library.reference.name: item for item in overrides}
+    kept = opened["Smoke"].tnst_mi
     told["kept"] = [kept.quality, [look.picture for look in kept.looks]]
+    told["kept hidden"] = {name: hidden_in(item) for name, item in opened.items()}
     return told
 
 
@@ -531,7 +541,30 @@ def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str
     show(item, smoke, Part("", str(later)), "IN_PLACE")
     told["later"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
     told["simple"] = [curve.driver.is_simple_expression for curve in item.animation_data.drivers]
+    bpy.context.scene.frame_set(23, subframe=0.5)
+    told["between"] = item.hide_render
+    for mode in ("EXTEND", "REPEAT", "PING_PONG"):
+        item.data.sequence_mode = mode
+        again = module(package, "scene.smoke").smoke_of(item)
+        show(item, again, Part("", str(later)), "IN_PLACE")
+        told[mode] = [list(hide(item, again, "IN_PLACE")), hidden_in(item)]
+    item.data.sequence_mode = "CLIP"
+    show(item, smoke, Part("", str(later)), "IN_PLACE")
+    hide(item, smoke, "IN_PLACE")
+    # With keyframes for one of both.
+    item.driver_remove("hide_render")
+    item.keyframe_insert("hide_render", frame=18)
+    told["one keyed"] = [len(hide(item, smoke, "IN_PLACE")), len(item.animation_data.drivers), item.hide_viewport]
+    item.keyframe_delete("hide_render", frame=18)
     told["beside"] = [list(hide(item, smoke, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
+    item.animation_data_clear()
+    item.hide_render = True
+    told["by hand"] = []
+    for place in ("BESIDE", "IN_PLACE", "BESIDE"):
+        hide(item, smoke, place)
+        told["by hand"].append([item.hide_render, item.animation_data is None or len(item.animation_data.drivers)])
+    item.hide_render = False
+    item.animation_data_clear()
     for path in ("hide_viewport", "hide_render"):
         item.keyframe_insert(path, frame=18)
         setattr(item, path, True)

@@ -214,12 +214,26 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
     assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
     assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
+    assert told["artist"]["between"], "the result shows its last file until the next frame"
+    shown = {
+        mode: [frame for frame, name in zip(range(18, 30), files[0], strict=True) if name not in ("", first)]
+        for mode, files in told["played"].items()
+    }
+    for mode in ("EXTEND", "REPEAT", "PING_PONG"):
+        assert told["artist"][mode] == [[], shown[mode]], mode
+    assert told["artist"]["one keyed"] == [1, 0, False], "no driver is left where keyframes hide it"
     assert told["artist"]["beside"] == [[], [], 0]
+    assert told["artist"]["by hand"] == [[True, True], [True, 1], [True, 0]]
     (note,), frames = told["artist"]["keyed"]
     assert note.startswith("Smoke: when it is hidden is animated, and was left so") and frames == [28, 29]
-    (note,) = told["of a library"]["linked"].pop("notes")
-    assert note.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in note
-    assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": list(range(18, 30))}
+    unsaved, shown_in_all = told["of a library"]["linked"].pop("notes")
+    assert unsaved.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in unsaved
+    assert "seen in all of them: stylize all frames, or make it local" in shown_in_all
+    assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": []}
+    (note,) = told["of a library"]["keyed"].pop("notes")
+    assert note.startswith("Keyed belongs to another file") and "Make Local" in note
+    assert told["of a library"]["keyed"] == {"shown": [True, True, True], "hidden": []}
+    assert told["of a library"]["kept hidden"] == {"Smoke": [22, 23], "Keyed": []}
     assert told["of a library"]["kept"] == ["preview", ["spirals", "net"]]
     assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")

@@ -134,6 +134,11 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     override_index: IntProperty()
     original: PointerProperty(type=bpy.types.Object, description="Of a result: what it was made of")
     part: StringProperty(description="Of a result: the marker that it begins at")
+    hidden: EnumProperty(
+        items=[("hide_viewport", "Viewports", ""), ("hide_render", "Renders", "")],
+        options={"ENUM_FLAG"},
+        description="Of an original: where it was hidden since its result is in its place, and not by its artist",
+    )
     last_run: PointerProperty(type=TnstMiLastRun)
 
 

@@ -198,7 +198,7 @@ def _of_volume(item: bpy.types.Object, chosen: str) -> Smoke:
         before, digits, after = numbered.groups()
         source = file.with_name(f"{before}{'#' * len(digits)}{after}")
         playback = Playback(volume.frame_start, volume.frame_offset, volume.frame_duration, volume.sequence_mode)
-        there = _numbers(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
+        there = numbers_in(file.parent, rf"{re.escape(before)}(\d+){re.escape(after)}")
         numbers = tuple(filter(playback.plays, there))
     if not file.is_file():
         raise CannotStylizeError(f"{item.name}: there is no file {file}: choose another in its properties")
@@ -276,9 +276,10 @@ def _in_words(matrix: Matrix) -> str:
 
 def _frames_in(folder: Path) -> tuple[int, ...]:
     """The frames that a folder of a domain's cache has."""
-    return _numbers(folder, r"(?:fluid_(?:data|noise)|density(?:_noise)?)_(\d+)\.(?:vdb|uni)")
+    return numbers_in(folder, r"(?:fluid_(?:data|noise)|density(?:_noise)?)_(\d+)\.(?:vdb|uni)")
 
 
-def _numbers(folder: Path, pattern: str) -> tuple[int, ...]:
+def numbers_in(folder: Path, pattern: str) -> tuple[int, ...]:
+    """The numbers in the names of a folder's files, as the one group of a pattern, in order."""
     names = (file.name for file in folder.iterdir()) if folder.is_dir() else ()
     return tuple(sorted({int(found[1]) for name in names if (found := re.fullmatch(pattern, name))}))

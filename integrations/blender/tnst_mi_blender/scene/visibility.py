@@ -6,20 +6,20 @@ computes such expressions itself.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import bpy
 
 from ..versions import animated_paths
-from .smoke import Smoke
+from .playback import Playback
+from .smoke import Smoke, numbers_in
 
 #: What hides an object.
 _HIDING = ("hide_viewport", "hide_render")
 
-#: The expressions of drivers that are from here.
-_RANGE = r"frame >= -?\d+ and frame <= -?\d+"
-_OURS = re.compile(rf"{_RANGE}( or {_RANGE})*")
+#: The expression of drivers that are from here.
+_TIME = "frame"
 
 
 def results_of(original: bpy.types.Object) -> Iterator[bpy.types.Object]:
@@ -37,7 +37,8 @@ def hide_other_parts(original: bpy.types.Object, parts: Sequence[str]) -> None:
 def hide_in_frames_of_results(original: bpy.types.Object, smoke: Smoke, place: str) -> tuple[str, ...]:
     """Hide an original in the frames of its results where they are in its place, and show it in all others.
 
-    If all of its frames were stylized, it is just hidden, as artists hide it, who can show it by a click.
+    If all of its frames were stylized, it is just hidden, as artists hide it, who can show it by a click. An artist's
+    own keyframes and drivers stay, and so does what was hidden by hand.
 
     Args:
         original: that was stylized.
@@ -45,68 +46,86 @@ def hide_in_frames_of_results(original: bpy.types.Object, smoke: Smoke, place: s
         place: "IN_PLACE", or "BESIDE", where it is shown in all frames.
 
     Returns:
-        A note if it was left as it is, since keyframes or drivers of the artist say when it is hidden.
+        A note if it cannot be hidden so.
     """
-    if _is_animated(original):
+    show_always(original)
+    if place != "IN_PLACE":
+        return ()
+    if animated_paths(original) & set(_HIDING) or any(_driver(original, path) for path in _HIDING):
         return (
             f"{original.name}: when it is hidden is animated, and was left so: hide it by that animation where its "
             "result is shown, or choose Show Beside",
         )
-    show_always(original)
-    if place != "IN_PLACE":
-        return ()
-    ranges = _frames_of_results(original)
-    frames = {number - smoke.shift for number in smoke.numbers}
-    covered = ranges is None or all(any(first <= frame <= last for first, last in ranges) for frame in frames)
-    # Blender does not let what belongs to another file have drivers.
-    if covered or original.library is not None:
-        for path in _HIDING:
+    numbers = _numbers_of_results(original)
+    if numbers >= set(smoke.numbers):
+        original.tnst_mi.hidden = {path for path in _HIDING if not getattr(original, path)}
+        for path in original.tnst_mi.hidden:
             setattr(original, path, True)
         return ()
+    if not _keeps_drivers(original):
+        return (
+            f"{original.name} belongs to another file: Blender does not keep there that it is hidden in the frames of its "
+            "result alone, so it is seen in all of them: stylize all frames, or make it local (Object > Relations > "
+            "Make Local)",
+        )
+    playback = smoke.playback or Playback(
+        smoke.numbers[0] - smoke.shift, smoke.numbers[0] - 1, smoke.numbers[-1] - smoke.numbers[0] + 1
+    )
     for path in _HIDING:
-        driver = original.driver_add(path).driver
-        driver.type = "SCRIPTED"
-        driver.expression = " or ".join(f"frame >= {first} and frame <= {last}" for first, last in ranges)
+        if not getattr(original, path):
+            _drive(original, path, playback.steps(numbers), playback.period is not None)
     return ()
 
 
 def show_always(original: bpy.types.Object) -> None:
-    """Show an original in all frames, unless its artist's animation hides it."""
+    """Show an original in all frames, but for what its artist has hidden."""
+    hidden = set(original.tnst_mi.hidden)
     for path in _HIDING:
-        if _driver(original, path) is not None and _is_ours(original, path):
+        if _is_ours(_driver(original, path)):
             original.driver_remove(path)
+            hidden.add(path)
+    for path in hidden:
         setattr(original, path, False)
+    original.tnst_mi.hidden = set()
 
 
-def _frames_of_results(original: bpy.types.Object) -> list[tuple[int, int]] | None:
-    """The first and last frames of the results that are not hidden, merged; None where one of them is shown in all."""
-    ranges = []
-    for result in results_of(original):
-        volume = result.data
-        if result.hide_render and result.hide_viewport:
-            continue
-        if not volume.is_sequence or volume.sequence_mode != "CLIP":
-            return None
-        ranges.append((volume.frame_start, volume.frame_start + volume.frame_duration - 1))
-    merged: list[tuple[int, int]] = []
-    for first, last in sorted(ranges):
-        if merged and first <= merged[-1][1] + 1:
-            merged[-1] = (merged[-1][0], max(last, merged[-1][1]))
-        else:
-            merged.append((first, last))
-    return merged
+def _keeps_drivers(original: bpy.types.Object) -> bool:
+    """Whether drivers of an object are saved: not if it is linked, or an override of one that has any animation."""
+    override = original.override_library
+    return original.library is None and (override is None or override.reference.animation_data is None)
 
 
-def _is_animated(original: bpy.types.Object) -> bool:
-    """Whether its artist has animated when an original is hidden."""
-    if animated_paths(original) & set(_HIDING):
-        return True
-    return any(_driver(original, path) is not None and not _is_ours(original, path) for path in _HIDING)
+def _numbers_of_results(original: bpy.types.Object) -> set[int]:
+    """The numbers of the files of those results that are not hidden."""
+    shown = [result for result in results_of(original) if not (result.hide_render and result.hide_viewport)]
+    folders = {Path(bpy.path.abspath(result.data.filepath, library=result.library)).parent for result in shown}
+    return {number for folder in folders for number in numbers_in(folder, r".*?(\d+)\D*\.vdb")}
 
 
-def _is_ours(original: bpy.types.Object, path: str) -> bool:
-    curve = _driver(original, path)
-    return curve is not None and _OURS.fullmatch(curve.driver.expression) is not None
+def _drive(original: bpy.types.Object, path: str, steps: Sequence[tuple[int, bool]], again: bool) -> None:
+    """Let a driver set a property by steps, over and over if they are a period.
+
+    Its value is the time, which its own curve makes a step of: expressions have no room for many frames.
+    """
+    curve = original.driver_add(path)
+    curve.driver.type, curve.driver.expression = "SCRIPTED", _TIME
+    for modifier in list(curve.modifiers):
+        curve.modifiers.remove(modifier)
+    for point in reversed(list(curve.keyframe_points)):
+        curve.keyframe_points.remove(point)
+    curve.keyframe_points.add(len(steps))
+    for point, (frame, on) in zip(curve.keyframe_points, steps, strict=True):
+        point.co, point.interpolation = (frame, on), "CONSTANT"
+    if again:
+        curve.modifiers.new("CYCLES")
+    curve.update()
+
+
+def _is_ours(curve: bpy.types.FCurve | None) -> bool:
+    """Whether a driver is from here: one of the time alone, and of steps."""
+    if curve is None or curve.driver.expression != _TIME or not len(curve.keyframe_points):
+        return False
+    return all(point.interpolation == "CONSTANT" and point.co.y in (0, 1) for point in curve.keyframe_points)
 
 
 def _driver(original: bpy.types.Object, path: str) -> bpy.types.FCurve | None:
