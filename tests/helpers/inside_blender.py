@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import bpy
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 # Blender looks for modules beside its own scripts alone.
 sys.path.insert(0, str(Path(__file__).parent))
@@ -521,6 +521,8 @@ def volume(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     # Blender makes bounds anew in a frame with another file.
     told["original"] = bounds(item)
     item.data.sequence_mode = "CLIP"
+    width, files = module(package, "scene.extent").width, sorted(Path(out, "extents").glob("*.vdb"))
+    told["widths"] = [width(Matrix(), some) for some in ([files[0]], [files[2]], files)]
     told["artist"] = hidden_by_artist(package, item, out)
     told["of a library"] = linked(package, item, out)
     return told

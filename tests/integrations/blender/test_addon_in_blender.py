@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,11 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
 def test_a_volume_is_stylized_in_its_place(
     inside: Inside, host: str, program: str, folder: str, tmp_path: Path
 ) -> None:
+    (frame,) = frames(0.2)
+    growing = [np.zeros_like(frame.density) for _ in range(3)]
+    growing[0][:2, :2, :2], growing[1][:6, :6, :6] = 1.0, 1.0
+    named = [replace(frame, density=density, name=f"grown_{number}") for number, density in enumerate(growing)]
+    save_frames(tmp_path / "extents", named, format="vdb")
     told = inside(host, "volume", program=program, folder=folder)
     assert told["first"] == told["second"] == ["FINISHED"]
     result = told["objects"]["Smoke_stylized"]
@@ -212,6 +218,8 @@ def test_a_volume_is_stylized_in_its_place(
     first, second, third = (f"smoke_{number:04}.vdb" for number in (7, 8, 9))
     assert told["played"]["CLIP"][1] == [""] * 3 + [first, second, third] + [""] * 6
     assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
+    thin, empty, together = told["widths"]
+    assert (thin, empty) and together > thin > 0.0 == empty, "Blender 3.4 keeps the bounds of the first file"
     assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
     assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
     assert told["artist"]["between"], "the result shows its last file until the next frame"

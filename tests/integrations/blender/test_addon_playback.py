@@ -26,3 +26,29 @@ def test_frames_from_two_before_the_first_on(mode: str, duration: int, shown: li
         True,
         False,
     ]
+
+
+@pytest.mark.parametrize(
+    ("mode", "steps"),
+    [
+        ("CLIP", [(0, False), (2, True), (3, False), (4, False)]),
+        ("EXTEND", [(0, False), (2, True), (3, False), (4, False)]),
+        ("REPEAT", [(1, False), (2, True), (3, False), (4, False)]),
+        ("PING_PONG", [(1, False), (2, True), (3, False), (4, True), (5, False)]),
+    ],
+)
+def test_steps_of_the_middle_file(mode: str, steps: list[tuple[int, bool]]) -> None:
+    playback = Playback(start=1, offset=2, duration=3, mode=mode)
+    assert playback.steps({4}) == steps
+    first, last = steps[0][0], steps[-1][0]
+    again = playback.period
+    for frame in range(-20, 20):
+        at = (frame - first) % again + first if again else min(max(frame, first), last)
+        on = [value for start, value in steps if start <= at][-1]
+        assert on == (playback.number_at(frame) == 4), frame
+
+
+def test_steps_hold_on_both_sides_of_an_extended_sequence() -> None:
+    playback = Playback(start=1, offset=2, duration=3, mode="EXTEND")
+    assert playback.steps({3}) == [(0, True), (2, False), (4, False)]
+    assert playback.steps({5}) == [(0, False), (3, True), (4, True)]

@@ -45,13 +45,30 @@ def width(space: Matrix, files: Sequence[Path]) -> float:
 
 def _boxes(files: Sequence[Path]) -> Iterator[list[Vector]]:
     """The corners of what each file has, less those that have nothing."""
-    data = bpy.data.volumes.new("tnst_mi extent")
-    item = bpy.data.objects.new(data.name, data)
-    try:
-        for file in files:
+    for file in files:
+        # Blender keeps the bounds of an object, also where its volume has another file.
+        data = bpy.data.volumes.new("tnst_mi extent")
+        item = bpy.data.objects.new(data.name, data)
+        try:
             data.filepath = str(file)
-            if data.grids.load():
+            if data.grids.load() and not _is_empty(item):
                 yield [Vector(corner) for corner in item.bound_box]
-            data.grids.unload()
+        finally:
+            bpy.data.volumes.remove(data)
+
+
+def _is_empty(volume: bpy.types.Object) -> bool:
+    """Whether a volume has nothing: Blender gives it the bounds of a cube around the origin, which others may have."""
+    sizes = {abs(place) for corner in volume.bound_box for place in corner}
+    if sizes not in ({0.0}, {1.0}):
+        return False
+    mesh = bpy.data.meshes.new("tnst_mi extent")
+    surface = bpy.data.objects.new(mesh.name, mesh)
+    try:
+        for item in (volume, surface):
+            bpy.context.scene.collection.objects.link(item)
+        modifier = surface.modifiers.new("Volume to Mesh", "VOLUME_TO_MESH")
+        modifier.object, modifier.threshold = volume, 1e-6
+        return not surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices
     finally:
-        bpy.data.volumes.remove(data)
+        bpy.data.meshes.remove(mesh)

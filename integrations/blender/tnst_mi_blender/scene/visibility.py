@@ -64,9 +64,9 @@ def hide_in_frames_of_results(original: bpy.types.Object, smoke: Smoke, place: s
         return ()
     if not _keeps_drivers(original):
         return (
-            f"{original.name} belongs to another file: Blender does not keep there that it is hidden in the frames of its "
-            "result alone, so it is seen in all of them: stylize all frames, or make it local (Object > Relations > "
-            "Make Local)",
+            f"{original.name} belongs to another file: Blender does not keep there that it is hidden in the frames "
+            "of its result alone, so it is seen in all of them: stylize all frames, or make it local "
+            "(Object > Relations > Make Local)",
         )
     playback = smoke.playback or Playback(
         smoke.numbers[0] - smoke.shift, smoke.numbers[0] - 1, smoke.numbers[-1] - smoke.numbers[0] + 1
