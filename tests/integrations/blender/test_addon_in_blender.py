@@ -232,8 +232,8 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["artist"]["one keyed"] == [1, 0, False], "no driver is left where keyframes hide it"
     assert told["artist"]["beside"] == [[], [], 0]
     assert told["artist"]["by hand"] == [[True, True], [True, 1], [True, 0]]
-    (note,), frames = told["artist"]["keyed"]
-    assert note.startswith("Smoke: when it is hidden is animated, and was left so") and frames == [28, 29]
+    (note,), hidden = told["artist"]["keyed"]
+    assert note.startswith("Smoke: when it is hidden is animated, and was left so") and hidden == [28, 29]
     unsaved, shown_in_all = told["of a library"]["linked"].pop("notes")
     assert unsaved.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in unsaved
     assert "seen in all of them: stylize all frames, or make it local" in shown_in_all
