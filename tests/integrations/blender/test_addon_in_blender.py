@@ -149,13 +149,16 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
     assert "tnst_mi.stylize" in panels["volume"] and "tnst_mi.stylize" not in panels["volume, running"]
     assert "Stylizes Smoke" not in panels["lost original"] and "quality" in panels["lost original"]
     copies, folder = told["copies"], str(tmp_path / "results")
-    others = f"{folder}: has the results of Smoke; choose another folder in Results for Smoke.001, and press Stylize"
-    assert copies["named"] == ["", others] and copies["said"] == [True, False]
-    assert copies["stylized"] == copies["resumed"] == f"Error: {others}"
-    for refused in copies["renamed"]:
-        assert "which is Fog or Smoke.001 now: name the right one Smoke again" in refused
-    assert copies["alone"] == "" and copies["new"][0] == ""
-    assert copies["new"][1].startswith(f"{folder}: has the results of Fog; choose another folder")
+
+    def has_those_of(whose: str, asking: str) -> str:
+        return f"{folder}: has the results of {whose}; choose another folder in Results for {asking}, and press Stylize"
+
+    assert copies["named"] == ["", has_those_of("Smoke", "Smoke.001")] and copies["said"] == [True, False]
+    assert copies["stylized"] == copies["resumed"] == f"Error: {copies['named'][1]}"
+    assert copies["renamed"] == ["", has_those_of("Fog", "Smoke")]
+    assert copies["each its own"] == [*copies["renamed"], has_those_of("Smoke", "Fog"), ""]
+    assert copies["full copy"] == [True, "", has_those_of("Fog", "Fog.001"), True]
+    assert copies["of a file"] == [has_those_of(f"Smoke in {folder}/asset.blend", "Fog"), "", ""]
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -189,13 +192,30 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
     assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
     assert told["artist"]["beside"] == [[], [], 0]
+    assert told["artist"]["lost"] == {
+        "of another part": [False, [22, 23]],
+        "of the shown part": [True, []],
+        "unlinked": [True, ["Scene", "elsewhere"]],
+    }
     (note,), frames = told["artist"]["keyed"]
     assert note.startswith("Smoke: when it is hidden is animated, and was left so") and frames == [28, 29]
     (note,) = told["of a library"]["linked"].pop("notes")
     assert note.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in note
-    assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": list(range(18, 30))}
+    assert told["of a library"]["linked"] == {
+        "shown": [True, True, True],
+        "hidden": list(range(18, 30)),
+        "run": "of the linked",
+    }
     assert told["of a library"]["kept"] == ["preview", ["spirals", "net"]]
-    assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
+    # The asset's own run is none of theirs.
+    assert not told["of a library"]["knows the asset's"]
+    assert told["of a library"]["runs"] == {"own": "of the asset", "override": "of the override"}
+    assert told["of a library"]["override"] == {
+        "notes": [],
+        "shown": [True, True, True],
+        "hidden": [22, 23],
+        "run": "of the override",
+    }
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
 
@@ -231,6 +251,7 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
     assert set(told["objects"]) == {"Smoke"}
     assert re.fullmatch(r"Stopped at octave 1/1, frame [789], \d+%: Resume goes on", told["stopped"])
     assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Fog", "Fog_stylized"} and told["after"] == ""
+    assert told["whose"] == "Fog"
     assert told["then"]["Fog_stylized"]["file"] == "//../project/results/final/density/smoke_0007.vdb"
 
 
