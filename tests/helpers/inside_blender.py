@@ -496,6 +496,11 @@ def lost_results(package: str, item: bpy.types.Object, smoke: Any, later: Path) 
         told[name] = [results.show_original_of_lost(item), hidden_in(item)]
         result.data.filepath = file
     bpy.data.objects.remove(shot)
+    duplicate = result.copy()
+    duplicate.name = "A, kept"
+    scene.collection.objects.link(duplicate)
+    told["with a duplicate"] = results.load_result(item, smoke, Part("", str(later)), "IN_PLACE") == result
+    bpy.data.objects.remove(duplicate)
     scene.collection.objects.unlink(result)
     elsewhere = bpy.data.scenes.new("elsewhere")
     elsewhere.collection.objects.link(result)
@@ -585,6 +590,8 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     item = bpy.data.objects["Fog"]
     (run,) = bpy.context.scene.tnst_mi_runs
     told["stopped"] = run.text
+    plan = module(package, "recipes.plan").read_plan(Path(run.folder))
+    told["known"] = [plan.identifier == run.identifier, plan.scene]
     told["resumed"] = list(bpy.ops.tnst_mi.resume())
     told["then"], told["after"], told["whose"] = shown_objects(), run.text, run.item.name
     return told

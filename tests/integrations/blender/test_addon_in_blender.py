@@ -195,6 +195,7 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["artist"]["lost"] == {
         "of another part": [False, [22, 23]],
         "of the shown part": [True, []],
+        "with a duplicate": True,
         "unlinked": [True, ["Scene", "elsewhere"]],
     }
     (note,), frames = told["artist"]["keyed"]
@@ -243,7 +244,9 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
 @pytest.mark.parametrize("host", HOSTS)
-def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, program: str, folder: str) -> None:
+def test_cancel_leaves_no_process_and_can_be_resumed(
+    inside: Inside, host: str, program: str, folder: str, tmp_path: Path
+) -> None:
     told = inside(host, "cancelled", program=program, folder=folder)
     assert [told[when] for when in ("before", "during", "twice")] == [False, True, False]
     assert told["pressed"] == ["FINISHED"]
@@ -252,6 +255,7 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
     assert re.fullmatch(r"Stopped at octave 1/1, frame [789], \d+%: Resume goes on", told["stopped"])
     assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Fog", "Fog_stylized"} and told["after"] == ""
     assert told["whose"] == "Fog"
+    assert told["known"] == [True, str(tmp_path / "project" / "scene.blend")]
     assert told["then"]["Fog_stylized"]["file"] == "//../project/results/final/density/smoke_0007.vdb"
 
 

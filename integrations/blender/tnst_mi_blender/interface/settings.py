@@ -135,6 +135,7 @@ class TnstMiSettings(bpy.types.PropertyGroup):
     override_index: IntProperty()
     original: PointerProperty(type=bpy.types.Object, description="Of a result: what it was made of")
     part: StringProperty(description="Of a result: the marker that it begins at")
+    shown_as: StringProperty(description="Of a result: its name as it was last shown, which duplicates do not have")
 
 
 #: Of an object.

@@ -40,6 +40,7 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     if not files:
         raise CannotStylizeError(f"{folder}: has no results; see the log beside it")
     shown = _shown(original, part.name, bpy.context.scene)
+    shown.tnst_mi.shown_as = shown.name
     volume = shown.data
     volume.filepath = _as_blender_writes(files[0])
     numbers = [number for file in files if (number := _number(file)) is not None]
@@ -79,12 +80,14 @@ def show_original_of_lost(original: bpy.types.Object) -> bool:
 
 def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy.types.Object:
     """The object that shows a part of an original: the one that is there, or a new one."""
-    for item in results_of(original):
-        if item.tnst_mi.part == part:
-            # It may be in another scene alone, or in none: its artist has taken it out.
-            if scene not in item.users_scene:
-                _link(item, original, scene)
-            return item
+    there = [item for item in results_of(original) if item.tnst_mi.part == part]
+    if there:
+        # Duplicates, which an artist has kept of an earlier one, have another name than it had.
+        item = next((item for item in there if item.name == item.tnst_mi.shown_as), there[0])
+        # It may be in another scene alone, or in none: its artist has taken it out.
+        if scene not in item.users_scene:
+            _link(item, original, scene)
+        return item
     name = "_".join(filter(None, (original.name, "stylized", part)))
     if original.type == "VOLUME":
         volume = original.data.copy()
