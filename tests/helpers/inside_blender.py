@@ -12,6 +12,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -267,32 +268,41 @@ def panels_of(package: str, item: bpy.types.Object) -> dict[str, list[str]]:
 
 
 def copies(package: str, item: bpy.types.Object) -> dict[str, Any]:
-    """Whose run is in the folder of Smoke, which is copied, renamed, and followed by another object of the name."""
-    last_run = module(package, "interface.last_run")
-    folder = Path(item.tnst_mi.last_run.folder)
+    """Whose run is in the folder of Smoke: of copies, of what is renamed, linked and appended, in copies of scenes."""
+    last_run, plans = module(package, "interface.last_run"), module(package, "recipes.plan")
+    scene, folder = bpy.context.scene, Path(item.tnst_mi.out)
+    plan = plans.read_plan(folder)
 
-    def refused(asking: bpy.types.Object) -> str:
+    def refused(asking: bpy.types.Object, plan: Any = plan) -> str:
         try:
-            last_run.require_own(folder, "Smoke", asking)
+            last_run.require_own(folder, plan, asking)
         except module(package, "problems").CannotStylizeError as error:
             return str(error)
         return ""
 
     copy = item.copy()
-    bpy.context.scene.collection.objects.link(copy)
+    scene.collection.objects.link(copy)
     told: dict[str, Any] = {"named": [refused(item), refused(copy)]}
-    told["said"] = [bool(last_run.text_of(item)), bool(last_run.text_of(copy))]
+    told["said"] = [last_run.run_of(item) is not None, last_run.run_of(copy) is not None]
     bpy.context.view_layer.objects.active = copy
     told["stylized"], told["resumed"] = reported(bpy.ops.tnst_mi.stylize), reported(bpy.ops.tnst_mi.resume)
-    bpy.context.view_layer.objects.active = item
-    item.name = "Fog"
+    # Names change hands.
+    item.name, copy.name = "Fog", "Smoke"
     told["renamed"] = [refused(item), refused(copy)]
+    other = replace(plan, identifier=plans.new_identifier())
+    last_run.keep(copy, other, folder)
+    told["each its own"] = [refused(item), refused(copy), refused(item, other), refused(copy, other)]
+    bpy.ops.scene.new(type="FULL_COPY")
+    full = bpy.context.scene
+    (of_full,) = (run.item for run in full.tnst_mi_runs if run.identifier == plan.identifier)
+    told["full copy"] = [of_full != item, refused(item), refused(of_full), last_run.run_of(of_full) is None]
+    bpy.data.scenes.remove(full)
     bpy.data.objects.remove(copy)
-    told["alone"] = refused(item)
-    new = bpy.data.objects.new("Smoke", item.data)
-    bpy.context.scene.collection.objects.link(new)
-    told["new"] = [refused(item), refused(new)]
-    bpy.data.objects.remove(new)
+    there, gone = folder / "asset.blend", folder / "gone.blend"
+    there.touch()
+    of_file = [replace(other, scene=str(file)) for file in (there, gone)] + [replace(other, scene="")]
+    told["of a file"] = [refused(item, each) for each in of_file]
+    bpy.context.view_layer.objects.active, item.name = item, "Smoke"
     return told
 
 
@@ -439,18 +449,22 @@ def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     for each in (of_library, with_keyframes):
         bpy.context.scene.collection.objects.link(each)
     smoke_of = module(package, "scene.smoke").smoke_of
-    visibility = module(package, "scene.visibility")
-    own = of_library.override_create(remap_local_usages=True)
-    own_keyed = with_keyframes.override_create(remap_local_usages=True)
-    for name, each in (("linked", of_library), ("keyed", own_keyed), ("override", own)):
+    visibility, last_run = module(package, "scene.visibility"), module(package, "interface.last_run")
+    plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
+    last_run.keep(item, plan, Path(out, "results"), "of the asset")
+    told["knows the asset's"] = last_run.run_of(of_library) is not None
+    for name, linked_one in (("linked", of_library), ("keyed", with_keyframes), ("override", of_library)):
+        each = linked_one if name == "linked" else linked_one.override_create(remap_local_usages=True)
         smoke = smoke_of(each)
         part = module(package, "recipes.plan").Part("", str(Path(out, "results", "later")))
         shown = module(package, "scene.results").load_result(each, smoke, part, "IN_PLACE")
+        last_run.keep(each, replace(plan, identifier=name), Path(out, "results"), f"of the {name}")
         notes = visibility.hide_in_frames_of_results(each, smoke, "IN_PLACE")
         told[name] = {
             "notes": [*module(package, "scene.smoke").note_of_library(each), *notes],
             "shown": [shown.library is None, shown.parent == each, bpy.context.scene in shown.users_scene],
             "hidden": hidden_in(each),
+            "run": last_run.run_of(each).text,
         }
     each.tnst_mi.quality = "preview"
     each.tnst_mi.looks.add().picture = "net"
@@ -461,6 +475,11 @@ def linked(package: str, item: bpy.types.Object, out: str) -> dict[str, Any]:
     kept = opened["Smoke"].tnst_mi
     told["kept"] = [kept.quality, [look.picture for look in kept.looks]]
     told["kept hidden"] = {name: hidden_in(item) for name, item in opened.items()}
+    told["runs"] = {
+        (each.override_library.reference.name if each.override_library else "own"): run.text
+        for each in bpy.data.objects
+        if (run := last_run.run_of(each)) is not None
+    }
     return told
 
 
@@ -559,6 +578,7 @@ def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str
     told["one keyed"] = [len(hide(item, smoke, "IN_PLACE")), len(item.animation_data.drivers), item.hide_viewport]
     item.keyframe_delete("hide_render", frame=18)
     told["beside"] = [list(hide(item, smoke, "BESIDE")), hidden_in(item), len(item.animation_data.drivers)]
+    told["lost"] = lost_results(package, item, smoke, later)
     item.animation_data_clear()
     item.hide_render = True
     told["by hand"] = []
@@ -574,6 +594,35 @@ def hidden_by_artist(package: str, item: bpy.types.Object, out: str) -> dict[str
     told["keyed"] = [list(hide(item, smoke, "IN_PLACE")), hidden_in(item)]
     item.animation_data_clear()
     item.hide_viewport = item.hide_render = False
+    return told
+
+
+def lost_results(package: str, item: bpy.types.Object, smoke: Any, later: Path) -> dict[str, Any]:
+    """Whether an original is shown when files of a shown or a hidden result are gone; and what was unlinked."""
+    results, visibility = module(package, "scene.results"), module(package, "scene.visibility")
+    Part, scene = module(package, "recipes.plan").Part, bpy.context.scene
+    result = results.load_result(item, smoke, Part("", str(later)), "IN_PLACE")
+    shot = results.load_result(item, smoke, Part("shot", str(later)), "IN_PLACE")
+    told: dict[str, Any] = {}
+    for name, parts in (("of another part", ["shot"]), ("of the shown part", ["", "shot"])):
+        result.hide_render = result.hide_viewport = False
+        visibility.hide_other_parts(item, parts)
+        visibility.hide_in_frames_of_results(item, smoke, "IN_PLACE")
+        file, result.data.filepath = result.data.filepath, str(later / "gone.vdb")
+        told[name] = [results.show_original_of_lost(item), hidden_in(item)]
+        result.data.filepath = file
+    bpy.data.objects.remove(shot)
+    duplicate = result.copy()
+    duplicate.name = "A, kept"
+    scene.collection.objects.link(duplicate)
+    told["with a duplicate"] = results.load_result(item, smoke, Part("", str(later)), "IN_PLACE") == result
+    bpy.data.objects.remove(duplicate)
+    scene.collection.objects.unlink(result)
+    elsewhere = bpy.data.scenes.new("elsewhere")
+    elsewhere.collection.objects.link(result)
+    again = results.load_result(item, smoke, Part("", str(later)), "IN_PLACE")
+    told["unlinked"] = [again == result, sorted(each.name for each in result.users_scene)]
+    bpy.data.scenes.remove(elsewhere)
     return told
 
 
@@ -619,7 +668,7 @@ def markers(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     ended = list(bpy.ops.tnst_mi.bake_markers())
     told = {"ended": ended, "objects": shown_objects(), "current": bpy.context.scene.frame_current}
     plan = module(package, "recipes.plan").read_plan(Path(out, "results"))
-    told |= {"notes": plan.notes, "hidden": hidden_in(item), "said": item.tnst_mi.last_run.text}
+    told |= {"notes": plan.notes, "hidden": hidden_in(item), "said": bpy.context.scene.tnst_mi_runs[0].text}
     for name, stylize in (("one", bpy.ops.tnst_mi.stylize), ("shots", bpy.ops.tnst_mi.bake_markers)):
         told[f"then {name}"] = [list(stylize()), {name: each["hidden"] for name, each in shown_objects().items()}]
     return told
@@ -655,9 +704,12 @@ def cancelled(zip: str, program: str, folder: str, out: str) -> dict[str, Any]:
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(out, "elsewhere", "scene.blend")))
     bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
     item = bpy.data.objects["Fog"]
-    told["stopped"] = item.tnst_mi.last_run.text
+    (run,) = bpy.context.scene.tnst_mi_runs
+    told["stopped"] = run.text
+    plan = module(package, "recipes.plan").read_plan(Path(run.folder))
+    told["known"] = [plan.identifier == run.identifier, plan.scene]
     told["resumed"] = list(bpy.ops.tnst_mi.resume())
-    told["then"], told["after"] = shown_objects(), item.tnst_mi.last_run.text
+    told["then"], told["after"], told["whose"] = shown_objects(), run.text, run.item.name
     return told
 
 

@@ -262,8 +262,30 @@ def stops(told: dict[str, Any], out: Path) -> Walk:
     end_run(out)
     yield nothing_runs
     told["resumed in the first file"] = [visible("Smoke"), visible("Smoke_stylized")]
+    # A run that replaces the one before, whose results are gone as it begins; the scene does not know it, or does.
+    bpy.ops.wm.save_mainfile()
+    for number, stop in enumerate(
+        (
+            lambda: bpy.ops.wm.open_mainfile(filepath=other),
+            lambda: bpy.ops.preferences.addon_disable(module=ADDON),
+        ),
+        5,
+    ):
+        bpy.context.view_layer.objects.active = bpy.data.objects["Smoke"]
+        called(bpy.ops.tnst_mi.stylize)
+        yield begun(out, number)
+        stop()
+        yield lambda: not processes(out)
+        if hasattr(bpy.types, "TNST_MI_OT_stylize"):
+            bpy.ops.wm.open_mainfile(filepath=own)
+        else:
+            bpy.ops.preferences.addon_enable(module=ADDON)
+        yield nothing_runs
+        kept = [run.text for run in bpy.context.scene.tnst_mi_runs]
+        told[f"run {number} replaces another"] = [visible("Smoke"), kept]
+    bpy.ops.wm.open_mainfile(filepath=own)
     bpy.context.view_layer.objects.active = bpy.data.objects["Smoke"]
     called(bpy.ops.tnst_mi.stylize)
-    yield begun(out, 5)
+    yield begun(out, 7)
     told["started"] = [start["arguments"][:2] for start in starts(out)]
     told["running when Blender is quit"] = len(processes(out))

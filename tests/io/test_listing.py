@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import load_frames, open_frames, save_frames
+from tnst_mi.io.files.folders import frame_folder
 from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.grids.uni import REAL, write_uni
 from tnst_mi.io.grids.vdb import DenseGrid, write_vdb
@@ -224,6 +226,26 @@ def test_folders_below_are_offered(tmp_path: Path) -> None:
     densities(tmp_path / "take1", "s_1.npz")
     with pytest.raises(InputError, match=r"no frames in this folder, .*; those below it that have some are take1: "):
         open_frames(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "seteuid"), reason="Windows has no such permissions")
+@pytest.mark.parametrize("private", ["shots", "shots/take2", "shots/take2/density"])
+def test_private_folders_are_passed_over(private: str) -> None:
+    # Those of pytest are private themselves.
+    with tempfile.TemporaryDirectory() as name:
+        folder, user = Path(name), os.geteuid()
+        folder.chmod(0o755)
+        densities(folder / "take1", "s_1.npz")
+        densities(folder / "shots" / "take2" / "density", "s_1.npz")
+        (folder / private).chmod(0)
+        if user == 0:  # who may read everything
+            os.seteuid(65534)
+        try:
+            with pytest.raises(InputError, match=r"those below it that have some are take1: "):
+                frame_folder(folder, (".npz",))
+        finally:
+            os.seteuid(user)
+            (folder / private).chmod(0o755)
 
 
 # --- One grid per file ------------------------------------------------------------------------------------

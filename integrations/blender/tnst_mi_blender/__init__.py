@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .interface import lists, panel, preferences, run_operators, running, settings, thumbnails
+from .interface import last_run, lists, panel, preferences, run_operators, running, settings, thumbnails
 
 bl_info = {
     "name": "tnst_mi: stylized smoke",
@@ -14,7 +14,7 @@ bl_info = {
     "category": "Physics",
 }
 
-_MODULES = (preferences, settings, lists, running, run_operators, panel, thumbnails)
+_MODULES = (preferences, settings, last_run, lists, running, run_operators, panel, thumbnails)
 
 
 def register() -> None:

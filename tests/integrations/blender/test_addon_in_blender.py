@@ -176,13 +176,16 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
     assert "tnst_mi.stylize" in panels["volume"] and "tnst_mi.stylize" not in panels["volume, running"]
     assert "Stylizes Smoke" not in panels["lost original"] and "quality" in panels["lost original"]
     copies, folder = told["copies"], str(tmp_path / "results")
-    others = f"{folder}: has the results of Smoke; choose another folder in Results for Smoke.001, and press Stylize"
-    assert copies["named"] == ["", others] and copies["said"] == [True, False]
-    assert copies["stylized"] == copies["resumed"] == f"Error: {others}"
-    for refused in copies["renamed"]:
-        assert "which is Fog or Smoke.001 now: name the right one Smoke again" in refused
-    assert copies["alone"] == "" and copies["new"][0] == ""
-    assert copies["new"][1].startswith(f"{folder}: has the results of Fog; choose another folder")
+
+    def has_those_of(whose: str, asking: str) -> str:
+        return f"{folder}: has the results of {whose}; choose another folder in Results for {asking}, and press Stylize"
+
+    assert copies["named"] == ["", has_those_of("Smoke", "Smoke.001")] and copies["said"] == [True, False]
+    assert copies["stylized"] == copies["resumed"] == f"Error: {copies['named'][1]}"
+    assert copies["renamed"] == ["", has_those_of("Fog", "Smoke")]
+    assert copies["each its own"] == [*copies["renamed"], has_those_of("Smoke", "Fog"), ""]
+    assert copies["full copy"] == [True, "", has_those_of("Fog", "Fog.001"), True]
+    assert copies["of a file"] == [has_those_of(f"Smoke in {folder}/asset.blend", "Fog"), "", ""]
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -190,8 +193,9 @@ def test_a_volume_is_stylized_in_its_place(
     inside: Inside, host: str, program: str, folder: str, tmp_path: Path
 ) -> None:
     (frame,) = frames(0.2)
-    growing = [np.zeros_like(frame.density) for _ in range(3)]
-    growing[0][:2, :2, :2], growing[1][:6, :6, :6] = 1.0, 1.0
+    # Bounds are those of blocks of 8 cells.
+    growing = [np.zeros((24, 24, 24), np.float32) for _ in range(3)]
+    growing[0][:2, :2, :2], growing[1][:20, :20, :20] = 1.0, 1.0
     named = [replace(frame, density=density, name=f"grown_{number}") for number, density in enumerate(growing)]
     save_frames(tmp_path / "extents", named, format="vdb")
     told = inside(host, "volume", program=program, folder=folder)
@@ -219,7 +223,8 @@ def test_a_volume_is_stylized_in_its_place(
     assert told["played"]["CLIP"][1] == [""] * 3 + [first, second, third] + [""] * 6
     assert told["played"]["PING_PONG"][1][3:10] == [first, second, third, second, first, second, third]
     thin, empty, together = told["widths"]
-    assert (thin, empty) and together > thin > 0.0 == empty, "Blender 3.4 keeps the bounds of the first file"
+    assert together > thin > 0.0, "Blender 3.4 keeps the bounds of an object's first file"
+    assert empty == 0.0
     assert told["artist"]["all"] == [[], list(range(18, 30))] and told["artist"]["no drivers"]
     assert told["artist"]["later"] == [[], [22, 23]] and told["artist"]["simple"] == [True, True]
     assert told["artist"]["between"], "the result shows its last file until the next frame"
@@ -231,19 +236,45 @@ def test_a_volume_is_stylized_in_its_place(
         assert told["artist"][mode] == [[], shown[mode]], mode
     assert told["artist"]["one keyed"] == [1, 0, False], "no driver is left where keyframes hide it"
     assert told["artist"]["beside"] == [[], [], 0]
+    assert told["artist"]["lost"] == {
+        "of another part": [False, [22, 23]],
+        "of the shown part": [True, []],
+        "with a duplicate": True,
+        "unlinked": [True, ["Scene", "elsewhere"]],
+    }
     assert told["artist"]["by hand"] == [[True, True], [True, 1], [True, 0]]
     (note,), hidden = told["artist"]["keyed"]
     assert note.startswith("Smoke: when it is hidden is animated, and was left so") and hidden == [28, 29]
     unsaved, shown_in_all = told["of a library"]["linked"].pop("notes")
     assert unsaved.startswith("Smoke belongs to library.blend") and "Object > Library Override > Make" in unsaved
     assert "seen in all of them: stylize all frames, or make it local" in shown_in_all
-    assert told["of a library"]["linked"] == {"shown": [True, True, True], "hidden": []}
+    assert told["of a library"]["linked"] == {
+        "shown": [True, True, True],
+        "hidden": [],
+        "run": "of the linked",
+    }
     (note,) = told["of a library"]["keyed"].pop("notes")
     assert note.startswith("Keyed belongs to another file") and "Make Local" in note
-    assert told["of a library"]["keyed"] == {"shown": [True, True, True], "hidden": []}
+    assert told["of a library"]["keyed"] == {
+        "shown": [True, True, True],
+        "hidden": [],
+        "run": "of the keyed",
+    }
     assert told["of a library"]["kept hidden"] == {"Smoke": [22, 23], "Keyed": []}
     assert told["of a library"]["kept"] == ["preview", ["spirals", "net"]]
-    assert told["of a library"]["override"] == {"notes": [], "shown": [True, True, True], "hidden": [22, 23]}
+    # The asset's own run is none of theirs.
+    assert not told["of a library"]["knows the asset's"]
+    assert told["of a library"]["runs"] == {
+        "own": "of the asset",
+        "Keyed": "of the keyed",
+        "Smoke": "of the override",
+    }
+    assert told["of a library"]["override"] == {
+        "notes": [],
+        "shown": [True, True, True],
+        "hidden": [22, 23],
+        "run": "of the override",
+    }
     recipe = (tmp_path / "results" / "final_inputs" / "recipe.toml").read_text("utf-8")
     assert 'frames = "7:9"' in recipe and "mask.vdb" in recipe
 
@@ -271,7 +302,9 @@ def test_each_marker_is_a_shot(inside: Inside, host: str, program: str, folder: 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
 @pytest.mark.parametrize("host", HOSTS)
-def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, program: str, folder: str) -> None:
+def test_cancel_leaves_no_process_and_can_be_resumed(
+    inside: Inside, host: str, program: str, folder: str, tmp_path: Path
+) -> None:
     told = inside(host, "cancelled", program=program, folder=folder)
     assert [told[when] for when in ("before", "during", "twice")] == [False, True, False]
     assert told["pressed"] == ["FINISHED"]
@@ -279,6 +312,8 @@ def test_cancel_leaves_no_process_and_can_be_resumed(inside: Inside, host: str, 
     assert set(told["objects"]) == {"Smoke"}
     assert re.fullmatch(r"Stopped at octave 1/1, frame [789], \d+%: Resume goes on", told["stopped"])
     assert told["resumed"] == ["FINISHED"] and set(told["then"]) == {"Fog", "Fog_stylized"} and told["after"] == ""
+    assert told["whose"] == "Fog"
+    assert told["known"] == [True, str(tmp_path / "project" / "scene.blend")]
     assert told["then"]["Fog_stylized"]["file"] == "//../project/results/final/density/smoke_0007.vdb"
 
 

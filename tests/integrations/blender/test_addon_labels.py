@@ -21,7 +21,12 @@ from tnst_mi.recipe.parameters import parameters
             "tnst-mi: expected --style PICTURE, or colour = 'off'",
             "tnst-mi: expected Picture, or Advanced, colour = 'off'",
         ),
-        ("tnst-mi: --style-layers would do", "tnst-mi: Advanced, style_layers would do"),
+        ("tnst-mi: lower --style-layers", "tnst-mi: lower Advanced, style_layers"),
+        ("tnst-mi: no internet, --weights patterns does", "tnst-mi: no internet, --weights patterns does"),
+        ("tnst-mi: see --tag help", "tnst-mi: see --tag help"),
+        ("tnst-mi: o: go on with --resume, or use --overwrite", "tnst-mi: o: go on with Resume, or use Stylize"),
+        ("tnst-mi: f: damaged; --resume makes it anew", "tnst-mi: f: damaged; Resume makes it anew"),
+        ("pip: ERROR: no --target\nstyle = 1", "pip: ERROR: no --target\nstyle = 1"),
         ("tnst-mi: free = 3 GB, with --force: no", "tnst-mi: free = 3 GB, with --force: no"),
         ("tnst-mi: /a/smoke.vdb: no such file", "tnst-mi: /a/smoke.vdb: no such file"),
         ("tnst-mi: o: its run was ended before it began; give its INPUT too to begin it", None),
@@ -40,6 +45,7 @@ def test_labels_are_those_of_the_panel_and_keys_those_of_a_recipe() -> None:
 
 def test_remedies_are_those_that_tnst_mi_says() -> None:
     program = Path(blender_addon.ADDON).parents[2] / "tnst_mi"
-    says = "".join((program / name).read_text("utf-8") for name in ("commands/stylize.py", "run/resuming.py"))
+    names = ("commands/stylize.py", "run/resuming.py", "run/inputs.py")
+    says = "".join((program / name).read_text("utf-8") for name in names)
     for remedy in labels.REMEDIES:
         assert remedy in says

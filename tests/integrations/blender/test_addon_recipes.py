@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
+from tnst_mi_blender.problems import CannotStylizeError
 from tnst_mi_blender.recipes.commands import (
     Box,
     Goal,
@@ -27,6 +29,7 @@ from tnst_mi_blender.recipes.commands import (
     write_recipe,
 )
 from tnst_mi_blender.recipes.parameters import parameters
+from tnst_mi_blender.recipes.plan import Part, Plan, new_identifier, read_plan, require_in_place, write_plan
 from tnst_mi_blender.recipes.toml import assignment
 
 import tnst_mi
@@ -172,3 +175,23 @@ def test_the_runs_of_a_batch_are_where_they_are_looked_for(tmp_path: Path, sourc
 def test_a_relative_mask_file_is_found_from_anywhere() -> None:
     text = recipe_text(Shot(regions=(Region(Goal("tag", "net"), (MaskFile(Path("m.npz")),)),)))
     assert tomllib.loads(text)["target"][0]["mask"]["file"] == os.path.abspath("m.npz")
+
+
+def test_plans_are_read_as_they_were_written_and_not_resumed_elsewhere(tmp_path: Path) -> None:
+    folder, moved = tmp_path / "project", tmp_path / "moved"
+    parts = (Part("close", str(folder / "draft" / "close")),)
+    plan = Plan(
+        "Smoke", "/smoke.vdb", str(folder / "draft"), ("/close.toml",), parts, new_identifier(), "a.blend", ("b",)
+    )
+    write_plan(plan, folder)
+    assert read_plan(folder) == plan and new_identifier() != plan.identifier
+    require_in_place(plan, folder)
+    (tmp_path / "link").symlink_to(folder)
+    require_in_place(plan, tmp_path / "link")
+    shutil.copytree(folder, moved)
+    for _ in range(2):  # a copy, and then what was moved
+        with pytest.raises(
+            CannotStylizeError, match=f"{moved}: was started as {folder}, and cannot be resumed elsewhere"
+        ):
+            require_in_place(read_plan(moved), moved)
+        shutil.rmtree(folder, ignore_errors=True)

@@ -135,7 +135,11 @@ def test_whatever_stops_a_run_leaves_nothing_of_it(walk: Walk, tmp_path: Path) -
     assert told["opened"] == ["Camera", "Cube", "Light"]
     assert told["resumed in the first file"] == [False, True]
     new, resumed = ["stylize", told["started"][0][1]], ["stylize", "--resume"]
-    assert told["started"] == [new, resumed, new, resumed, new]
+    assert told["started"] == [new, resumed, new, resumed, new, new, new]
+    unknown = ["Not finished, or the scene was not saved since: Resume goes on"]
+    assert told["run 5 replaces another"] == [True, unknown]
+    shown, (stopped,) = told["run 6 replaces another"]
+    assert shown and stopped.startswith("Stopped at octave 1/1")
     # Quitting Blender: what it leaves is told to end, as the processes beside it do by themselves.
     assert told["running when Blender is quit"] == 2
     end = time.monotonic() + 20

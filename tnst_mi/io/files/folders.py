@@ -50,12 +50,12 @@ def frame_folder(path: Path, suffixes: Sequence[str]) -> FrameFolder:
     Raises:
         InputError: there are no frames, or several folders with frames; the message names those that may be meant.
     """
-    if (path / "d").is_dir():
+    if os.path.isdir(path / "d"):
         return FrameFolder(path / "d", path / "v")
     if frame_files(path, suffixes):
         return FrameFolder(path)
-    below = {folder.name: folder for folder in sorted(path.iterdir()) if folder.is_dir()}
-    with_frames = {name: folder for name, folder in below.items() if frame_files(folder, suffixes)}
+    below = {folder.name: folder for folder in _listed(path) if os.path.isdir(folder)}
+    with_frames = {name: folder for name, folder in below.items() if _has_frames(folder, suffixes)}
     if _is_run(path) and "density" in below:
         if "density" not in with_frames:
             raise InputError(f"{path}: is the folder of a run that has not finished a frame, so its density/ is empty")
@@ -88,7 +88,25 @@ def _led_to(folder: Path, given: Path, what: str) -> FrameFolder:
 
 
 def _is_run(path: Path) -> bool:
-    return (path / "run.json").is_file() and (path / "recipe.toml").is_file()
+    return os.path.isfile(path / "run.json") and os.path.isfile(path / "recipe.toml")
+
+
+def _listed(folder: Path) -> list[Path]:
+    """What is in a folder, sorted; nothing where it may not be read, as a private one of someone else.
+
+    `os.path` says likewise that nothing is there, where the methods of paths raise.
+    """
+    try:
+        return sorted(folder.iterdir())
+    except PermissionError:
+        return []
+
+
+def _has_frames(folder: Path, suffixes: Sequence[str]) -> bool:
+    try:
+        return bool(frame_files(folder, suffixes))
+    except PermissionError:
+        return False
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:
@@ -106,7 +124,7 @@ def _inputs_below(path: Path, suffixes: Sequence[str]) -> list[Path]:
         if any(outer in folder.parents for outer in found):
             continue
         frames = folder / "density" if _is_run(folder) else folder
-        if os.access(frames, os.R_OK) and frames.is_dir() and frame_files(frames, suffixes):
+        if os.path.isdir(frames) and _has_frames(frames, suffixes):
             found.append(folder)
     # The masks of a run lie beside it.
     return list(filter(_is_run, found)) or found
@@ -117,9 +135,9 @@ def _folders_below(path: Path) -> Iterator[Path]:
     waiting = deque([(path, 0)])
     while waiting:
         parent, level = waiting.popleft()
-        if level == _LEVELS or not os.access(parent, os.R_OK | os.X_OK):
+        if level == _LEVELS:
             continue
-        for folder in sorted(parent.iterdir()):
-            if folder.is_dir() and not folder.name.startswith("."):
+        for folder in _listed(parent):
+            if os.path.isdir(folder) and not folder.name.startswith("."):
                 yield folder
                 waiting.append((folder, level + 1))

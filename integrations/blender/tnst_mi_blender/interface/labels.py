@@ -20,26 +20,38 @@ LABELS = {
     "weights": "Network",
 }
 
-#: Remedies on the command line, and in the panel.
+#: Remedies on the command line, and in the panel; flags by themselves are those that take no value.
 REMEDIES = {
     "give its INPUT too to begin it": "press Stylize",
     "leave out --resume to begin one": "press Stylize",
+    "--resume": "Resume",
+    "--overwrite": "Stylize",
 }
 
-#: The file of a recipe at the beginning of an error.
-_FILE = re.compile(r"^(tnst-mi: ).*?([^/\\]+)\.toml: ", re.MULTILINE)
+#: How tnst-mi begins what it says. Other programs, such as pip, have flags of the same names.
+_SAID = "tnst-mi: "
 
-#: A key with its value, and a flag with the placeholder of its value, which may be one of several words.
+#: The file of a recipe at the beginning of an error.
+_FILE = re.compile(rf"^({_SAID}).*?([^/\\]+)\.toml: ")
+
+#: A key with its value.
 _ASSIGNED = re.compile(r"(?<![\w.-])([a-z_]+)(?= = )")
-_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z-]*)\b(?: [A-Z]{2,}\b)?")
+
+#: A flag that stands alone, or with the placeholder of its value. With a value, as in "--weights patterns", it is
+#: something to be typed.
+_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z-]*)\b(?: [A-Z]{2,}\b)?(?=$|[,.;:)]| or | and )")
 
 
 def in_panel_words(text: str) -> str:
     """An error of tnst-mi, with settings in place of the keys and flags that they stand for.
 
     Other keys can be set in *Advanced*, and are named with that. The file of a recipe, which the add-on wrote, is left
-    out; those of markers, named by them, keep their names.
+    out; those of markers, named by them, keep their names. Lines of other programs stay as they are.
     """
+    return "\n".join(_of_line(line) if line.startswith(_SAID) else line for line in text.splitlines())
+
+
+def _of_line(text: str) -> str:
     for remedy, here in REMEDIES.items():
         text = text.replace(remedy, here)
     text = _FILE.sub(lambda found: found[1] + ("" if found[2] == "recipe" else f"{found[2]}: "), text)

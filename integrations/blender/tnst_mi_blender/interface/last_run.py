@@ -1,87 +1,128 @@
-"""What an object keeps of its last run: the folder of it, and how it ended. Both are saved with the scene.
+"""What a scene keeps of the last run of each object: its identifier, its folder, and how it ended.
 
-So a run is found again after the object was renamed, and from a scene that was saved elsewhere. Copies of an object
-have that too, though the run is not theirs: `require_own` tells them apart.
+The identifier is in the plan of the run too. So it is known whose results a folder has, whatever objects, scenes and
+files are named since. It is the scene that keeps it, and not the object: copies of an object, and what is linked or
+appended from another file, would have it too, though the run is not theirs.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
 
 from ..problems import CannotStylizeError
+from ..recipes.plan import Plan, UnreadablePlanError, read_plan
+from ..scene.results import show_original_of_lost
 
 #: What is said of a run that nobody has seen ending: Blender was closed, or another file was opened.
-_UNFINISHED = "Not finished: Resume goes on"
+UNFINISHED = "Not finished: Resume goes on"
+_UNKNOWN = "Not finished, or the scene was not saved since: Resume goes on"
 
 
-def begun(item: bpy.types.Object, folder: Path) -> None:
-    """A run has begun, which is kept until the next one.
-
-    Args:
-        item: the object whose smoke it is.
-        folder: that of its plan.
-    """
-    run = item.tnst_mi.last_run
-    run.folder, run.item = os.path.abspath(folder), item.name
-    run.text, run.log = _UNFINISHED, ""
-
-
-def ended(item: bpy.types.Object, text: str = "", log: Path | None = None) -> None:
-    """The last run has ended.
+def keep(item: bpy.types.Object, plan: Plan, folder: Path, text: str = "", log: Path | None = None) -> None:
+    """Keep what has become of the last run of an object, until the next one.
 
     Args:
         item: the object whose smoke it is.
-        text: what is said of it until the next run; empty if it has ended well.
+        plan: of the run.
+        folder: that of the plan.
+        text: what is said of it: how it was stopped or has failed, or the notes of one that has ended well.
         log: of a run that has failed, to be read.
     """
-    run = item.tnst_mi.last_run
+    run = next((run for run in _runs() if run.item == item), None)
+    if run is None:
+        there = [scene for scene in item.users_scene if scene.library is None]
+        run = (there or [bpy.context.scene])[0].tnst_mi_runs.add()
+        run.item = item
+    run.identifier, run.folder = plan.identifier, os.path.abspath(folder)
     run.text, run.log = text, "" if log is None else os.path.abspath(log)
 
 
-def text_of(item: bpy.types.Object) -> str:
-    """What is said of the last run of an object; empty if it has ended well, or was that of the object's original."""
-    run = item.tnst_mi.last_run
-    return run.text if run.text and _owners(Path(run.folder), run.item) == [item] else ""
+def run_of(item: bpy.types.Object) -> bpy.types.PropertyGroup | None:
+    """What is kept of the last run of an object; None if it has had none, as a copy of one that has."""
+    return next((run for run in _runs() if run.item == item and _owner(run.identifier) == item), None)
 
 
-def require_own(folder: Path, name: str, item: bpy.types.Object) -> None:
+def require_own(folder: Path, plan: Plan, item: bpy.types.Object) -> None:
     """Check that the results in a folder are not those of another object.
+
+    Of a run that nothing here knows, that is an object of another file, if it was started in one and that still
+    exists. A scene of the same file does not know it if it was not saved since, or after Undo.
 
     Args:
         folder: of a plan.
-        name: of the plan's object as its run began.
+        plan: that is in it.
         item: the object that they are to be of.
 
     Raises:
-        CannotStylizeError: they are of another one, or of one of several copies.
+        CannotStylizeError: they are of another one.
     """
-    owners = _owners(folder, name)
-    if not owners or owners == [item]:
-        return
-    if item not in owners:
+    owner = _owner(plan.identifier)
+    if owner is not None:
+        whose = "" if owner == item else owner.name
+    else:
+        whose = f"{plan.item} in {plan.scene}" if _is_another_file(plan.scene) else ""
+    if whose:
         raise CannotStylizeError(
-            f"{folder}: has the results of {owners[0].name}; choose another folder in Results for {item.name}, and "
-            "press Stylize"
+            f"{folder}: has the results of {whose}; choose another folder in Results for {item.name}, and press Stylize"
         )
-    names = " or ".join(owner.name for owner in owners)
-    raise CannotStylizeError(
-        f"{folder}: has the results of {name}, which is {names} now: name the right one {name} again, or choose "
-        "another folder in Results and press Stylize"
-    )
 
 
-def _owners(folder: Path, name: str) -> list[bpy.types.Object]:
-    """The objects that may be the one whose results are in a folder, which was named `name` as its run began.
+def _runs() -> Iterator[bpy.types.PropertyGroup]:
+    """What is kept by the scenes of this file."""
+    return (run for scene in bpy.data.scenes if scene.library is None for run in scene.tnst_mi_runs)
 
-    These are the one that has this name still, or else those whose last run was there: one that was renamed, and
-    copies. A new object that was given the name has no run.
+
+def _owner(identifier: str) -> bpy.types.Object | None:
+    """The object that a run is of. A full copy of a scene has copies of what it keeps: the first one counts."""
+    return next((run.item for run in _runs() if run.identifier == identifier and _is_there(run.item)), None)
+
+
+def _is_there(item: bpy.types.Object | None) -> bool:
+    # What is deleted is left without a collection, since something refers to it.
+    return item is not None and bool(item.users_collection)
+
+
+def _is_another_file(scene: str) -> bool:
+    return bool(scene) and os.path.exists(scene) and not _is_this_file(scene)
+
+
+def _is_this_file(scene: str) -> bool:
+    return os.path.normcase(os.path.realpath(scene)) == os.path.normcase(os.path.realpath(bpy.data.filepath))
+
+
+@bpy.app.handlers.persistent
+def _look_after_opening(*_: object) -> None:
+    """A file was opened: objects are forgotten that were deleted, and those shown whose results are gone.
+
+    That is where a run was stopped that replaces an earlier one. If it began after the file was saved, it is known
+    from its plan. Where the folder cannot be read, as on a disk that is not there now, all stays as it is.
     """
-    there = [item for item in bpy.data.objects if item.library is None and item.users_collection]
-    claiming = [item for item in there if item.tnst_mi.last_run.folder == os.path.abspath(folder)]
-    for item in there:
-        if item.name == name and (item in claiming or item.tnst_mi.last_run.folder or not claiming):
-            return [item]
-    return claiming
+    for scene in bpy.data.scenes:
+        if scene.library is not None:
+            continue
+        for index in reversed(range(len(scene.tnst_mi_runs))):
+            if not _is_there(scene.tnst_mi_runs[index].item):
+                scene.tnst_mi_runs.remove(index)
+        for run in scene.tnst_mi_runs:
+            try:
+                plan = read_plan(Path(run.folder))
+            except UnreadablePlanError:
+                continue
+            if not show_original_of_lost(run.item) or plan.identifier == run.identifier:
+                continue
+            if _is_this_file(plan.scene) and _owner(plan.identifier) is None:
+                run.identifier, run.text, run.log = plan.identifier, _UNKNOWN, ""
+
+
+def register() -> None:
+    """Look after each file that is opened."""
+    bpy.app.handlers.load_post.append(_look_after_opening)
+
+
+def unregister() -> None:
+    """No longer."""
+    bpy.app.handlers.load_post.remove(_look_after_opening)

@@ -8,7 +8,7 @@ import bpy
 
 from ..scene.smoke import domain_settings
 from ..versions import show_progress
-from .last_run import text_of
+from .last_run import run_of
 from .lists import TNST_MI_UL_looks, TNST_MI_UL_overrides, help_of
 from .running import running
 from .subject import subject_of
@@ -118,15 +118,15 @@ def _draw_text(column: bpy.types.UILayout, text: str, width: int, icon: str = "N
 
 
 def _draw_last_run(layout: bpy.types.UILayout, item: bpy.types.Object, width: int) -> None:
-    """How the last run of an object has ended, if not well."""
-    text, log = text_of(item), item.tnst_mi.last_run.log
-    if not text:
+    """How the last run of an object has ended, if there is anything to say of that."""
+    run = run_of(item)
+    if run is None or not run.text:
         return
     column = layout.box().column(align=True)
-    _draw_text(column, text, width, icon="ERROR" if log else "INFO")
-    if log:
-        _draw_text(column, f"Log: {log}", width, icon="TEXT")
-        column.operator("wm.path_open", text="Open Log", icon="FILE_TEXT").filepath = log
+    _draw_text(column, run.text, width, icon="ERROR" if run.log else "INFO")
+    if run.log:
+        _draw_text(column, f"Log: {run.log}", width, icon="TEXT")
+        column.operator("wm.path_open", text="Open Log", icon="FILE_TEXT").filepath = run.log
 
 
 def _draw_running(layout: bpy.types.UILayout) -> None:

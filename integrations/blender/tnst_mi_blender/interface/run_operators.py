@@ -6,7 +6,6 @@ import re
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -14,14 +13,14 @@ import bpy
 from ..problems import CannotStylizeError
 from ..processes.job import Job
 from ..recipes.commands import batch_command, batch_folder, resume_command, stylize_command, write_recipe
-from ..recipes.plan import Part, Plan, UnreadablePlanError, read_plan, write_plan
+from ..recipes.plan import Part, Plan, UnreadablePlanError, new_identifier, read_plan, require_in_place, write_plan
 from ..scene.results import load_result, show_original_of_lost
 from ..scene.shots import shot_of
 from ..scene.smoke import Smoke, note_of_library, smoke_of
 from ..scene.takes import Take, frame_bounds, takes_of_markers, takes_with_smoke
 from ..scene.visibility import hide_in_frames_of_results, hide_other_parts
 from .kept import Kept
-from .last_run import begun, ended, require_own
+from .last_run import UNFINISHED, keep, require_own, run_of
 from .preferences import environment_of, preferences_of
 from .running import Running, RunsJob
 from .subject import subject_of
@@ -69,10 +68,8 @@ class TNST_MI_OT_resume(OfSmoke, bpy.types.Operator):
         item = subject_of(context.object)
         program = environment_of(context)
         folder, plan = _last_plan(item)
-        require_own(folder, plan.item, item)
-        if plan.item != item.name:
-            plan = replace(plan, item=item.name)
-            write_plan(plan, folder)
+        require_own(folder, plan, item)
+        require_in_place(plan, folder)
         out = Path(plan.out)
         command = resume_command(program, out)
         if plan.is_batch:
@@ -105,10 +102,10 @@ def _last_plan(item: bpy.types.Object) -> tuple[Path, Plan]:
 
     Where the object does not know it, as in a scene that was not saved since, it is in the folder for its results.
     """
-    kept = item.tnst_mi.last_run.folder
-    if kept:
+    run = run_of(item)
+    if run is not None:
         with suppress(UnreadablePlanError):
-            return Path(kept), read_plan(Path(kept))
+            return Path(run.folder), read_plan(Path(run.folder))
     folder = results_folder(item)
     return folder, read_plan(folder)
 
@@ -123,7 +120,7 @@ def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take
     out = folder / (f"markers_{settings.quality}" if batch else settings.quality)
     # What cannot be read, as of an earlier version, is replaced.
     with suppress(UnreadablePlanError):
-        require_own(folder, read_plan(folder).item, item)
+        require_own(folder, read_plan(folder), item)
     inputs, before = folder / f"{out.name}_inputs", folder / f".{out.name}_inputs.before"
     # Those of the run before come back if this one is refused: it can be resumed then.
     if inputs.exists():
@@ -172,7 +169,16 @@ def _prepared(
     else:
         parts = (Part("", str(out)),)
         command = stylize_command(program, smoke.source, recipes[0], out, overwrite=out.exists())
-    plan = Plan(item.name, str(smoke.source), str(out), tuple(map(str, recipes)) if batch else (), parts, notes)
+    plan = Plan(
+        item=item.name,
+        source=str(smoke.source),
+        out=str(out),
+        recipes=tuple(map(str, recipes)) if batch else (),
+        parts=parts,
+        identifier=new_identifier(),
+        scene=bpy.data.filepath,
+        notes=notes,
+    )
     write_plan(plan, folder)
     return plan, command
 
@@ -181,8 +187,12 @@ def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, com
     """Start a command, whose plan is in a folder, and whose results are shown when it has ended."""
     out = Path(plan.out)
     job = Job(command, out.parent / f"{out.name}.log")
-    job.start()
-    begun(item, folder)
+    keep(item, plan, folder, UNFINISHED)
+    try:
+        job.start()
+    except OSError:
+        keep(item, plan, folder, "Not started: press Stylize")
+        raise
     kept = Kept(item)
 
     def done() -> str:
@@ -192,7 +202,7 @@ def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, com
         shown = [load_result(original, smoke, part, original.tnst_mi.place) for part in plan.parts]
         hide_other_parts(original, [part.name for part in plan.parts])
         notes = plan.notes + hide_in_frames_of_results(original, smoke, original.tnst_mi.place)
-        ended(original, "\n".join(notes))
+        keep(original, plan, folder, "\n".join(notes))
         return "; ".join((f"Stylized: {', '.join(map(_in_words, shown))}", *notes))
 
     def stopped(problem: str | None) -> None:
@@ -201,11 +211,11 @@ def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, com
             return
         show_original_of_lost(original)
         if problem is not None:
-            ended(original, problem, job.log)
+            keep(original, plan, folder, problem, job.log)
         elif now.progress.fraction is None:
-            ended(original, "Stopped before its first step: press Stylize")
+            keep(original, plan, folder, "Stopped before its first step: press Stylize")
         else:
-            ended(original, f"Stopped at {now.progress.doing}: Resume goes on")
+            keep(original, plan, folder, f"Stopped at {now.progress.doing}: Resume goes on")
 
     now = Running(job, f"Stylizing {item.name}", done, kept, stopped)
     return now

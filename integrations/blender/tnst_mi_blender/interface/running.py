@@ -223,6 +223,8 @@ def unregister() -> None:
         bpy.app.timers.unregister(_watch)
     if _Watched.running is not None:
         end_job()
+        # Nobody is left to see it ending.
+        _Watched.running.stopped(None)
         _Watched.running = None
         _show(None)
     for each in reversed(_CLASSES):

@@ -85,12 +85,13 @@ class TnstMiOverride(bpy.types.PropertyGroup):
     choice: EnumProperty(name="Value", items=_choices)
 
 
-class TnstMiLastRun(bpy.types.PropertyGroup):
-    """Of an object's last run; see `last_run`."""
+class TnstMiRun(bpy.types.PropertyGroup):
+    """What a scene keeps of an object's last run; see `last_run`."""
 
+    item: PointerProperty(type=bpy.types.Object, description="Whose smoke it is")
+    identifier: StringProperty(description="In its plan too")
     folder: StringProperty(description="Where its plan is, as an absolute path")
-    item: StringProperty(description="Name of the object as it began")
-    text: StringProperty(description="What is said of it until the next run; empty if it has ended well")
+    text: StringProperty(description="What is said of it until the next run: how it was stopped, or notes")
     log: StringProperty(description="Of one that has failed")
 
 
@@ -139,10 +140,11 @@ class TnstMiSettings(bpy.types.PropertyGroup):
         options={"ENUM_FLAG"},
         description="Of an original: where it was hidden since its result is in its place, and not by its artist",
     )
-    last_run: PointerProperty(type=TnstMiLastRun)
+    shown_as: StringProperty(description="Of a result: its name as it was last shown, which duplicates do not have")
 
 
-_CLASSES = (TnstMiLook, TnstMiOverride, TnstMiLastRun, TnstMiSettings)
+#: Of an object.
+_SETTINGS = (TnstMiLook, TnstMiOverride, TnstMiSettings)
 
 
 def _let_overrides_have(group: type[bpy.types.PropertyGroup]) -> None:
@@ -153,15 +155,17 @@ def _let_overrides_have(group: type[bpy.types.PropertyGroup]) -> None:
 
 
 def register() -> None:
-    """Add the settings to objects."""
-    for each in _CLASSES:
+    """Add the settings to objects, and what is kept of runs to scenes."""
+    for each in _SETTINGS:
         _let_overrides_have(each)
         bpy.utils.register_class(each)
+    bpy.utils.register_class(TnstMiRun)
+    bpy.types.Scene.tnst_mi_runs = CollectionProperty(type=TnstMiRun)
     bpy.types.Object.tnst_mi = PointerProperty(type=TnstMiSettings, override={"LIBRARY_OVERRIDABLE"})
 
 
 def unregister() -> None:
     """Remove them."""
-    del bpy.types.Object.tnst_mi
-    for each in reversed(_CLASSES):
+    del bpy.types.Scene.tnst_mi_runs, bpy.types.Object.tnst_mi
+    for each in (TnstMiRun, *reversed(_SETTINGS)):
         bpy.utils.unregister_class(each)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import uuid
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -40,6 +41,8 @@ class Plan:
         out: folder of the run, or of the batch.
         recipes: files of the recipes of a batch; none for a run.
         parts: what comes of it.
+        identifier: of this run alone, which its object's scene keeps too; resuming it does not change that.
+        scene: file of the scene that it was started in; empty if that was not saved.
         notes: what the artist should know of it, a line each: shots that are skipped, cameras that see no smoke.
     """
 
@@ -48,12 +51,32 @@ class Plan:
     out: str
     recipes: tuple[str, ...]
     parts: tuple[Part, ...]
+    identifier: str
+    scene: str = ""
     notes: tuple[str, ...] = ()
 
     @property
     def is_batch(self) -> bool:
         """Whether it is one of several recipes."""
         return bool(self.recipes)
+
+
+def new_identifier() -> str:
+    """One that no other run has."""
+    return uuid.uuid4().hex
+
+
+def require_in_place(plan: Plan, folder: Path) -> None:
+    """Check that the results of a plan are where it says, in its own folder.
+
+    Raises:
+        CannotStylizeError: the folder was moved or copied since: a recipe and its run name files by whole paths.
+    """
+    before = Path(plan.out).parent
+    if not folder.exists() or not before.exists() or not folder.samefile(before):
+        raise CannotStylizeError(
+            f"{folder}: was started as {before}, and cannot be resumed elsewhere; put it back there, or press Stylize"
+        )
 
 
 def write_plan(plan: Plan, folder: Path) -> None:
@@ -77,9 +100,10 @@ def read_plan(folder: Path) -> Plan:
     try:
         table = json.loads((folder / FILE).read_text("utf-8"))
         parts = tuple(Part(str(part["name"]), str(part["results"])) for part in table["parts"])
-        texts = [str(table[key]) for key in ("item", "source", "out")]
-        notes = tuple(map(str, table.get("notes", ())))
-        return Plan(*texts, recipes=tuple(map(str, table["recipes"])), parts=parts, notes=notes)
+        texts = {key: str(table[key]) for key in ("item", "source", "out", "identifier", "scene")}
+        return Plan(
+            recipes=tuple(map(str, table["recipes"])), parts=parts, notes=tuple(map(str, table["notes"])), **texts
+        )
     except FileNotFoundError:
         raise UnreadablePlanError(f"{folder}: nothing was started here; press Stylize") from None
     except (OSError, ValueError, KeyError, TypeError) as error:

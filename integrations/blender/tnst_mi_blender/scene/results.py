@@ -40,6 +40,7 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     if not files:
         raise CannotStylizeError(f"{folder}: has no results; see the log beside it")
     shown = _shown(original, part.name, bpy.context.scene)
+    shown.tnst_mi.shown_as = shown.name
     volume = shown.data
     volume.filepath = _as_blender_writes(files[0])
     numbers = [number for file in files if (number := _number(file)) is not None]
@@ -64,18 +65,29 @@ def load_result(original: bpy.types.Object, smoke: Smoke, part: Part, place: str
     return shown
 
 
-def show_original_of_lost(original: bpy.types.Object) -> None:
-    """Show an original again whose result is gone: a run that replaces it has been stopped before it had another."""
-    files = [Path(bpy.path.abspath(result.data.filepath)) for result in results_of(original)]
-    if not all(file.exists() for file in files):
+def show_original_of_lost(original: bpy.types.Object) -> bool:
+    """Show an original again whose result is gone: a run that replaces it has been stopped before it had another.
+
+    Returns:
+        Whether that is so. A result that is hidden, as those of other shots are, is missed by nobody.
+    """
+    shown = [result for result in results_of(original) if not (result.hide_render and result.hide_viewport)]
+    lost = not all(Path(bpy.path.abspath(result.data.filepath)).exists() for result in shown)
+    if lost:
         show_always(original)
+    return lost
 
 
 def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy.types.Object:
     """The object that shows a part of an original: the one that is there, or a new one."""
-    for item in results_of(original):
-        if item.tnst_mi.part == part:
-            return item
+    there = [item for item in results_of(original) if item.tnst_mi.part == part]
+    if there:
+        # Duplicates, which an artist has kept of an earlier one, have another name than it had.
+        item = next((item for item in there if item.name == item.tnst_mi.shown_as), there[0])
+        # It may be in another scene alone, or in none: its artist has taken it out.
+        if scene not in item.users_scene:
+            _link(item, original, scene)
+        return item
     name = "_".join(filter(None, (original.name, "stylized", part)))
     if original.type == "VOLUME":
         volume = original.data.copy()
@@ -89,11 +101,18 @@ def _shown(original: bpy.types.Object, part: str, scene: bpy.types.Scene) -> bpy
     if original.type == "VOLUME":
         for modifier in original.modifiers:
             _copy_modifier(modifier, shown)
-    # Nothing can be added to what belongs to another file.
-    own = [collection for collection in original.users_collection if collection.library is None]
-    for collection in own or [scene.collection]:
-        collection.objects.link(shown)
+    _link(shown, original, scene)
     return shown
+
+
+def _link(item: bpy.types.Object, original: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    """Put an object into the collections of its original that are in a scene, or else into the scene itself."""
+    there = {scene.collection, *scene.collection.children_recursive}
+    # Nothing can be added to what belongs to another file.
+    own = [each for each in original.users_collection if each in there and each.library is None]
+    for collection in own or [scene.collection]:
+        if collection not in item.users_collection:
+            collection.objects.link(item)
 
 
 def _copy_modifier(modifier: bpy.types.Modifier, item: bpy.types.Object) -> None:
