@@ -271,10 +271,10 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     assert said == ["device", "network", "read as", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[5].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[6].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 6
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 7
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]
