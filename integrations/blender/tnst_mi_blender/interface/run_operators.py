@@ -121,13 +121,13 @@ def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take
     # What cannot be read, as of an earlier version, is replaced.
     with suppress(UnreadablePlanError):
         require_own(folder, read_plan(folder), item)
-    inputs, before = folder / f"{out.name}_inputs", folder / f".{out.name}_inputs.before"
+    inputs, before = _inputs_of(out), folder / f".{out.name}_inputs.before"
     # Those of the run before come back if this one is refused: it can be resumed then.
     if inputs.exists():
         shutil.rmtree(before, ignore_errors=True)
         inputs.rename(before)
     try:
-        plan, command = _prepared(context, item, smoke, takes, (program, folder, out, inputs), batch)
+        plan, command = _prepared(context, item, smoke, takes, program, out, batch)
     except BaseException:
         shutil.rmtree(inputs, ignore_errors=True)
         if before.exists():
@@ -144,12 +144,12 @@ def _prepared(
     item: bpy.types.Object,
     smoke: Smoke,
     takes: Sequence[Take],
-    paths: tuple[Path, Path, Path, Path],
+    program: Path,
+    out: Path,
     batch: bool,
 ) -> tuple[Plan, list[str]]:
-    """Write the recipes of takes and the plan; `paths` are the program, the folder, that of results and of recipes."""
-    settings = item.tnst_mi
-    program, folder, out, inputs = paths
+    """Write the recipes of takes and their plan, beside the folder `out` of results; and the command of `program`."""
+    settings, inputs = item.tnst_mi, _inputs_of(out)
     notes = note_of_library(item)
     if batch:
         takes, skipped = takes_with_smoke(smoke, takes)
@@ -179,8 +179,13 @@ def _prepared(
         scene=bpy.data.filepath,
         notes=notes,
     )
-    write_plan(plan, folder)
+    write_plan(plan, out.parent)
     return plan, command
+
+
+def _inputs_of(out: Path) -> Path:
+    """Where the recipes, cameras and masks are of the results in a folder."""
+    return out.with_name(f"{out.name}_inputs")
 
 
 def _running(item: bpy.types.Object, smoke: Smoke, folder: Path, plan: Plan, command: list[str]) -> Running:
