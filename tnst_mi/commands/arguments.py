@@ -13,7 +13,13 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.commands.run_arguments import BatchArguments, ClusterAddress, DemoArguments, StylizeArguments
+from tnst_mi.commands.run_arguments import (
+    BatchArguments,
+    ClusterAddress,
+    DemoArguments,
+    StylizeArguments,
+    TrainArguments,
+)
 from tnst_mi.commands.studio_flags import StudioFlags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
 from tnst_mi.recipe.keys import Choice
@@ -279,11 +285,12 @@ class DoctorArguments(Arguments):
 
 
 #: The arguments that are given without a flag, each with its name in the help.
-POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…"}
+POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…", "inputs": "INPUT…"}
 
 ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
+    "train": TrainArguments,
     "batch": BatchArguments,
     "render": RenderArguments,
     "show": ShowArguments,

@@ -1,0 +1,253 @@
+"""`tnst_mi.train`: simulations and a recipe in, a network that stylizes in one pass out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.machine import environment
+from tnst_mi.machine.backend import activate, own_variant, torch_device
+from tnst_mi.machine.interrupt import deferred_interrupt
+from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.realtime.model import write_model
+from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
+from tnst_mi.recipe.paths import shipped_name
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.sections import Goals, Method
+from tnst_mi.resources import expanded
+from tnst_mi.run.inputs import sequence_of
+from tnst_mi.run.prepare import load_network
+from tnst_mi.training.footage import Footage
+from tnst_mi.training.trainer import Judgement, Trainer
+
+#: Channels of the network at half the resolution of an octave: with three fields, its file has 0.7 MB.
+WIDTH = 24
+
+#: Seconds after which the network is judged and written.
+_JUDGED_AFTER = 60.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a training has come to.
+
+    Attributes:
+        model: the file of the network.
+        steps: done, and the `seconds` that they took, with those of earlier trainings that it went on from.
+        before, after: mean loss of the frames that it is judged by, in the fixed views, without and with it.
+        held_out: whether these are not those that it learned from.
+        interrupted: it was ended early; it can go on.
+    """
+
+    model: Path
+    steps: int
+    seconds: float
+    before: float
+    after: float
+    held_out: bool
+    interrupted: bool
+
+
+def train(
+    inputs: Sequence[str | Path | Sequence[Frame]],
+    recipe: Recipe | str | Path | Mapping[str, Any],
+    out: str | Path,
+    *,
+    held_out: Sequence[str | Path | Sequence[Frame]] = (),
+    minutes: float = 90.0,
+    steps: int | None = None,
+    resume: bool = False,
+    progress: bool = True,
+) -> Training:
+    """Train a network that stylizes smoke in one pass, without examples of stylized smoke.
+
+    The network is judged and written every minute, so it can be used, and the training resumed, whatever ends it.
+    Beside `out` are `OUT.json`, which says how it was trained and how well, and `OUT.state`, from which it is resumed.
+    With `steps`, the same call gives the same bits on the same machine.
+
+    Args:
+        inputs: simulations to learn from: files, folders of numbered ones, patterns, or frames.
+        recipe: towards what, and how it is seen; its octaves are those of the network.
+        out: file of the model, with the extension .safetensors.
+        held_out: simulations to judge it by; without any, it is judged by those that it learns from.
+        minutes: how long, above 0, with what an earlier training took that is resumed.
+        steps: how many steps in place of that, 1 or more.
+        resume: go on where an earlier training stopped.
+        progress: show a progress bar on stderr.
+
+    Raises:
+        InputError: something cannot be used, or there is a file already.
+        OSError: something cannot be written.
+
+    Example:
+        >>> import numpy as np, tempfile, pathlib, tnst_mi
+        >>> density = np.zeros((16, 16, 16), np.float32)
+        >>> density[4:12, 4:12, 4:12] = 1.0
+        >>> recipe = {"style": ["spirals"], "octaves": 1, "views": 1, "weights": "patterns"}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     out = pathlib.Path(folder) / "spirals.safetensors"
+        ...     training = tnst_mi.train([[tnst_mi.Frame(density)]], recipe, out, steps=2, progress=False)
+        ...     training.steps, out.is_file()
+        (2, True)
+    """
+    if isinstance(recipe, str | Path):
+        recipe = Recipe.from_toml(recipe)
+    elif isinstance(recipe, Mapping):
+        recipe = Recipe.from_dict(recipe)
+    out = expanded(Path(out))
+    _require_trainable(recipe)
+    _require_place(out, resume)
+    if not (minutes > 0 and (steps is None or steps >= 1)):
+        raise InputError(f"minutes = {minutes:g}, steps = {steps}: expected minutes above 0, or 1 step or more")
+    recipe = recipe.located(Path.cwd())
+    with own_variant():
+        activate(recipe.variant)
+        return _trained(_Wanted(inputs, held_out, recipe, out, minutes, steps), resume, progress)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What `train` was asked for."""
+
+    inputs: Sequence[str | Path | Sequence[Frame]]
+    held_out: Sequence[str | Path | Sequence[Frame]]
+    recipe: Recipe
+    out: Path
+    minutes: float
+    steps: int | None
+
+    def done(self, steps: int, seconds: float) -> float:
+        """The share of the training that is done, from 0 to 1."""
+        return min(1.0, seconds / (60 * self.minutes) if self.steps is None else steps / self.steps)
+
+
+def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
+    recipe, out = wanted.recipe, wanted.out
+    judge = load_network(recipe)
+    footage = _footage(wanted.inputs, recipe, judge.model.to(torch_device()), progress)
+    held_out = _footage(wanted.held_out, recipe, judge.model, progress)
+    torch.manual_seed(recipe.seed)
+    fields = footage[0].plan.alive[0].parameterisation.channels
+    network = PotentialNetwork(Architecture(recipe.octaves, WIDTH, fields)).to(torch_device())
+    trainer = Trainer(network, footage, held_out or footage, recipe.seed)
+    state = out.with_suffix(".state")
+    before = trainer.read(state) if resume else 0.0
+    card = _card(wanted, footage, held_out, judge.model)
+    curve: list[dict[str, float]] = _earlier_curve(out) if resume else []
+
+    def kept(seconds: float) -> Judgement:
+        """The judgement of the network, which is written."""
+        judgement = trainer.judged()
+        point = {"step": trainer.steps, "seconds": round(seconds, 1), "loss": judgement.after}
+        curve.append(point)
+        trained = card | {"before": judgement.before, "curve": curve}
+        trainer.write(state, seconds)
+        write_model(
+            out, network, _keys(recipe), {key: trained[key] for key in ("inputs", "held_out", "before")} | point
+        )
+        with written_whole(out.with_suffix(".json")) as temporary:
+            temporary.write_text(json.dumps(trained, indent=1) + "\n", "utf-8")
+        return judgement
+
+    begun, judgement, loss = time.perf_counter(), trainer.judged(), 0.0
+    last = begun
+    total = 60 * wanted.minutes if wanted.steps is None else wanted.steps
+    unit = "s" if wanted.steps is None else "step"
+    layout = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}{postfix}]"
+    seconds = before
+    with (
+        deferred_interrupt() as interrupt,
+        progress_bar(total=total, unit=unit, desc="training", bar_format=layout, disable=not progress) as bar,
+    ):
+        while wanted.done(trainer.steps, seconds) < 1 and not interrupt.requested:
+            found = trainer.step(wanted.done(trainer.steps, seconds))
+            loss = loss if found is None else found
+            now = time.perf_counter()
+            seconds = before + now - begun
+            if now - last >= _JUDGED_AFTER:
+                judgement, last = kept(seconds), time.perf_counter()
+            bar.set_postfix_str(
+                f"step {trainer.steps}, loss {loss:.4g}, {'held out' if held_out else 'in fixed views'} "
+                f"{judgement.before:.4g} → {judgement.after:.4g}",
+                refresh=False,
+            )
+            bar.n = min(total, seconds if wanted.steps is None else trainer.steps)
+            bar.update(0)
+    judgement = kept(seconds)
+    return Training(out, trainer.steps, seconds, judgement.before, judgement.after, bool(held_out), interrupt.requested)
+
+
+def _footage(
+    inputs: Sequence[str | Path | Sequence[Frame]], recipe: Recipe, network: GoogLeNet, progress: bool
+) -> list[Footage]:
+    found = []
+    for one in tqdm(inputs, "reading", leave=False, disable=not progress):
+        name = str(one) if isinstance(one, str | Path) else "frames"
+        found.append(Footage(name, list(sequence_of(one, recipe)), recipe, network))
+    return found
+
+
+def _require_trainable(recipe: Recipe) -> None:
+    """Check the keys that a network cannot learn.
+
+    Raises:
+        InputError: the recipe has one.
+    """
+    if recipe.keyframes:
+        raise InputError(f"keyframes: of {', '.join(recipe.keyframes)}; a network learns one look, so give one value")
+    if recipe.target:
+        raise InputError("target: a network learns one look; train one for each, and give --mask when they are used")
+    if recipe.parameterisation != "transport":
+        raise InputError(f'parameterisation = "{recipe.parameterisation}": a network gives potentials; use "transport"')
+    if recipe.colour == "style":
+        raise InputError('colour = "style": a network moves smoke and does not colour it; use "keep" or "off"')
+    if recipe.camera is not None:
+        raise InputError("camera: a network learns views from all around; leave it out")
+
+
+def _require_place(out: Path, resume: bool) -> None:
+    if out.suffix != ".safetensors":
+        raise InputError(f"{out}: expected a file name that ends in .safetensors")
+    if out.exists() and not resume:
+        raise InputError(f"{out}: is there already; give another name, or --resume to train it further")
+
+
+def _keys(recipe: Recipe) -> dict[str, Any]:
+    """The keys of a recipe that say what was learned, as in a recipe file, without those that are as always."""
+    usual, keys = Recipe(), {}
+    for name in (key for section in (Goals, Method) for key in section.__annotations__):
+        value = getattr(recipe, name)
+        if value != getattr(usual, name):
+            keys[name] = [shipped_name(path) for path in value] if name in ("style", "content") else value
+    return keys
+
+
+def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footage], judge: GoogLeNet) -> dict[str, Any]:
+    """What is known of a training before it begins."""
+    return {
+        "recipe": _keys(wanted.recipe),
+        "inputs": {one.name: len(one) for one in footage},
+        "held_out": {one.name: len(one) for one in held_out},
+        "seed": wanted.recipe.seed,
+        "width": WIDTH,
+        "weights": {"sha256": judge.sha256, "flavour": judge.flavour},
+        "versions": environment.versions(),
+    }
+
+
+def _earlier_curve(out: Path) -> list[dict[str, float]]:
+    try:
+        return list(json.loads(out.with_suffix(".json").read_text("utf-8"))["curve"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{out.with_suffix('.json')}: damaged or gone; leave out --resume") from None
