@@ -73,6 +73,7 @@ __all__ = [
     "sample_views",
     "save_frames",
     "stylize",
+    "train",
     "velocity",
     "view",
 ]

@@ -89,8 +89,8 @@ class TrainArguments(Arguments):
     """A simulation to judge it by, which it does not learn from; may be repeated."""
     minutes: Annotated[float, tyro.conf.arg(metavar="N")] = 90.0
     """How long it is trained, with what an earlier training took that is resumed."""
-    steps: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """How many steps in place of that; the same command then gives the same bits on the same machine."""
+    updates: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """How many updates of the weights in place of that; the same command then gives the same bits on a machine."""
     resume: bool = False
     """Continue the training of --out where it stopped."""
     goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)

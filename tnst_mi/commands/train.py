@@ -25,13 +25,13 @@ def run(arguments: TrainArguments) -> int:
         arguments.out,
         held_out=arguments.held_out,
         minutes=arguments.minutes,
-        steps=arguments.steps,
+        updates=arguments.updates,
         resume=arguments.resume,
     )
     where = "of smoke that was held out" if found.held_out else "of the smoke that it learned from"
-    print(f"steps     {found.steps} in {found.seconds / 60:.1f} min")
+    print(f"updates   {found.updates} in {found.seconds / 60:.1f} min")
     print(f"loss      {found.before:.4g} → {found.after:.4g} {where}, in the fixed views")
     print(f"model     {found.model}")
     if found.interrupted:
-        raise StoppedError(f"interrupted after {found.steps} steps; {found.model} can be used, --resume continues")
+        raise StoppedError(f"interrupted after {found.updates} updates; {found.model} can be used, --resume continues")
     return 0

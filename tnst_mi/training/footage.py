@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import drjit as dr
 import mitsuba as mi
@@ -125,4 +124,4 @@ class Footage:
 
 
 #: All ways to mirror a frame.
-MIRRORINGS = tuple(product((False, True), repeat=2))
+MIRRORINGS = ((False, False), (False, True), (True, False), (True, True))

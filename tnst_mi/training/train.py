@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -44,14 +45,14 @@ class Training:
 
     Attributes:
         model: the file of the network.
-        steps: done, and the `seconds` that they took, with those of earlier trainings that it went on from.
+        updates: done, and the `seconds` that they took, with those of earlier trainings that it went on from.
         before, after: mean loss of the frames that it is judged by, in the fixed views, without and with it.
         held_out: whether these are not those that it learned from.
         interrupted: it was ended early; it can go on.
     """
 
     model: Path
-    steps: int
+    updates: int
     seconds: float
     before: float
     after: float
@@ -66,7 +67,7 @@ def train(
     *,
     held_out: Sequence[str | Path | Sequence[Frame]] = (),
     minutes: float = 90.0,
-    steps: int | None = None,
+    updates: int | None = None,
     resume: bool = False,
     progress: bool = True,
 ) -> Training:
@@ -74,7 +75,7 @@ def train(
 
     The network is judged and written every minute, so it can be used, and the training resumed, whatever ends it.
     Beside `out` are `OUT.json`, which says how it was trained and how well, and `OUT.state`, from which it is resumed.
-    With `steps`, the same call gives the same bits on the same machine.
+    With `updates`, the same call gives the same bits on the same machine.
 
     Args:
         inputs: simulations to learn from: files, folders of numbered ones, patterns, or frames.
@@ -82,7 +83,7 @@ def train(
         out: file of the model, with the extension .safetensors.
         held_out: simulations to judge it by; without any, it is judged by those that it learns from.
         minutes: how long, above 0, with what an earlier training took that is resumed.
-        steps: how many steps in place of that, 1 or more.
+        updates: how many updates of the weights in place of that, 1 or more.
         resume: go on where an earlier training stopped.
         progress: show a progress bar on stderr.
 
@@ -97,8 +98,8 @@ def train(
         >>> recipe = {"style": ["spirals"], "octaves": 1, "views": 1, "weights": "patterns"}
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     out = pathlib.Path(folder) / "spirals.safetensors"
-        ...     training = tnst_mi.train([[tnst_mi.Frame(density)]], recipe, out, steps=2, progress=False)
-        ...     training.steps, out.is_file()
+        ...     training = tnst_mi.train([[tnst_mi.Frame(density)]], recipe, out, updates=2, progress=False)
+        ...     training.updates, out.is_file()
         (2, True)
     """
     if isinstance(recipe, str | Path):
@@ -108,12 +109,12 @@ def train(
     out = expanded(Path(out))
     _require_trainable(recipe)
     _require_place(out, resume)
-    if not (minutes > 0 and (steps is None or steps >= 1)):
-        raise InputError(f"minutes = {minutes:g}, steps = {steps}: expected minutes above 0, or 1 step or more")
+    if not (minutes > 0 and (updates is None or updates >= 1)):
+        raise InputError(f"minutes = {minutes:g}, updates = {updates}: expected minutes above 0, or 1 update or more")
     recipe = recipe.located(Path.cwd())
     with own_variant():
         activate(recipe.variant)
-        return _trained(_Wanted(inputs, held_out, recipe, out, minutes, steps), resume, progress)
+        return _trained(_Wanted(inputs, held_out, recipe, out, minutes, updates), resume, progress)
 
 
 @dataclass(frozen=True)
@@ -125,18 +126,19 @@ class _Wanted:
     recipe: Recipe
     out: Path
     minutes: float
-    steps: int | None
+    updates: int | None
 
-    def done(self, steps: int, seconds: float) -> float:
+    def done(self, updates: int, seconds: float) -> float:
         """The share of the training that is done, from 0 to 1."""
-        return min(1.0, seconds / (60 * self.minutes) if self.steps is None else steps / self.steps)
+        return min(1.0, seconds / (60 * self.minutes) if self.updates is None else updates / self.updates)
 
 
 def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
     recipe, out = wanted.recipe, wanted.out
     judge = load_network(recipe)
     footage = _footage(wanted.inputs, recipe, judge.model.to(torch_device()), progress)
-    held_out = _footage(wanted.held_out, recipe, judge.model, progress)
+    # `frames` selects what is learned from.
+    held_out = _footage(wanted.held_out, dataclasses.replace(recipe, frames=None), judge.model, progress)
     torch.manual_seed(recipe.seed)
     fields = footage[0].plan.alive[0].parameterisation.channels
     network = PotentialNetwork(Architecture(recipe.octaves, WIDTH, fields)).to(torch_device())
@@ -149,7 +151,7 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
     def kept(seconds: float) -> Judgement:
         """The judgement of the network, which is written."""
         judgement = trainer.judged()
-        point = {"step": trainer.steps, "seconds": round(seconds, 1), "loss": judgement.after}
+        point = {"update": trainer.updates, "seconds": round(seconds, 1), "loss": judgement.after}
         curve.append(point)
         trained = card | {"before": judgement.before, "curve": curve}
         trainer.write(state, seconds)
@@ -162,30 +164,31 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
 
     begun, judgement, loss = time.perf_counter(), trainer.judged(), 0.0
     last = begun
-    total = 60 * wanted.minutes if wanted.steps is None else wanted.steps
-    unit = "s" if wanted.steps is None else "step"
+    total = 60 * wanted.minutes if wanted.updates is None else wanted.updates
+    unit = "s" if wanted.updates is None else "update"
     layout = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}{postfix}]"
     seconds = before
     with (
         deferred_interrupt() as interrupt,
         progress_bar(total=total, unit=unit, desc="training", bar_format=layout, disable=not progress) as bar,
     ):
-        while wanted.done(trainer.steps, seconds) < 1 and not interrupt.requested:
-            found = trainer.step(wanted.done(trainer.steps, seconds))
+        while wanted.done(trainer.updates, seconds) < 1 and not interrupt.requested:
+            found = trainer.update(wanted.done(trainer.updates, seconds))
             loss = loss if found is None else found
             now = time.perf_counter()
             seconds = before + now - begun
             if now - last >= _JUDGED_AFTER:
                 judgement, last = kept(seconds), time.perf_counter()
             bar.set_postfix_str(
-                f"step {trainer.steps}, loss {loss:.4g}, {'held out' if held_out else 'in fixed views'} "
+                f"update {trainer.updates}, loss {loss:.4g}, {'held out' if held_out else 'in fixed views'} "
                 f"{judgement.before:.4g} → {judgement.after:.4g}",
                 refresh=False,
             )
-            bar.n = min(total, seconds if wanted.steps is None else trainer.steps)
+            bar.n = min(total, seconds if wanted.updates is None else trainer.updates)
             bar.update(0)
     judgement = kept(seconds)
-    return Training(out, trainer.steps, seconds, judgement.before, judgement.after, bool(held_out), interrupt.requested)
+    stopped = interrupt.requested and wanted.done(trainer.updates, seconds) < 1
+    return Training(out, trainer.updates, seconds, judgement.before, judgement.after, bool(held_out), stopped)
 
 
 def _footage(

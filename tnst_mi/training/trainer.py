@@ -1,4 +1,4 @@
-"""All steps of a training: what is shown when, at which rate is learned, and what becomes of smoke that is not shown."""
+"""All updates of a training: what is shown when, the rate, and what becomes of smoke that is not shown."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Judgement:
 
 
 class Trainer:
-    """The training of a network; a step's number decides what it is shown.
+    """The training of a network; the number of an update decides what it is shown.
 
     Args:
         network: to be trained.
@@ -53,7 +53,7 @@ class Trainer:
         seed: of what is shown, and of the views.
 
     Attributes:
-        steps: done.
+        updates: of the weights that are done.
     """
 
     def __init__(
@@ -67,26 +67,26 @@ class Trainer:
             for position in np.unique(np.linspace(0, len(of_input) - 1, _JUDGED).round())
         ]
         self._before = [of_input.judged(shown, of_input.zeros()) for of_input, shown in self._judged]
-        self.steps = 0
+        self.updates = 0
 
-    def step(self, done: float) -> float | None:
+    def update(self, done: float) -> float | None:
         """Learn from a frame; gives its loss, None if it has no smoke.
 
         `done` is the share of the training that lies behind it: the rate falls to 0 along a half cosine.
         """
-        chance = np.random.default_rng((self._seed, self.steps))
+        chance = np.random.default_rng((self._seed, self.updates))
         # Every input counts alike, however many frames it has.
         footage = self._footage[int(chance.integers(len(self._footage)))]
         shown = footage.shown(int(chance.integers(len(footage))), MIRRORINGS[int(chance.integers(len(MIRRORINGS)))])
-        rate = RATE * min(1.0, (self.steps + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+        rate = RATE * min(1.0, (self.updates + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         self._optimiser.zero_grad()
-        loss = learn(self._network, footage, shown, (self._seed, self.steps))
+        loss = learn(self._network, footage, shown, (self._seed, self.updates))
         if loss is not None:
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
             self._optimiser.step()
-        self.steps += 1
+        self.updates += 1
         return loss
 
     def judged(self) -> Judgement:
@@ -99,12 +99,12 @@ class Trainer:
         return Judgement(float(np.mean(self._before)), float(np.mean(after)))
 
     def write(self, path: Path, seconds: float) -> None:
-        """Write all that goes on depends on: weights, Adam's moments, steps, and the seconds that they took."""
+        """Write what going on needs: weights, Adam's moments, the number of updates, and the seconds that they took."""
         tensors = {f"weight {name}": weight.detach() for name, weight in self._network.named_parameters()}
         for name, weight in self._network.named_parameters():
             tensors |= {f"{key} {name}": value for key, value in self._moments(weight).items()}
         tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
-        tensors["progress"] = torch.tensor([self.steps, seconds], dtype=torch.float64)
+        tensors["progress"] = torch.tensor([self.updates, seconds], dtype=torch.float64)
         with written_whole(path) as temporary:
             save_file(tensors, temporary)
 
@@ -118,7 +118,7 @@ class Trainer:
             raise InputError(f"{path}: no such file, so no training can go on from there; leave out --resume")
         try:
             tensors = load_file(path)
-            steps, seconds = tensors.pop("progress").tolist()
+            updates, seconds = tensors.pop("progress").tolist()
             expected = {f"{kind} {name}" for kind in _KINDS for name, _ in self._network.named_parameters()}
             if set(tensors) != expected:
                 raise InputError(f"{path}: is of another network; leave out --resume")
@@ -126,10 +126,10 @@ class Trainer:
                 for name, weight in self._network.named_parameters():
                     weight.copy_(_fitting(tensors[f"weight {name}"], weight))
                     moments = {kind: _fitting(tensors[f"{kind} {name}"], weight) for kind in _KINDS[1:]}
-                    self._optimiser.state[weight] = {"step": torch.tensor(float(steps)), **moments}
+                    self._optimiser.state[weight] = {"step": torch.tensor(float(updates)), **moments}
         except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError):
             raise InputError(f"{path}: damaged, so no training can go on from there; leave out --resume") from None
-        self.steps = int(steps)
+        self.updates = int(updates)
         return float(seconds)
 
     def _moments(self, weight: Tensor) -> dict[str, Tensor]:
