@@ -187,13 +187,14 @@ class ConvertArguments(Arguments):
 
     Mitsuba has .vol, Mantaflow .uni, OpenVDB .vdb. Velocities are written at the cell centres in cells per frame; npz
     and .vol have y up, .uni and .vdb z up, as in Blender. A stage of USD (.usda, .usdc, .usd) shows the frames as a
-    volume: .vdb files stay where they are, others are written as such beside it (docs/usd.md).
+    volume: .vdb files stay where they are, others are written as such beside it (docs/usd.md). A model that
+    `tnst-mi train` has written becomes an .onnx file (docs/realtime.md).
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'; or a model."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
-    """File, whose extension selects the format, stage such as out.usda, or new or empty folder."""
+    """File, whose extension selects the format, stage such as out.usda, or new or empty folder; or .onnx of a model."""
     format: Annotated[str | None, tyro.conf.arg(metavar="npz|vol|uni|vdb", help_behavior_hint="(default: npz)")] = None
     """Format of the files in a folder."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
@@ -64,7 +64,7 @@ def write_model(path: Path, network: PotentialNetwork, recipe: Mapping[str, Any]
     }
     weights = {name: weight.detach().half().cpu().contiguous() for name, weight in network.state_dict().items()}
     with written_whole(path) as temporary:
-        save_file(weights, temporary, {_KEY: json.dumps(described)})
+        temporary.write_bytes(save(weights, {_KEY: json.dumps(described)}))
 
 
 def read_model(path: Path) -> Model:

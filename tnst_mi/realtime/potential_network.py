@@ -82,7 +82,7 @@ class Block(nn.Module):
         wide = functional.interpolate(coarse, scale_factor=2.0, mode="nearest")
         joined = functional.silu(self.joined(torch.cat([fine, wide], dim=1)))
         # Unlike that of tanh, this bound never quite loses its derivative, so what is too large can be unlearned.
-        return LARGEST * functional.softsign(_spread(self.last(joined)) / LARGEST)
+        return LARGEST * functional.softsign(_spread(self.last(joined)).float() / LARGEST)
 
 
 class PotentialNetwork(nn.Module):

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
@@ -195,7 +194,7 @@ def _footage(
     inputs: Sequence[str | Path | Sequence[Frame]], recipe: Recipe, network: GoogLeNet, progress: bool
 ) -> list[Footage]:
     found = []
-    for one in tqdm(inputs, "reading", leave=False, disable=not progress):
+    for one in progress_bar(inputs, "reading", leave=False, disable=not progress or len(inputs) < 2):
         name = str(one) if isinstance(one, str | Path) else "frames"
         found.append(Footage(name, list(sequence_of(one, recipe)), recipe, network))
     return found

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from tnst_mi.errors import InputError
@@ -106,7 +106,7 @@ class Trainer:
         tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
         tensors["progress"] = torch.tensor([self.updates, seconds], dtype=torch.float64)
         with written_whole(path) as temporary:
-            save_file(tensors, temporary)
+            temporary.write_bytes(save(tensors))
 
     def read(self, path: Path) -> float:
         """Go on where an earlier training stopped; gives the seconds that it took.
