@@ -92,6 +92,8 @@ def read_model(path: Path) -> Model:
                 if not torch.isfinite(expected[name]).all():
                     raise InputError(f"{path}: damaged, {name} has values that are not finite; train it again")
         recipe, trained = dict(described["recipe"]), dict(described["trained"])
+    except InputError:
+        raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise InputError(f"{path}: damaged, or no model that `tnst-mi train` has written") from None
     network.load_state_dict(expected)

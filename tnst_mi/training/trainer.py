@@ -127,6 +127,8 @@ class Trainer:
                     weight.copy_(_fitting(tensors[f"weight {name}"], weight))
                     moments = {kind: _fitting(tensors[f"{kind} {name}"], weight) for kind in _KINDS[1:]}
                     self._optimiser.state[weight] = {"step": torch.tensor(float(updates)), **moments}
+        except InputError:
+            raise
         except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError):
             raise InputError(f"{path}: damaged, so no training can go on from there; leave out --resume") from None
         self.updates = int(updates)
