@@ -19,7 +19,7 @@ from tnst_mi.training.footage import Footage, Shown
 
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
 #: is grow without bound, and smoke is torn rather than moved.
-PULL = 0.2
+PULL = 0.1
 
 
 def learn(network: PotentialNetwork, footage: Footage, shown: Shown, seed: Sequence[int]) -> float | None:

@@ -31,8 +31,8 @@ from tnst_mi.run.prepare import load_network
 from tnst_mi.training.footage import Footage
 from tnst_mi.training.trainer import Judgement, Trainer
 
-#: Channels of the network at half the resolution of an octave: with three fields, its file has 0.7 MB.
-WIDTH = 24
+#: Channels of the network at half the resolution of an octave: with one vector potential, its file has 1.1 MB.
+WIDTH = 32
 
 #: Seconds after which the network is judged and written.
 _JUDGED_AFTER = 60.0

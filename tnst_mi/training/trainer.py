@@ -21,7 +21,7 @@ from tnst_mi.training.footage import MIRRORINGS, Footage
 from tnst_mi.training.learning import learn
 
 #: Adam's rate at its highest, and the steps in which it rises to that.
-RATE, RISING = 8e-4, 100
+RATE, RISING = 1.2e-3, 50
 
 #: The length at which the gradient of all weights is cut off.
 _LONGEST = 1.0
