@@ -6,7 +6,7 @@ those that refine are the last ones of the recipe.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -69,22 +69,26 @@ def begun_by(
         raise InputError(f"{model.path}: the run that is resumed began otherwise; use --overwrite")
     last = len(plan.octaves) - 1
     iterations = {frame.name: plan.iterations(last) - refine for frame in plan.frames}
-    start = Start(last, iterations, {}, _potentials(network, plan, frames))
+    start = Start(last, iterations, {}, _Potentials(network, plan, frames))
     return replace(plan, start=start), record | {"model": said}
 
 
-def _potentials(model: Model, plan: Plan, frames: Sequence[Frame]) -> Callable[[str], Mapping[str, np.ndarray]]:
-    """Finds the fields of a frame by its name, on the grid of the finest octave."""
-    octave, indices = plan.octaves[-1], {frame.name: frame.index for frame in plan.frames}
+@dataclass(frozen=True)
+class _Potentials:
+    """Finds the fields of a frame by its name, on the grid of the finest octave; other processes can do so too."""
 
-    def found(name: str) -> Mapping[str, np.ndarray]:
-        full = mi.TensorXf(scaled(frames[indices[name]].density, plan.density_scale))
+    model: Model
+    plan: Plan
+    frames: Sequence[Frame]
+
+    def __call__(self, name: str) -> Mapping[str, np.ndarray]:
+        """The fields of the frame."""
+        plan, network = self.plan, self.model.network
+        octave, index = plan.octaves[-1], next(frame.index for frame in plan.frames if frame.name == name)
+        full = mi.TensorXf(scaled(self.frames[index].density, plan.density_scale))
         density = resample_density(full, 1.0, octave.shape, octave.cell_size)
-        potentials = predicted(model.network, density.numpy())
-        fields = fields_of(potentials, model.network.architecture, octave.cell_size)
+        fields = fields_of(predicted(network, density.numpy()), network.architecture, octave.cell_size)
         return {name: field.numpy() for name, field in fields.items()}
-
-    return found
 
 
 def _require_fitting(model: Model, plan: Plan, refine: int) -> None:

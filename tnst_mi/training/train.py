@@ -154,9 +154,9 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
         curve.append(point)
         trained = card | {"before": judgement.before, "curve": curve}
         trainer.write(state, seconds)
-        write_model(
-            out, network, _keys(recipe), {key: trained[key] for key in ("inputs", "held_out", "before")} | point
-        )
+        # Without how long it took, the same training gives the same file.
+        said = {"inputs": card["inputs"], "held_out": card["held_out"], "updates": trainer.updates}
+        write_model(out, network, _keys(recipe), said | {"loss": judgement.after, "loss_before": judgement.before})
         with written_whole(out.with_suffix(".json")) as temporary:
             temporary.write_text(json.dumps(trained, indent=1) + "\n", "utf-8")
         return judgement
