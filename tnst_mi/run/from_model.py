@@ -23,6 +23,7 @@ from tnst_mi.optimisation.start import Start
 from tnst_mi.realtime.model import Model, read_model
 from tnst_mi.realtime.prediction import fields_of, predicted
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,22 @@ class FromModel:
     refine: int = 0
 
 
-def recipe_of_model(path: Path) -> Recipe:
+def recipe_of_model(path: str | Path) -> Recipe:
     """The recipe by which a network was trained.
 
     Raises:
         InputError: the file is no model, or names pictures that are not there.
+
+    Example:
+        >>> import numpy as np, tempfile, pathlib, tnst_mi
+        >>> smoke = tnst_mi.Frame(np.pad(np.ones((8, 8, 8), np.float32), 4))
+        >>> recipe = {"style": ["spirals"], "octaves": 1, "views": 1, "weights": "patterns"}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     training = tnst_mi.train([[smoke]], recipe, f"{folder}/m.safetensors", updates=1, progress=False)
+        ...     tnst_mi.recipe_of_model(training.model).octaves
+        1
     """
-    return Recipe.from_dict(read_model(path).recipe, f"{path}: ")
+    return Recipe.from_dict(read_model(expanded(Path(path))).recipe, f"{path}: ")
 
 
 def begun_by(

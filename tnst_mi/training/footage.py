@@ -27,7 +27,7 @@ _CALIBRATING = 4
 
 
 @dataclass(frozen=True)
-class Shown:
+class Take:
     """A frame as it is shown to the network.
 
     Attributes:
@@ -89,15 +89,15 @@ class Footage:
         """The plan of the frames."""
         return self._plan
 
-    def shown(self, position: int, mirrored: tuple[bool, bool] = (False, False)) -> Shown:
+    def shown(self, position: int, mirrored: tuple[bool, bool] = (False, False)) -> Take:
         """A frame with smoke, mirrored along z and x or not: smoke rises along y."""
         plan = self._plan.alive[position]
         density = scaled(self._frames[plan.index].density, self._scale)
         axes = tuple(axis for axis, flipped in zip((0, 2), mirrored, strict=True) if flipped)
         octave, full = self.problem.octave, mi.TensorXf(np.ascontiguousarray(np.flip(density, axes), np.float32))
-        return Shown(plan, resample_density(full, 1.0, octave.shape, octave.cell_size), full)
+        return Take(plan, resample_density(full, 1.0, octave.shape, octave.cell_size), full)
 
-    def judged(self, shown: Shown, fields: Fields) -> float:
+    def judged(self, shown: Take, fields: Fields) -> float:
         """The loss of a frame that is transported by fields, in the fixed views."""
         parameterisation, full = shown.plan.parameterisation, self._plan.full
         with dr.suspend_grad():

@@ -15,14 +15,14 @@ from torch import Tensor
 from tnst_mi.optimisation.parameterisation import LARGEST_DERIVATIVE, limited
 from tnst_mi.realtime.potential_network import PotentialNetwork
 from tnst_mi.realtime.prediction import Example, fields_of
-from tnst_mi.training.footage import Footage, Shown
+from tnst_mi.training.footage import Footage, Take
 
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
 #: is grow without bound, and smoke is torn rather than moved.
 PULL = 0.1
 
 
-def learn(network: PotentialNetwork, footage: Footage, shown: Shown, seed: Sequence[int]) -> float | None:
+def learn(network: PotentialNetwork, footage: Footage, shown: Take, seed: Sequence[int]) -> float | None:
     """Add a frame's derivative to those of the weights; gives its loss, None if it has no smoke.
 
     Derivatives of frames have one size whatever their smoke is, so that all of them count alike.
