@@ -248,10 +248,15 @@ def test_a_preset_that_the_recipe_overrules_says_so(
     run: Run, smoke: Path, tmp_path: Path, optimiser: FakeOptimiser
 ) -> None:
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--overwrite", "--tag", "volcano", "--preset", "paper")
-    notes = [line for line in run(*arguments).errors if line.startswith(("note", "warning"))]
-    assert notes == []
+    (room,) = (line for line in run(*arguments).errors if line.startswith(("note", "warning")))
+    assert room == (
+        "note: the smoke is seen in 6 rows, and a motif is drawn over some 24: finer smoke, or motif_size = 0.25, has "
+        "room for more than one (docs/motifs.md)"
+    )
     notes = [line for line in run(*arguments, "--sigma", "step", "--steps", "1").errors if line.startswith("note")]
-    assert notes == ['note: preset = "paper" leaves sigma as the recipe gives them']
+    assert notes == ['note: preset = "paper" leaves sigma as the recipe gives them', room]
+    finer = run(*arguments, "--motif-size", "0.25").errors
+    assert not any("rows" in line for line in finer)
     thin = ("--density-scale", "0.1")
     assert any(line.startswith("warning: the density of thick smoke is 0.04") for line in run(*arguments, *thin).errors)
 
@@ -260,15 +265,16 @@ def test_failures_of_other_kinds(run: Run, smoke: Path, tmp_path: Path, optimise
     arguments = ("stylize", smoke, "--out", tmp_path / "out", "--tag", "volcano", "--overwrite")
     optimiser.failure = RuntimeError("two\nlines")
     ran = run(*arguments)
-    assert (ran.code, ran.errors[5:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
+    assert ran.errors[5].startswith("note: the smoke is seen in 6 rows")
+    assert (ran.code, ran.errors[6:]) == (1, ["tnst-mi: RuntimeError: two lines (--debug shows where)"])
     said = [line.split(": ")[0] for line in ran.errors[:5]]
     assert said == ["device", "network", "read as", "memory", "density"] and ran.errors[1] == "network: bvlc, none"
     ran = run(*arguments, "--debug")
     assert ran.code == 1
-    assert ran.errors[5].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
+    assert ran.errors[6].startswith("Traceback") and ran.errors[-1] == "tnst-mi: RuntimeError: two lines"
     optimiser.failure = KeyboardInterrupt()
     ran = run(*arguments)
-    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 6
+    assert ran.code == 3 and "--resume continues" in ran.errors[-1] and len(ran.errors) == 7
     optimiser.failure = OSError(errno.ENOSPC, "No space left on device")
     ran = run(*arguments)
     assert ran.code == 3 and "the disk is full; free some space" in ran.errors[-1]

@@ -13,6 +13,7 @@ from tnst_mi.recipe.presets import PRESETS
 from tnst_mi.recipe.quality import FINAL
 from tnst_mi.recipe.targets import Target, targets_of
 from tnst_mi.recipe.unused import unused_keys
+from tnst_mi.rendering.levels import MOTIF_PIXELS, all_levels
 from tnst_mi.rendering.looks import gamma
 from tnst_mi.run.carry import VELOCITY, chosen
 from tnst_mi.run.prepare import Prepared
@@ -25,6 +26,9 @@ _FAINT = 1e-3
 
 #: Share of the smoke from which on it is mentioned that images do not show it.
 _CUT_OFF = 0.01
+
+#: Motifs, one above the other, for which there should be room.
+_ROOM = 2
 
 
 def announcement(prepared: Prepared) -> Iterator[str]:
@@ -157,8 +161,15 @@ def _of_density(prepared: Prepared) -> Iterator[str]:
 
 
 def _of_images(prepared: Prepared) -> Iterator[str]:
-    """Frames and smoke that images do not show."""
-    frames = prepared.plan.frames
+    """Frames and smoke that images do not show, and motifs for which there is no room."""
+    frames, recipe = prepared.plan.frames, prepared.recipe
+    rows = all_levels(recipe, prepared.plan.shape)[-1].size[0]
+    motifs = any(target.recipe.style or target.recipe.semantic or target.recipe.tag for target in targets_of(recipe))
+    if motifs and rows < _ROOM * MOTIF_PIXELS:
+        yield (
+            f"note: the smoke is seen in {rows} rows, and a motif is drawn over some {MOTIF_PIXELS:g}: finer smoke, or "
+            "motif_size = 0.25, has room for more than one (docs/motifs.md)"
+        )
     for measure, plan in zip(prepared.measures, frames, strict=True):
         if plan.still and measure.mass > 0.0:
             yield f"warning: {measure.name} renders black at this gamma in the main view"
