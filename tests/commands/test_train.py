@@ -38,7 +38,7 @@ def test_a_training_says_what_it_has_come_to(model, smoke):
     assert card["inputs"] == {str(smoke): 3} and card["held_out"] == {}
     assert card["recipe"] == {"style": ["spirals"], "octaves": 1, "views": 1}
     assert [point["update"] for point in card["curve"]] == [30]
-    assert card["curve"][0]["loss"] < card["before"]
+    assert card["curve"][0]["loss"] < card["loss_before"]
 
 
 def test_the_same_command_gives_the_same_bits(model, smoke, weights, tmp_path):

@@ -43,26 +43,26 @@ def test_the_derivative_of_the_weights_is_that_of_the_loss(footage, monkeypatch)
     """Against central differences along a random direction, without what only makes steps steadier."""
     monkeypatch.setattr(learning, "PULL", 0.0)
     monkeypatch.setattr(learning, "limited", lambda field, _: field)
-    made, shown, seed = small(), footage.shown(0), (1, 2)
-    learning.learn(made, footage, shown, seed)
+    made, take, seed = small(), footage.take(0), (1, 2)
+    learning.learn(made, footage, take, seed)
     torch.manual_seed(4)
     direction = [torch.randn_like(weight) * weight.detach().abs().mean() for weight in made.parameters()]
     gradient = [weight.grad for weight in made.parameters()]
     analytic = float(sum((g * d).sum() for g, d in zip(gradient, direction, strict=True)))
     # `learn` divides by the size of the derivative of the potentials, which is found here independently.
-    potentials = predicted(made, shown.density.numpy())
+    potentials = predicted(made, take.density.numpy())
     at = fields_of(potentials, made.architecture, 1.0)
-    raw = footage.problem.gradient(shown.plan, at, shown.density, seed).gradients[0]["psi"].numpy()
+    raw = footage.problem.gradient(take.plan, at, take.density, seed).gradients[0]["psi"].numpy()
     analytic *= float(np.sqrt(np.square(raw, dtype=np.float64).sum()))
 
     def loss(step):
         with torch.no_grad():
             for weight, d in zip(made.parameters(), direction, strict=True):
                 weight += step * d
-            fields = fields_of(predicted(made, shown.density.numpy()), made.architecture, 1.0)
+            fields = fields_of(predicted(made, take.density.numpy()), made.architecture, 1.0)
             for weight, d in zip(made.parameters(), direction, strict=True):
                 weight -= step * d
-        return float(footage.problem.gradient(shown.plan, fields, shown.density, seed).loss)
+        return float(footage.problem.gradient(take.plan, fields, take.density, seed).loss)
 
     step = 2e-3
     central = (loss(step) - loss(-step)) / (2 * step)
@@ -123,10 +123,10 @@ def test_states_of_other_networks_and_damaged_ones_are_refused(footage, tmp_path
 
 
 def test_frames_are_mirrored_along_z_and_x(footage):
-    density = footage.shown(0).density.numpy()
+    density = footage.take(0).density.numpy()
     for along_z, along_x in MIRRORINGS:
         axes = ([0] if along_z else []) + ([2] if along_x else [])
-        assert np.array_equal(footage.shown(0, (along_z, along_x)).density.numpy(), np.flip(density, axes))
+        assert np.array_equal(footage.take(0, (along_z, along_x)).density.numpy(), np.flip(density, axes))
 
 
 def test_on_a_coarser_grid_the_loss_is_that_of_the_octave(network):
@@ -135,14 +135,14 @@ def test_on_a_coarser_grid_the_loss_is_that_of_the_octave(network):
     coarse = Footage("smoke", [frame(shape=(40, 48, 40))], recipe, network)
     octave = coarse.problem.octave
     assert octave.shape == (20, 24, 20) and octave.cell_size == 2.0
-    shown = coarse.shown(0)
-    assert tuple(shown.density.shape) == octave.shape
+    take = coarse.take(0)
+    assert tuple(take.density.shape) == octave.shape
     # A potential that moves smoke by one cell of the octave along x moves it by two of the input's.
     y = np.indices(octave.shape, np.float32)[1]
     potentials = np.zeros((*octave.shape, 3), np.float32)
     potentials[..., 2] = y
     fields = fields_of(potentials, Architecture(1, 4, {"psi": 3}), octave.cell_size)
-    parameterisation, full = shown.plan.parameterisation, coarse.plan.full
+    parameterisation, full = take.plan.parameterisation, coarse.plan.full
     with dr.suspend_grad():
         v = parameterisation.velocity(parameterisation.carried(fields, octave, full), full.cell_size).numpy()
     assert np.abs(v[8:-8, 8:-8, 8:-8, 0] - 2.0).max() < 1e-3

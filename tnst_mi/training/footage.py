@@ -89,7 +89,7 @@ class Footage:
         """The plan of the frames."""
         return self._plan
 
-    def shown(self, position: int, mirrored: tuple[bool, bool] = (False, False)) -> Take:
+    def take(self, position: int, mirrored: tuple[bool, bool] = (False, False)) -> Take:
         """A frame with smoke, mirrored along z and x or not: smoke rises along y."""
         plan = self._plan.alive[position]
         density = scaled(self._frames[plan.index].density, self._scale)
@@ -97,13 +97,13 @@ class Footage:
         octave, full = self.problem.octave, mi.TensorXf(np.ascontiguousarray(np.flip(density, axes), np.float32))
         return Take(plan, resample_density(full, 1.0, octave.shape, octave.cell_size), full)
 
-    def judged(self, shown: Take, fields: Fields) -> float:
+    def judged(self, take: Take, fields: Fields) -> float:
         """The loss of a frame that is transported by fields, in the fixed views."""
-        parameterisation, full = shown.plan.parameterisation, self._plan.full
+        parameterisation, full = take.plan.parameterisation, self._plan.full
         with dr.suspend_grad():
             fields = parameterisation.carried(fields, self.problem.octave, full)
-            moved = parameterisation.density(fields, shown.full, full.cell_size)
-        return self.problem.judge(shown.plan, moved.numpy())[0]
+            moved = parameterisation.density(fields, take.full, full.cell_size)
+        return self.problem.judge(take.plan, moved.numpy())[0]
 
     def zeros(self) -> Fields:
         """The fields that leave smoke as it is."""
@@ -117,10 +117,10 @@ class Footage:
 
     def _square_sums(self, problem: OctaveProblem, chosen: np.ndarray) -> Iterator[dict[str, tuple[float, int]]]:
         for position in chosen:
-            shown = self.shown(int(position))
-            seed = shown.plan.seed(len(self._plan.octaves) - 1, 0)
-            zeros = shown.plan.parameterisation.zeros(problem.octave)
-            yield problem.gradient_square_sum(shown.plan, zeros, shown.density, seed)
+            take = self.take(int(position))
+            seed = take.plan.seed(len(self._plan.octaves) - 1, 0)
+            zeros = take.plan.parameterisation.zeros(problem.octave)
+            yield problem.gradient_square_sum(take.plan, zeros, take.density, seed)
 
 
 #: All ways to mirror a frame.

@@ -22,7 +22,7 @@ from tnst_mi.training.footage import Footage, Take
 PULL = 0.1
 
 
-def learn(network: PotentialNetwork, footage: Footage, shown: Take, seed: Sequence[int]) -> float | None:
+def learn(network: PotentialNetwork, footage: Footage, take: Take, seed: Sequence[int]) -> float | None:
     """Add a frame's derivative to those of the weights; gives its loss, None if it has no smoke.
 
     Derivatives of frames have one size whatever their smoke is, so that all of them count alike.
@@ -30,10 +30,10 @@ def learn(network: PotentialNetwork, footage: Footage, shown: Take, seed: Sequen
     Args:
         network: whose weights are learned.
         footage: that the frame is of.
-        shown: the frame.
+        take: the frame.
         seed: of the views.
     """
-    example = Example(shown.density.numpy(), network)
+    example = Example(take.density.numpy(), network)
     if example.box is None:
         return None
     # Half the digits cost a third of the time, and the noise of a step is far above that of rounding.
@@ -42,14 +42,14 @@ def learn(network: PotentialNetwork, footage: Footage, shown: Take, seed: Sequen
     potentials = example.on_grid(in_box)
     h = footage.problem.octave.cell_size
     fields = fields_of(potentials.detach().cpu().numpy(), network.architecture, h)
-    found = footage.problem.gradient(shown.plan, fields, shown.density, seed)
+    found = footage.problem.gradient(take.plan, fields, take.density, seed)
     (gradient,) = found.gradients
     parts = [limited(gradient[name], LARGEST_DERIVATIVE).numpy() for name in network.architecture.fields]
     derivative = np.concatenate([part if part.ndim == 4 else part[..., None] for part in parts], axis=-1)
     size = float(np.sqrt(np.square(derivative, dtype=np.float64).sum()))
     if size > 0:
         potentials.backward(torch.from_numpy(derivative / size).to(potentials) + PULL * _drawn(potentials))
-    return float(found.loss) / shown.plan.recipe.views
+    return float(found.loss) / take.plan.recipe.views
 
 
 def _drawn(potentials: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine import environment
 from tnst_mi.machine.backend import activate, own_variant, torch_device
-from tnst_mi.machine.interrupt import deferred_interrupt
+from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.realtime.model import write_model
@@ -136,67 +136,95 @@ class _Wanted:
     minutes: float
     updates: int | None
 
+    @property
+    def state(self) -> Path:
+        """From which the training is resumed."""
+        return self.out.with_suffix(".state")
+
+    @property
+    def card(self) -> Path:
+        """How it was trained, and how well."""
+        return self.out.with_suffix(".json")
+
     def done(self, updates: int, seconds: float) -> float:
         """The share of the training that is done, from 0 to 1."""
         return min(1.0, seconds / (60 * self.minutes) if self.updates is None else updates / self.updates)
 
 
 def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
-    recipe, out = wanted.recipe, wanted.out
-    judge = load_network(recipe)
-    footage = _footage(wanted.inputs, recipe, judge.model.to(torch_device()), progress)
+    recipe, judge = wanted.recipe, load_network(wanted.recipe).model.to(torch_device())
+    footage = _footage(wanted.inputs, recipe, judge, progress)
     # `frames` selects what is learned from.
-    held_out = _footage(wanted.held_out, dataclasses.replace(recipe, frames=None), judge.model, progress)
+    held_out = _footage(wanted.held_out, dataclasses.replace(recipe, frames=None), judge, progress)
     torch.manual_seed(recipe.seed)
     fields = footage[0].plan.alive[0].parameterisation.channels
     network = PotentialNetwork(Architecture(min(recipe.octaves, OCTAVES), WIDTH, fields)).to(torch_device())
     trainer = Trainer(network, footage, held_out or footage, recipe.seed)
-    state = out.with_suffix(".state")
-    before = trainer.read(state) if resume else 0.0
-    card = _card(wanted, footage, held_out, judge.model)
-    curve: list[dict[str, float]] = _earlier_curve(out) if resume else []
+    before = trainer.read(wanted.state) if resume else 0.0
+    kept = _Kept(wanted, network, trainer, _card(wanted, footage, held_out, judge))
+    if resume:
+        kept.curve.extend(_earlier_curve(wanted.card))
+    with deferred_interrupt() as interrupt:
+        seconds = _go_on(wanted, trainer, kept, before, interrupt, progress)
+    judgement = kept.write(seconds)
+    stopped = interrupt.requested and wanted.done(trainer.updates, seconds) < 1
+    return Training(wanted.out, trainer.updates, seconds, judgement.before, judgement.after, bool(held_out), stopped)
 
-    def kept(seconds: float) -> Judgement:
-        """The judgement of the network, which is written."""
-        judgement = trainer.judged()
-        point = {"update": trainer.updates, "seconds": round(seconds, 1), "loss": judgement.after}
-        curve.append(point)
-        trained = card | {"before": judgement.before, "curve": curve}
-        trainer.write(state, seconds)
-        # Without how long it took, the same training gives the same file.
-        said = {"inputs": card["inputs"], "held_out": card["held_out"], "updates": trainer.updates}
-        write_model(out, network, _keys(recipe), said | {"loss": judgement.after, "loss_before": judgement.before})
-        with written_whole(out.with_suffix(".json")) as temporary:
-            temporary.write_text(json.dumps(trained, indent=1) + "\n", "utf-8")
-        return judgement
 
-    begun, judgement, loss = time.perf_counter(), trainer.judged(), 0.0
-    last = begun
-    total = 60 * wanted.minutes if wanted.updates is None else wanted.updates
-    unit = "s" if wanted.updates is None else "update"
-    layout = "{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}{postfix}]"
-    seconds = before
-    with (
-        deferred_interrupt() as interrupt,
-        progress_bar(total=total, unit=unit, desc="training", bar_format=layout, disable=not progress) as bar,
-    ):
-        while wanted.done(trainer.updates, seconds) < 1 and not interrupt.requested:
-            found = trainer.update(wanted.done(trainer.updates, seconds))
+def _go_on(
+    wanted: _Wanted, trainer: Trainer, kept: _Kept, before: float, interrupt: Interrupt, progress: bool
+) -> float:
+    """Train until all is done, or Ctrl-C was pressed; gives the seconds that were taken, with those `before`."""
+    begun = last = time.perf_counter()
+    seconds, loss, judgement = before, 0.0, trainer.judged()
+    by_time = wanted.updates is None
+    bar = progress_bar(
+        total=60 * wanted.minutes if by_time else wanted.updates,
+        initial=before if by_time else trainer.updates,
+        desc="training",
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}{postfix}]",
+        disable=not progress,
+    )
+    with bar:
+        while (done := wanted.done(trainer.updates, seconds)) < 1 and not interrupt.requested:
+            found = trainer.update(done)
             loss = loss if found is None else found
             now = time.perf_counter()
             seconds = before + now - begun
             if now - last >= _JUDGED_AFTER:
-                judgement, last = kept(seconds), time.perf_counter()
+                judgement, last = kept.write(seconds), time.perf_counter()
             bar.set_postfix_str(
-                f"update {trainer.updates}, loss {loss:.4g}, {'held out' if held_out else 'in fixed views'} "
+                f"update {trainer.updates}, loss {loss:.4g}, {'held out' if wanted.held_out else 'in fixed views'} "
                 f"{judgement.before:.4g} → {judgement.after:.4g}",
                 refresh=False,
             )
-            bar.n = min(total, seconds if wanted.updates is None else trainer.updates)
-            bar.update(0)
-    judgement = kept(seconds)
-    stopped = interrupt.requested and wanted.done(trainer.updates, seconds) < 1
-    return Training(out, trainer.updates, seconds, judgement.before, judgement.after, bool(held_out), stopped)
+            bar.update(min(bar.total, seconds if by_time else trainer.updates) - bar.n)
+    return seconds
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What is written of a training: the network, how it came about, and how well it does at which time."""
+
+    wanted: _Wanted
+    network: PotentialNetwork
+    trainer: Trainer
+    card: Mapping[str, Any]
+    curve: list[dict[str, float]] = field(default_factory=list)
+
+    def write(self, seconds: float) -> Judgement:
+        """Judge the network, and write it as it is."""
+        trainer, card, judgement = self.trainer, self.card, self.trainer.judged()
+        self.curve.append({"update": trainer.updates, "seconds": round(seconds, 1), "loss": judgement.after})
+        trainer.write(self.wanted.state, seconds)
+        # Without how long it took, the same training gives the same file.
+        said = {"inputs": card["inputs"], "held_out": card["held_out"], "updates": trainer.updates}
+        said |= {"loss": judgement.after, "loss_before": judgement.before}
+        write_model(self.wanted.out, self.network, card["recipe"], said)
+        with written_whole(self.wanted.card) as temporary:
+            text = json.dumps({**card, "loss_before": judgement.before, "curve": self.curve}, indent=1)
+            temporary.write_text(text + "\n", "utf-8")
+        return judgement
 
 
 def _footage(
@@ -257,8 +285,8 @@ def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footag
     }
 
 
-def _earlier_curve(out: Path) -> list[dict[str, float]]:
+def _earlier_curve(card: Path) -> list[dict[str, float]]:
     try:
-        return list(json.loads(out.with_suffix(".json").read_text("utf-8"))["curve"])
+        return [dict(point) for point in json.loads(card.read_text("utf-8"))["curve"]]
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{out.with_suffix('.json')}: damaged or gone; leave out --resume") from None
+        raise InputError(f"{card}: damaged or gone, so no training can go on from there; leave out --resume") from None

@@ -62,11 +62,11 @@ class Trainer:
         self._network, self._footage, self._seed = network, footage, seed
         self._optimiser = torch.optim.Adam(network.parameters(), lr=RATE, betas=(0.9, 0.99))
         self._judged = [
-            (of_input, of_input.shown(int(position)))
+            (of_input, of_input.take(int(position)))
             for of_input in held_out
             for position in np.unique(np.linspace(0, len(of_input) - 1, _JUDGED).round())
         ]
-        self._before = [of_input.judged(shown, of_input.zeros()) for of_input, shown in self._judged]
+        self._before = [of_input.judged(take, of_input.zeros()) for of_input, take in self._judged]
         self.updates = 0
 
     def update(self, done: float) -> float | None:
@@ -77,12 +77,12 @@ class Trainer:
         chance = np.random.default_rng((self._seed, self.updates))
         # Every input counts alike, however many frames it has.
         footage = self._footage[int(chance.integers(len(self._footage)))]
-        shown = footage.shown(int(chance.integers(len(footage))), MIRRORINGS[int(chance.integers(len(MIRRORINGS)))])
+        take = footage.take(int(chance.integers(len(footage))), MIRRORINGS[int(chance.integers(len(MIRRORINGS)))])
         rate = RATE * min(1.0, (self.updates + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         self._optimiser.zero_grad()
-        loss = learn(self._network, footage, shown, (self._seed, self.updates))
+        loss = learn(self._network, footage, take, (self._seed, self.updates))
         if loss is not None:
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
             self._optimiser.step()
@@ -92,10 +92,10 @@ class Trainer:
     def judged(self) -> Judgement:
         """The network as it is, on what it does not learn from."""
         after = []
-        for footage, shown in self._judged:
-            potentials = predicted(self._network, shown.density.numpy())
+        for footage, take in self._judged:
+            potentials = predicted(self._network, take.density.numpy())
             fields = fields_of(potentials, self._network.architecture, footage.problem.octave.cell_size)
-            after.append(footage.judged(shown, fields))
+            after.append(footage.judged(take, fields))
         return Judgement(float(np.mean(self._before)), float(np.mean(after)))
 
     def write(self, path: Path, seconds: float) -> None:
