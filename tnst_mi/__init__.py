@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from tnst_mi.rendering.cameras.views import sample_views
     from tnst_mi.rendering.render import render
     from tnst_mi.run.api import Result, stylize
+    from tnst_mi.run.from_model import recipe_of_model
+    from tnst_mi.training.train import Training, train
 
 #: Public names and the modules that define them; a module is imported on first use of its name.
 _PUBLIC = {
@@ -41,13 +43,16 @@ _PUBLIC = {
     "GoogLeNet": "network.googlenet",
     "Recipe": "recipe.recipe",
     "Result": "run.api",
+    "Training": "training.train",
     "activate": "machine.backend",
     "advect": "fields.advection",
     "load_frames": "io",
+    "recipe_of_model": "run.from_model",
     "render": "rendering.render",
     "sample_views": "rendering.cameras.views",
     "save_frames": "io",
     "stylize": "run.api",
+    "train": "training.train",
     "velocity": "fields.potentials",
     "view": "notebook.viewer",
 }
@@ -59,13 +64,16 @@ __all__ = [
     "InputError",
     "Recipe",
     "Result",
+    "Training",
     "activate",
     "advect",
     "load_frames",
+    "recipe_of_model",
     "render",
     "sample_views",
     "save_frames",
     "stylize",
+    "train",
     "velocity",
     "view",
 ]

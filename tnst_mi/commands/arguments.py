@@ -13,7 +13,13 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.commands.run_arguments import BatchArguments, ClusterAddress, DemoArguments, StylizeArguments
+from tnst_mi.commands.run_arguments import (
+    BatchArguments,
+    ClusterAddress,
+    DemoArguments,
+    StylizeArguments,
+    TrainArguments,
+)
 from tnst_mi.commands.studio_flags import StudioFlags
 from tnst_mi.network.shipped import PAPERS_FLAVOUR
 from tnst_mi.recipe.keys import Choice
@@ -181,13 +187,14 @@ class ConvertArguments(Arguments):
 
     Mitsuba has .vol, Mantaflow .uni, OpenVDB .vdb. Velocities are written at the cell centres in cells per frame; npz
     and .vol have y up, .uni and .vdb z up, as in Blender. A stage of USD (.usda, .usdc, .usd) shows the frames as a
-    volume: .vdb files stay where they are, others are written as such beside it (docs/usd.md).
+    volume: .vdb files stay where they are, others are written as such beside it (docs/usd.md). A model that
+    `tnst-mi train` has written becomes an .onnx file (docs/realtime.md).
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
+    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'; or a model."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
-    """File, whose extension selects the format, stage such as out.usda, or new or empty folder."""
+    """File, whose extension selects the format, stage such as out.usda, or new or empty folder; or .onnx of a model."""
     format: Annotated[str | None, tyro.conf.arg(metavar="npz|vol|uni|vdb", help_behavior_hint="(default: npz)")] = None
     """Format of the files in a folder."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
@@ -279,11 +286,12 @@ class DoctorArguments(Arguments):
 
 
 #: The arguments that are given without a flag, each with its name in the help.
-POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…"}
+POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…", "inputs": "INPUT…"}
 
 ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
+    "train": TrainArguments,
     "batch": BatchArguments,
     "render": RenderArguments,
     "show": ShowArguments,

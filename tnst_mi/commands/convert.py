@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
@@ -19,16 +20,25 @@ from tnst_mi.io.interpretation.grid_names import listed
 from tnst_mi.io.sequence import FrameFiles, checked_shapes, save_frame
 from tnst_mi.io.stages.usd_stage import STAGES
 from tnst_mi.machine.disk import require_names, require_writable
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.recipe import KINDS, Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
+
+if TYPE_CHECKING:
+    from tnst_mi.realtime import model, onnx_export
+else:
+    # They import torch, which smoke does not need.
+    model, onnx_export = LazyModule("tnst_mi.realtime.model"), LazyModule("tnst_mi.realtime.onnx_export")
 
 
 def run(arguments: ConvertArguments) -> int:
     """Convert every frame."""
     if arguments.format is not None:
         checked("format", arguments.format, KINDS["format"])
+    if arguments.output.suffix.lower() == ".onnx":
+        return _model(arguments)
     # Other programs expect the whole grid, at rest.
     recipe = Recipe().updated_by_flags({"crop": "off"} | given(arguments.reading))
     every = open_frames(arguments.input, recipe.frame_range, conventions_of(recipe))
@@ -57,6 +67,18 @@ def run(arguments: ConvertArguments) -> int:
             f"{error}; the frames before it have been written: empty {arguments.output} before converting again"
         ) from None
     say(f"note: {suffix} files do not hold {what}" for what in lost)
+    return 0
+
+
+def _model(arguments: ConvertArguments) -> int:
+    """Write a model of `tnst-mi train` as ONNX."""
+    if unused := [*(["format"] if arguments.format else []), *given(arguments.reading)]:
+        raise InputError(
+            f"--{unused[0].replace('_', '-')}: says how smoke is read, and {arguments.output} is a network"
+        )
+    require_writable(arguments.output.parent, remedy=None)
+    onnx_export.write_onnx(model.read_model(arguments.input), arguments.output)
+    print(f"model     {arguments.output}")
     return 0
 
 

@@ -45,6 +45,11 @@ class StylizeArguments(Arguments):
     start_from: Annotated[Path | None, tyro.conf.arg(name="from", metavar="RUN")] = None
     """Go on from what an earlier run of the same input and goals has found, a draft or a preview, of which nothing is
     computed again: with its input and its recipe, and the next --quality, unless these are given (docs/preview.md)."""
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Take the potentials of a network that `tnst-mi train` has trained, in one pass in place of an optimisation: with
+    its recipe, unless --recipe or flags are given (docs/realtime.md)."""
+    refine: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """With --model: iterations in the finest octave that go on from these potentials."""
     resume: bool = False
     """Continue the run in --out where it stopped, whatever stopped it, with its own recipe unless --recipe is given."""
     overwrite: bool = False
@@ -64,6 +69,38 @@ class StylizeArguments(Arguments):
     """What to read, compute with and write."""
     reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
     """How to read the input."""
+
+
+@dataclass(kw_only=True)
+class TrainArguments(Arguments):
+    """Train a network that stylizes smoke of a kind in one pass: for `stylize --model` (docs/realtime.md).
+
+    It learns from simulations and from the losses that an optimisation has; no stylized smoke is needed. It is written
+    every minute and can be used meanwhile.
+    """
+
+    inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="INPUT…", help_behavior_hint="")]
+    """Simulations to learn from: density files, folders of numbered ones, or patterns."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The model, FILE.safetensors; beside it are FILE.json, how it was trained, and FILE.state, to resume it."""
+    recipe: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Recipe file (TOML); its keys are the flags below."""
+    held_out: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="INPUT")] = ()
+    """A simulation to judge it by, which it does not learn from; may be repeated."""
+    minutes: Annotated[float, tyro.conf.arg(metavar="N")] = 90.0
+    """How long it is trained, with what an earlier training took that is resumed."""
+    updates: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """How many updates of the weights in place of that; the same command then gives the same bits on a machine."""
+    resume: bool = False
+    """Continue the training of --out where it stopped."""
+    goals: Annotated[Any, tyro.conf.arg(constructor=_GoalFlags)] = field(default_factory=_GoalFlags)
+    """What to stylize towards."""
+    method: Annotated[Any, tyro.conf.arg(constructor=_MethodFlags)] = field(default_factory=_MethodFlags)
+    """How smoke is seen and moved."""
+    resources: Annotated[Any, tyro.conf.arg(constructor=_ResourceFlags)] = field(default_factory=_ResourceFlags)
+    """What to read, compute with and write."""
+    reading: Annotated[Any, tyro.conf.arg(constructor=_InputFlags)] = field(default_factory=_InputFlags)
+    """How to read the inputs."""
 
 
 @dataclass(kw_only=True)

@@ -22,11 +22,12 @@ from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
 
 if TYPE_CHECKING:
     from tnst_mi.cluster import run as cluster_run
-    from tnst_mi.run import job, prepare
+    from tnst_mi.run import from_model, job, prepare
     from tnst_mi.run import record as run_record
 else:
     # They import torch, and most mistakes are found without it.
     job, prepare = LazyModule("tnst_mi.run.job"), LazyModule("tnst_mi.run.prepare")
+    from_model = LazyModule("tnst_mi.run.from_model")
     run_record, cluster_run = LazyModule("tnst_mi.run.record"), LazyModule("tnst_mi.cluster.run")
 
 #: Share of a frame's smoke whose loss or gain is remarked upon, and by how much this may differ between frames.
@@ -52,6 +53,11 @@ def run(arguments: StylizeArguments) -> int:
         require_reachable(cluster)
         # Its processes may have begun in other folders.
         source, out = source.absolute(), out.absolute()
+    if arguments.model is None and arguments.refine:
+        raise InputError("--refine: goes on from what a model gives; give --model too")
+    if arguments.model is not None and begin is not None:
+        raise InputError("--model and --from: expected only one of them to begin with")
+    model = None if arguments.model is None else from_model.FromModel(arguments.model, arguments.refine)
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(
@@ -61,6 +67,7 @@ def run(arguments: StylizeArguments) -> int:
             resume=resume,
             overwrite=overwrite,
             start_from=begin,
+            model=model,
             processes=processes_of(cluster),
             progress=True,
         )
@@ -97,7 +104,7 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
     if arguments.recipe is not None:
         return source, Recipe.from_toml(arguments.recipe)
     if earlier is None:
-        return source, Recipe()
+        return source, Recipe() if arguments.model is None else from_model.recipe_of_model(arguments.model)
     recipe = recipe_of_run(earlier)
     return source, recipe if resumed else recipe.updated({"quality": following(recipe)}, "--from: ", Path.cwd())
 

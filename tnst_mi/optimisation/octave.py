@@ -97,7 +97,7 @@ def known_scales(
         return scales
     if plan.start is not None and items.level == plan.start.octave and plan.start.scales:
         scales = dict(plan.start.scales)
-    elif any(items.iterations_done(frame) > 0 for frame in plan.alive):
+    elif any(items.iterations_done(frame) > begun(plan, items.level, frame) for frame in plan.alive):
         raise DamagedItemError(name, "they have got lost")
     elif plan.recipe.loss_scaling == "none":
         scales = ones()
@@ -105,6 +105,11 @@ def known_scales(
         return None
     store.write_numbers(name, scales)
     return scales
+
+
+def begun(plan: Plan, level: int, frame: FramePlan) -> int:
+    """With how many iterations of an octave a run begins for a frame: those of what it goes on from."""
+    return 0 if plan.start is None or plan.start.octave != level else plan.start.iterations[frame.name]
 
 
 def calibration(problem: OctaveProblem, now: Current, level: int) -> dict[str, tuple[float, int]]:

@@ -68,6 +68,9 @@ def _of_quality(prepared: Prepared) -> Iterator[str]:
     if begun is not None:
         done = f"{begun['iterations']} iterations in octave {begun['octave'] + 1}"
         yield f"from: {begun['run']} ({begun['quality']}), after {done}"
+    if (model := prepared.record.get("model")) is not None:
+        refined = f"refined by {model['refine']} iterations" if model["refine"] else "in one pass"
+        yield f"model: {model['file']}, {refined}"
 
 
 def _pictures(target: Target) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
 from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.colour_record import colour_flicker
+from tnst_mi.run.from_model import FromModel
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -66,6 +67,8 @@ def stylize(
     progress: bool = True,
     start_from: str | Path | None = None,
     cluster: str | None = None,
+    model: str | Path | None = None,
+    refine: int = 0,
 ) -> Result:
     """Stylize one frame or a sequence.
 
@@ -82,10 +85,13 @@ def stylize(
             (docs/preview.md); None to begin anew.
         cluster: what has the work done by several processes, such as "local:2", for frames in files with `out`
             (docs/cluster.md); None for this process alone. Scripts then need `if __name__ == "__main__":`.
+        model: a trained network whose potentials are taken in place of an optimisation (docs/realtime.md); None to
+            optimise from the beginning. Its own recipe is `tnst_mi.recipe_of_model(model)`.
+        refine: iterations in the finest octave that go on from these, 0 or more.
 
     Raises:
-        InputError: the frames, the recipe, the weights, `out`, `start_from` or `cluster` cannot be used, and nothing is
-            written; or a frame has changed since the run began.
+        InputError: the frames, the recipe, the weights, `out`, `start_from`, `model` or `cluster` cannot be used, and
+            nothing is written; or a frame has changed since the run began.
         StoppedError: nothing more can be written to `out`; the run can be resumed there.
 
     Example:
@@ -105,6 +111,11 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
+    if model is None and refine:
+        raise InputError(f"refine = {refine}: goes on from what a model gives, expected one")
+    if model is not None and start_from is not None:
+        raise InputError("model and start_from: expected only one of them to begin with")
+    began = None if model is None else FromModel(expanded(Path(model)), refine)
     where = None if cluster is None else cluster_of(cluster)
     if where is not None and (out is None or not isinstance(frames, str | Path)):
         raise InputError(
@@ -115,7 +126,7 @@ def stylize(
         # Its processes may have begun in other folders.
         frames, out = expanded(Path(frames)).absolute(), expanded(Path(out)).absolute()
     with own_variant():
-        return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from), where)
+        return _stylized(frames, recipe, out, progress, None if start_from is None else Path(start_from), where, began)
 
 
 def _stylized(
@@ -125,8 +136,17 @@ def _stylized(
     progress: bool,
     start_from: Path | None,
     cluster: Cluster | None,
+    model: FromModel | None,
 ) -> Result:
-    prepared = prepare(frames, recipe, out, progress=progress, start_from=start_from, processes=processes_of(cluster))
+    prepared = prepare(
+        frames,
+        recipe,
+        out,
+        progress=progress,
+        start_from=start_from,
+        model=model,
+        processes=processes_of(cluster),
+    )
     frames_done: Run = (
         Run(prepared, progress) if cluster is None else cluster_run.ClusterRun(prepared, cluster, progress)
     )

@@ -36,6 +36,7 @@ from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import require_there
 from tnst_mi.run.colour import colour_grids
+from tnst_mi.run.from_model import FromModel, begun_by
 from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
@@ -137,6 +138,7 @@ def prepare(
     resume: bool = False,
     overwrite: bool = False,
     start_from: Path | None = None,
+    model: FromModel | None = None,
     network: Network | None = None,
     processes: int = 1,
     progress: bool = False,
@@ -150,6 +152,7 @@ def prepare(
         resume: continue the run in `out` where it stopped.
         overwrite: replace the run in `out`.
         start_from: the folder of an earlier run to go on from, or None.
+        model: the trained network whose potentials the run begins with, or None.
         network: judges the images; None loads the one that the recipe names.
         processes: how many on this machine share the work, and its memory.
         progress: show a progress bar on stderr while frames are read.
@@ -267,7 +270,10 @@ def prepare(
         colour_names=colours.begins_with,
         colour_written=colours.written or "Cd",
     )
-    plan, record = going_on(plan, record, start_from, earlier)
+    if model is None:
+        plan, record = going_on(plan, record, start_from, earlier)
+    else:
+        plan, record = begun_by(model, plan, record, unchanged, earlier)
     said = [
         *readable.lines(),
         *colours.notes,

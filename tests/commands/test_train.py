@@ -1,0 +1,115 @@
+"""`tnst-mi train`, and `stylize --model` with what it has written."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tnst_mi.cli import main
+
+
+@pytest.fixture(scope="module")
+def smoke(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("smoke")
+    z, y, x = (axis / n - 0.5 for axis, n in zip(np.indices((16, 24, 16)), (16, 24, 16), strict=True))
+    for number in range(3):
+        far = (z * 2.6) ** 2 + (y * 2.2 - 0.1 * number) ** 2 + (x * 3.0) ** 2
+        density = np.clip(1 - far, 0, None) * (0.6 + 0.4 * np.sin(19 * x) * np.cos(17 * z + 11 * y))
+        np.save(folder / f"smoke_{number:04d}.npy", density.astype(np.float32))
+    return folder
+
+
+GOAL = ("--style", "spirals", "--octaves", "1", "--views", "1")
+
+
+@pytest.fixture(scope="module")
+def model(smoke, weights, tmp_path_factory):
+    out = tmp_path_factory.mktemp("model") / "spirals.safetensors"
+    assert main(["train", str(smoke), *GOAL, "--weights", str(weights), "--updates", "30", "--out", str(out)]) == 0
+    return out
+
+
+def record(out):
+    return json.loads((out / "run.json").read_text())
+
+
+def test_a_training_says_what_it_has_come_to(model, smoke):
+    card = json.loads(model.with_suffix(".json").read_text())
+    assert card["inputs"] == {str(smoke): 3} and card["held_out"] == {}
+    assert card["recipe"] == {"style": ["spirals"], "octaves": 1, "views": 1}
+    assert [point["update"] for point in card["curve"]] == [30]
+    assert card["curve"][0]["loss"] < card["loss_before"]
+
+
+def test_the_same_command_gives_the_same_bits(model, smoke, weights, tmp_path):
+    again = tmp_path / "again.safetensors"
+    command = ["train", str(smoke), *GOAL, "--weights", str(weights), "--out", str(again)]
+    assert main([*command, "--updates", "30"]) == 0
+    assert again.read_bytes() == model.read_bytes()
+
+
+def test_a_frame_is_stylized_in_one_pass_or_refined(model, smoke, weights, tmp_path, capsys):
+    command = ["stylize", str(smoke), "--model", str(model), "--weights", str(weights)]
+    assert main([*command, "--out", str(tmp_path / "pass")]) == 0
+    assert main([*command, "--refine", "4", "--out", str(tmp_path / "refined")]) == 0
+    capsys.readouterr()
+    one, refined = record(tmp_path / "pass"), record(tmp_path / "refined")
+    assert one["model"]["refine"] == 0 and refined["model"]["refine"] == 4
+    for at_once, further in zip(one["frames"], refined["frames"], strict=True):
+        assert at_once["losses"] == [] or at_once["losses"] == [[]]
+        assert at_once["loss_after"] < at_once["loss_before"]
+        assert further["loss_after"] < at_once["loss_after"]
+        assert abs(at_once["mass_after"] / at_once["mass_before"] - 1) < 0.02
+
+
+def test_a_run_goes_on_as_it_began_and_with_no_other_model(model, smoke, weights, tmp_path, capsys):
+    out = tmp_path / "run"
+    command = ["stylize", str(smoke), "--model", str(model), "--weights", str(weights), "--out", str(out)]
+    assert main(command) == 0
+    assert main([*command, "--resume"]) == 0
+    assert main([*command, "--resume", "--refine", "1"]) == 2
+    assert "the run that is resumed began otherwise; use --overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--refine", "3"], "--refine: goes on from what a model gives; give --model too"),
+        (["--model", "none.safetensors"], "none.safetensors: no such file"),
+        (["--model", "MODEL", "--refine", "21"], "refine = 21: expected 0 to 20"),
+        (["--model", "MODEL", "--lam", "1"], "gives psi, and with this recipe smoke_0000 has phi"),
+        (["--model", "MODEL", "--from", "RUN"], "--model and --from: expected only one of them"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(model, smoke, weights, tmp_path, capsys, flags, said):
+    if "RUN" in flags:
+        run = ["stylize", str(smoke), *GOAL, "--weights", str(weights), "--iterations", "1"]
+        assert main([*run, "--out", str(tmp_path / "earlier")]) == 0
+    flags = [{"MODEL": str(model), "RUN": str(tmp_path / "earlier")}.get(flag, flag) for flag in flags]
+    goal = [] if "--model" in flags else GOAL
+    out = tmp_path / "run"
+    assert main(["stylize", str(smoke), *goal, "--weights", str(weights), *flags, "--out", str(out)]) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--out", "model.onnx"], "expected a file name that ends in .safetensors"),
+        (["--out", "MODEL"], "is there already; give another name, or --resume"),
+        (["--out", "new.safetensors", "--minutes", "0"], "minutes = 0"),
+        (["--out", "new.safetensors", "--updates", "0"], "updates = 0"),
+        (["--out", "new.safetensors", "--colour", "style"], "--colour"),
+        (["--out", "new.safetensors", "--parameterisation", "density"], "a network gives potentials"),
+        (["--out", "new.safetensors", "--eta", "{0: 0.1, 9: 0.2}"], "a network learns one look"),
+        (["--out", "none/new.safetensors", "--resume"], "no training can go on"),
+    ],
+)
+def test_what_cannot_be_learned_is_refused(model, smoke, weights, tmp_path, capsys, monkeypatch, flags, said):
+    monkeypatch.chdir(tmp_path)
+    flags = [str(model) if flag == "MODEL" else flag for flag in flags]
+    assert main(["train", str(smoke), *GOAL, "--weights", str(weights), *flags]) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
+    assert not list(tmp_path.iterdir())

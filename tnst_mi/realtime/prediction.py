@@ -1,0 +1,169 @@
+"""A frame of any size through the network: the box of its smoke, octave by octave, in blocks of bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mitsuba as mi
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from tnst_mi.optimisation.parameterisation import Fields
+from tnst_mi.realtime.potential_network import BLOCK_MULTIPLE, BLOCK_REACH, Architecture, PotentialNetwork
+
+#: Cells with less than this density, in the run's unit, are not smoke.
+_VISIBLE = 1e-3
+
+#: Cells around the smoke within which potentials may differ from 0. Their edge is soft: curl and gradient of a jump
+#: would be a wind along the sides of the box.
+MARGIN = 12
+
+#: A block has at most so many cells, with those around it that matter to it: about 1 GB in a network of width 32.
+MOST_CELLS = 1 << 22
+
+
+def smoke_box(density: np.ndarray, multiple: int) -> tuple[slice, slice, slice] | None:
+    """The box of a frame's smoke and a margin, as large as a multiple of cells where the grid has room for that.
+
+    Args:
+        density: (D, H, W), in the run's unit.
+        multiple: of which sizes should be; the grid's own end may cut them off.
+
+    Returns:
+        The slices of its cells along z, y and x; None if there is no smoke.
+    """
+    visible = density > _VISIBLE
+    if not visible.any():
+        return None
+    box = []
+    for axis, cells in enumerate(density.shape):
+        there = np.flatnonzero(visible.any(axis=tuple(other for other in range(3) if other != axis)))
+        first, last = max(0, int(there[0]) - MARGIN), min(cells, int(there[-1]) + 1 + MARGIN)
+        # Boxes of frames that follow each other begin at the same cells for a while: motifs then do not shift.
+        first -= first % multiple
+        box.append(slice(first, last))
+    return box[0], box[1], box[2]
+
+
+def edge_fade(shape: tuple[int, ...], box: tuple[slice, slice, slice]) -> np.ndarray:
+    """A factor (d, h, w) for potentials in a box of a grid: 1 inside, falling to 0 towards sides within the grid."""
+    fade = np.ones((), np.float32)
+    for axis, (cells, part) in enumerate(zip(shape, box, strict=True)):
+        along = np.arange(part.start, part.stop) + 0.5
+        rise = np.ones_like(along)
+        if part.start > 0:
+            rise = np.minimum(rise, (along - part.start) / MARGIN)
+        if part.stop < cells:
+            rise = np.minimum(rise, (part.stop - along) / MARGIN)
+        smooth = rise * rise * (3 - 2 * rise)
+        fade = fade[..., None] * smooth.astype(np.float32) if axis else smooth.astype(np.float32)
+    return fade
+
+
+class Example:
+    """The box of a frame's smoke as the network takes it, and the way of its result back onto the grid.
+
+    Args:
+        density: (D, H, W), in the run's unit.
+        network: that it is for.
+    """
+
+    def __init__(self, density: np.ndarray, network: PotentialNetwork) -> None:
+        multiple = network.architecture.multiple
+        self._shape, self.box = density.shape, smoke_box(density, multiple)
+        device = next(network.parameters()).device
+        if self.box is None:
+            return
+        inside = torch.from_numpy(np.ascontiguousarray(density[self.box], np.float32)).to(device)
+        self._size = tuple(inside.shape)
+        missing = [-cells % multiple for cells in self._size]
+        self.density = functional.pad(inside[None, None], (0, missing[2], 0, missing[1], 0, missing[0]))
+        self._fade = torch.from_numpy(edge_fade(self._shape, self.box)).to(device)
+
+    def on_grid(self, potentials: Tensor) -> Tensor:
+        """Potentials (1, C, d, h, w) of the box on the grid, (D, H, W, C), 0 elsewhere; it can be differentiated."""
+        assert self.box is not None
+        d, h, w = self._size
+        inside = (potentials[0, :, :d, :h, :w] * self._fade).permute(1, 2, 3, 0)
+        around = [(part.start, cells - part.stop) for part, cells in zip(self.box, self._shape, strict=True)]
+        return functional.pad(inside, (0, 0, *around[2], *around[1], *around[0]))
+
+
+@torch.no_grad()
+def predicted(network: PotentialNetwork, density: np.ndarray, most_cells: int = MOST_CELLS) -> np.ndarray:
+    """The potentials of smoke, (D, H, W, C) in squares of cells per frame.
+
+    Args:
+        network: that has learned a style.
+        density: (D, H, W), in the run's unit, in which that of thick smoke is about 1.
+        most_cells: that go through the network at a time; the result does not depend on it, but for rounding.
+    """
+    example = Example(density, network)
+    if example.box is None:
+        return np.zeros((*density.shape, network.architecture.channels), np.float32)
+    return example.on_grid(_in_blocks(network, example.density, most_cells)).cpu().numpy()
+
+
+def fields_of(potentials: np.ndarray, architecture: Architecture, h: float) -> Fields:
+    """Potentials (D, H, W, C), in squares of the cells of their grid, as fields, in squares of full-resolution cells.
+
+    Args:
+        potentials: of a network.
+        architecture: of the network.
+        h: the size of a cell in full-resolution cells.
+    """
+    fields, first = Fields(), 0
+    for name, count in architecture.fields.items():
+        part = potentials[..., first] if count == 1 else potentials[..., first : first + count]
+        fields[name] = mi.TensorXf(np.ascontiguousarray(part * np.float32(h * h)))
+        first += count
+    return fields
+
+
+def _in_blocks(network: PotentialNetwork, density: Tensor, most_cells: int) -> Tensor:
+    """`network(density)`, each octave in blocks of at most so many cells."""
+    densities = [density]
+    for _ in range(network.architecture.octaves - 1):
+        densities.append(functional.avg_pool3d(densities[-1], 2))
+    potentials = None
+    for of_octave in reversed(densities):
+        known = None if potentials is None else network.carried(potentials)
+        seen = network.seen(of_octave, known)
+        if known is None:
+            known = torch.zeros_like(seen[:, 2:])
+        for part in _blocks(tuple(seen.shape[2:]), most_cells):
+            wider = tuple(
+                slice(max(0, along.start - BLOCK_REACH), min(cells, along.stop + BLOCK_REACH))
+                for along, cells in zip(part, seen.shape[2:], strict=True)
+            )
+            inner = tuple(
+                slice(along.start - around.start, along.stop - around.start)
+                for along, around in zip(part, wider, strict=True)
+            )
+            known[:, :, *part] += network.block(seen[:, :, *wider])[:, :, *inner]
+        potentials = known
+    assert potentials is not None
+    return potentials
+
+
+def _blocks(shape: tuple[int, ...], most_cells: int) -> Iterator[tuple[slice, slice, slice]]:
+    """Parts of a grid that have at most so many cells, with all around them that matter, but a few of their own.
+
+    They begin at multiples of `BLOCK_MULTIPLE`, as the grid does.
+    """
+    if np.prod(shape) <= most_cells:
+        yield tuple(slice(0, cells) for cells in shape)  # pyright: ignore[reportReturnType]
+        return
+    room = int(most_cells ** (1 / 3)) - 2 * BLOCK_REACH
+    side = max(4 * BLOCK_MULTIPLE, room - room % BLOCK_MULTIPLE)
+    starts = [range(0, cells, side) for cells in shape]
+    for z in starts[0]:
+        for y in starts[1]:
+            for x in starts[2]:
+                yield (
+                    slice(z, min(z + side, shape[0])),
+                    slice(y, min(y + side, shape[1])),
+                    slice(x, min(x + side, shape[2])),
+                )

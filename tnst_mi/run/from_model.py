@@ -1,0 +1,120 @@
+"""`--model FILE`: a run that begins with what a trained network finds in one pass, and refines that, or leaves it so.
+
+The potentials are those of the finest octave, so a run with them enters that one alone. Without iterations it is done;
+those that refine are the last ones of the recipe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.density_unit import scaled
+from tnst_mi.fields.resampling import resample_density
+from tnst_mi.frame import Frame
+from tnst_mi.optimisation.plan import Plan
+from tnst_mi.optimisation.start import Start
+from tnst_mi.realtime.model import Model, read_model
+from tnst_mi.realtime.prediction import fields_of, predicted
+from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
+
+
+@dataclass(frozen=True)
+class FromModel:
+    """A trained network, and how many iterations refine what it finds.
+
+    Attributes:
+        path: of the file of the network.
+        refine: iterations in the finest octave, 0 or more.
+    """
+
+    path: Path
+    refine: int = 0
+
+
+def recipe_of_model(path: str | Path) -> Recipe:
+    """The recipe by which a network was trained.
+
+    Raises:
+        InputError: the file is no model, or names pictures that are not there.
+
+    Example:
+        >>> import numpy as np, tempfile, pathlib, tnst_mi
+        >>> smoke = tnst_mi.Frame(np.pad(np.ones((8, 8, 8), np.float32), 4))
+        >>> recipe = {"style": ["spirals"], "octaves": 1, "views": 1, "weights": "patterns"}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     training = tnst_mi.train([[smoke]], recipe, f"{folder}/m.safetensors", updates=1, progress=False)
+        ...     tnst_mi.recipe_of_model(training.model).octaves
+        1
+    """
+    return Recipe.from_dict(read_model(expanded(Path(path))).recipe, f"{path}: ")
+
+
+def begun_by(
+    model: FromModel, plan: Plan, record: dict[str, Any], frames: Sequence[Frame], earlier: Mapping[str, Any] | None
+) -> tuple[Plan, dict[str, Any]]:
+    """The plan and the record of a run that begins with the potentials of a network.
+
+    Args:
+        model: the network.
+        plan: of the run, beginning anew.
+        record: the contents of its run.json.
+        frames: of the run.
+        earlier: the record of the run if it is resumed.
+
+    Raises:
+        InputError: the file is no model, or another one than the run began with, or it does not go with the recipe.
+    """
+    network, refine = read_model(model.path), model.refine
+    _require_fitting(network, plan, refine)
+    said = {"file": str(model.path.absolute()), "sha256": network.sha256, "refine": refine}
+    if earlier is not None and earlier.get("model") != said:
+        raise InputError(f"{model.path}: the run that is resumed began otherwise; use --overwrite")
+    last = len(plan.octaves) - 1
+    iterations = {frame.name: plan.iterations(last) - refine for frame in plan.frames}
+    start = Start(last, iterations, {}, _Potentials(network, plan, frames))
+    return replace(plan, start=start), record | {"model": said}
+
+
+@dataclass(frozen=True)
+class _Potentials:
+    """Finds the fields of a frame by its name, on the grid of the finest octave; other processes can do so too."""
+
+    model: Model
+    plan: Plan
+    frames: Sequence[Frame]
+
+    def __call__(self, name: str) -> Mapping[str, np.ndarray]:
+        """The fields of the frame."""
+        plan, network = self.plan, self.model.network
+        octave, index = plan.octaves[-1], next(frame.index for frame in plan.frames if frame.name == name)
+        full = mi.TensorXf(scaled(self.frames[index].density, plan.density_scale))
+        density = resample_density(full, 1.0, octave.shape, octave.cell_size)
+        fields = fields_of(predicted(network, density.numpy()), network.architecture, octave.cell_size)
+        return {name: field.numpy() for name, field in fields.items()}
+
+
+def _require_fitting(model: Model, plan: Plan, refine: int) -> None:
+    """Check that a run can begin with the potentials of a network.
+
+    Raises:
+        InputError: it cannot.
+    """
+    fields = model.network.architecture.fields
+    for frame in plan.frames:
+        if frame.parameterisation.channels != fields:
+            raise InputError(
+                f"{model.path}: gives {' and '.join(fields)}, and with this recipe {frame.name} has "
+                f"{' and '.join(frame.parameterisation.channels)}; give lam, parameterisation and colour as it was "
+                "trained, or leave them out"
+            )
+    most = plan.iterations(len(plan.octaves) - 1)
+    if not 0 <= refine <= most:
+        raise InputError(f"refine = {refine}: expected 0 to {most}, the iterations of the finest octave; raise those")

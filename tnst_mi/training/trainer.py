@@ -1,0 +1,154 @@
+"""All updates of a training: what is shown when, the rate, and what becomes of smoke that is not shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.realtime.potential_network import PotentialNetwork
+from tnst_mi.realtime.prediction import fields_of, predicted
+from tnst_mi.training.footage import MIRRORINGS, Footage
+from tnst_mi.training.learning import learn
+
+#: Adam's rate at its highest, and the steps in which it rises to that.
+RATE, RISING = 1.2e-3, 50
+
+#: The length at which the gradient of all weights is cut off.
+_LONGEST = 1.0
+
+#: How many frames of each input are judged at most.
+_JUDGED = 3
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How well smoke is stylized: mean losses in the fixed views, before and after."""
+
+    before: float
+    after: float
+
+    @property
+    def share(self) -> float:
+        """What is left of the loss."""
+        return self.after / self.before if self.before else 1.0
+
+
+class Trainer:
+    """The training of a network; the number of an update decides what it is shown.
+
+    Args:
+        network: to be trained.
+        footage: what it learns from.
+        held_out: what it is judged by.
+        seed: of what is shown, and of the views.
+
+    Attributes:
+        updates: of the weights that are done.
+    """
+
+    def __init__(
+        self, network: PotentialNetwork, footage: Sequence[Footage], held_out: Sequence[Footage], seed: int
+    ) -> None:
+        self._network, self._footage, self._seed = network, footage, seed
+        self._optimiser = torch.optim.Adam(network.parameters(), lr=RATE, betas=(0.9, 0.99))
+        self._judged = [
+            (of_input, of_input.take(int(position)))
+            for of_input in held_out
+            for position in np.unique(np.linspace(0, len(of_input) - 1, _JUDGED).round())
+        ]
+        self._before = [of_input.judged(take, of_input.zeros()) for of_input, take in self._judged]
+        self.updates = 0
+
+    def update(self, done: float) -> float | None:
+        """Learn from a frame; gives its loss, None if it has no smoke.
+
+        `done` is the share of the training that lies behind it: the rate falls to 0 along a half cosine.
+        """
+        chance = np.random.default_rng((self._seed, self.updates))
+        # Every input counts alike, however many frames it has.
+        footage = self._footage[int(chance.integers(len(self._footage)))]
+        take = footage.take(int(chance.integers(len(footage))), MIRRORINGS[int(chance.integers(len(MIRRORINGS)))])
+        rate = RATE * min(1.0, (self.updates + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+        for group in self._optimiser.param_groups:
+            group["lr"] = rate
+        self._optimiser.zero_grad()
+        loss = learn(self._network, footage, take, (self._seed, self.updates))
+        if loss is not None:
+            torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
+            self._optimiser.step()
+        self.updates += 1
+        return loss
+
+    def judged(self) -> Judgement:
+        """The network as it is, on what it does not learn from."""
+        after = []
+        for footage, take in self._judged:
+            potentials = predicted(self._network, take.density.numpy())
+            fields = fields_of(potentials, self._network.architecture, footage.problem.octave.cell_size)
+            after.append(footage.judged(take, fields))
+        return Judgement(float(np.mean(self._before)), float(np.mean(after)))
+
+    def write(self, path: Path, seconds: float) -> None:
+        """Write what going on needs: weights, Adam's moments, the number of updates, and the seconds that they took."""
+        tensors = {f"weight {name}": weight.detach() for name, weight in self._network.named_parameters()}
+        for name, weight in self._network.named_parameters():
+            tensors |= {f"{key} {name}": value for key, value in self._moments(weight).items()}
+        tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
+        tensors["progress"] = torch.tensor([self.updates, seconds], dtype=torch.float64)
+        with written_whole(path) as temporary:
+            temporary.write_bytes(save(tensors))
+
+    def read(self, path: Path) -> float:
+        """Go on where an earlier training stopped; gives the seconds that it took.
+
+        Raises:
+            InputError: the file is not there or damaged, or of another network.
+        """
+        if not path.is_file():
+            raise InputError(f"{path}: no such file, so no training can go on from there; leave out --resume")
+        try:
+            tensors = load_file(path)
+            updates, seconds = tensors.pop("progress").tolist()
+            expected = {f"{kind} {name}" for kind in _KINDS for name, _ in self._network.named_parameters()}
+            if set(tensors) != expected:
+                raise InputError(f"{path}: is of another network; leave out --resume")
+            with torch.no_grad():
+                for name, weight in self._network.named_parameters():
+                    weight.copy_(_fitting(tensors[f"weight {name}"], weight))
+                    moments = {kind: _fitting(tensors[f"{kind} {name}"], weight) for kind in _KINDS[1:]}
+                    self._optimiser.state[weight] = {"step": torch.tensor(float(updates)), **moments}
+        except InputError:
+            raise
+        except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError):
+            raise InputError(f"{path}: damaged, so no training can go on from there; leave out --resume") from None
+        self.updates = int(updates)
+        return float(seconds)
+
+    def _moments(self, weight: Tensor) -> dict[str, Tensor]:
+        state = self._optimiser.state.get(weight) or {}
+        return {kind: state.get(kind, torch.zeros_like(weight)) for kind in _KINDS[1:]}
+
+
+#: What is kept of every weight: itself, and Adam's moments by torch's names of them.
+_KINDS = ("weight", "exp_avg", "exp_avg_sq")
+
+
+def _fitting(stored: Tensor, weight: Tensor) -> Tensor:
+    """A stored tensor that is as large as a weight.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if stored.shape != weight.shape:
+        raise ValueError("another size")
+    return stored.to(weight).clone()
