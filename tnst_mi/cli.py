@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 COMMANDS = {
     "demo": "Stylize the bundled frame with the bundled recipe; needs nothing else.",
     "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
-    "train": "Train a network that stylizes smoke of a kind in one pass: for `stylize --model`.",
+    "train": "Train a network that stylizes smoke of a kind in one pass, for `stylize --model`.",
     "batch": "Stylize every input by every recipe, one run after the other, and show the results on a page.",
     "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
     "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",

@@ -206,7 +206,7 @@ def test_damaged_lines_of_the_log_are_left_out(tmp_path: Path) -> None:
 
 
 def test_whatever_a_decoder_raises_means_damage(tmp_path: Path) -> None:
-    """Types that numpy does not have, and keys that cannot be sorted, raise neither ValueError nor OSError."""
+    """Types that numpy does not have, unless another package adds them, and keys that cannot be sorted."""
     store = FolderStore(tmp_path)
     store.write("fields.0", 1, 4, arrays(3))
     whole = an_item(tmp_path).read_bytes()

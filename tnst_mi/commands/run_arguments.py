@@ -73,10 +73,10 @@ class StylizeArguments(Arguments):
 
 @dataclass(kw_only=True)
 class TrainArguments(Arguments):
-    """Train a network that stylizes smoke of a kind in one pass: for `stylize --model` (docs/realtime.md).
+    """Train a network that stylizes smoke of a kind in one pass, for `stylize --model`.
 
     It learns from simulations and from the losses that an optimisation has; no stylized smoke is needed. It is written
-    every minute and can be used meanwhile.
+    every minute and can be used meanwhile (docs/realtime.md).
     """
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="INPUT…", help_behavior_hint="")]
