@@ -201,10 +201,15 @@ def refusals(zip: str, folder: str, out: str) -> dict[str, Any]:
     module(package, "recipes.advanced").fill_in(settings.overrides.add(), "lam")
     settings.overrides[0].text = "1.5"
     told["advanced"] = reported(stylize)
+    settings.overrides[0].key = "lambda"
+    told["unknown"] = reported(stylize)
+    settings.overrides[0].key = "lam"
     told["markers"] = reported(bpy.ops.tnst_mi.bake_markers)
     told["resume"] = reported(bpy.ops.tnst_mi.resume)
     settings.out, settings.overrides[0].text = "//results", "0.5"
     told["unsaved"] = reported(stylize)
+    settings.out = str(program)
+    told["unwritable"] = reported(stylize)
     settings.out = str(Path(out, "results"))
     told["failed"] = reported(stylize)
     preferences = module(package, "interface.preferences")

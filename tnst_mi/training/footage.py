@@ -50,7 +50,7 @@ class Footage:
     """
 
     def __init__(self, name: str, frames: Sequence[Frame], recipe: Recipe, network: GoogLeNet) -> None:
-        """Measure the frames, which are read when they are needed.
+        """Measure the frames.
 
         Raises:
             InputError: no frame has smoke, frames differ in shape, or the recipe cannot be used.

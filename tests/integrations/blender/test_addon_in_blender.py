@@ -98,7 +98,7 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
     assert told["motifs"] == [[64, 64, True]] * 64
     expected = {
         "environment": "no such program, expected tnst-mi or the folder of its environment",
-        "no look": "choose what the smoke is to look like: press +",
+        "no look": "choose what the smoke is to look like: press Choose a Look",
         "no camera": "the scene has no camera: add one, or switch Camera off",
         "no picture": "choose a picture",
         "region": "somewhere: choose Sphere or Cube as what the empty is displayed as",
@@ -109,6 +109,8 @@ def test_the_panel_is_drawn_and_what_is_bad_is_refused(inside: Inside, host: str
         "unseen": "sphere: a region has to be in the scene, neither disabled in viewports",
         "repeated": "markers: shots of a sequence that is played again are the same: set its Mode to Clip",
         "advanced": "Advanced, lam = 1.5: expected ",
+        "unknown": "Advanced, lambda: no such key in this version; remove it from the list",
+        "unwritable": "tnst-mi: cannot be written (Not a directory); choose another folder",
         "no smoke": "there is no smoke in the shots of markers, frames 24 to 40, but in 21 to 23: move the markers",
         "markers": "the timeline has no markers",
         "resume": "nothing was started here; press Stylize",

@@ -128,10 +128,14 @@ def _started(operator: OfSmoke, context: bpy.types.Context, takes: Sequence[Take
         inputs.rename(before)
     try:
         plan, command = _prepared(context, item, smoke, takes, program, out, batch)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(inputs, ignore_errors=True)
         if before.exists():
             before.rename(inputs)
+        if isinstance(error, OSError):
+            raise CannotStylizeError(
+                f"Results, {folder}: cannot be written ({error.strerror or error}); choose another folder"
+            ) from error
         raise
     shutil.rmtree(before, ignore_errors=True)
     for note in plan.notes:

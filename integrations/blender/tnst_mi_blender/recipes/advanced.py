@@ -30,10 +30,13 @@ def keys_of(overrides: bpy.types.bpy_prop_collection) -> dict[str, Any]:
     """The keys that overrides set, with their values.
 
     Raises:
-        CannotStylizeError: a value is none that the key can have.
+        CannotStylizeError: there is no such key, or a value is none that the key can have.
     """
     known = parameters()
-    return {each.key: _value(each, known[each.key]) for each in overrides if each.key in known}
+    for each in overrides:
+        if each.key not in known:
+            raise CannotStylizeError(f"Advanced, {each.key}: no such key in this version; remove it from the list")
+    return {each.key: _value(each, known[each.key]) for each in overrides}
 
 
 def _value(override: bpy.types.PropertyGroup, parameter: Parameter) -> Any:

@@ -87,7 +87,7 @@ def shot_of(
     """
     scene, item = context.scene, settings.id_data
     if not settings.looks:
-        wanted = "choose what the smoke is to look like: press + under Look"
+        wanted = "choose what the smoke is to look like: press Choose a Look"
         raise CannotStylizeError("; ".join((wanted, *note_of_library(item))))
     goals = [_goal(look) for look in settings.looks]
     if take.name and smoke.playback is not None and smoke.playback.mode != "CLIP":
