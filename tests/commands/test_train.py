@@ -48,6 +48,20 @@ def test_the_same_command_gives_the_same_bits(model, smoke, weights, tmp_path):
     assert again.read_bytes() == model.read_bytes()
 
 
+def test_a_training_goes_on_with_what_it_began_with(model, smoke, weights, tmp_path, capsys):
+    out = tmp_path / model.name
+    for file in model.parent.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    command = ["train", str(smoke), "--weights", str(weights), "--out", str(out), "--resume", "--updates", "31"]
+    before = out.read_bytes()
+    assert main([*command, "--style", "net", *GOAL[2:]]) == 2
+    assert "has another recipe, expected the same to go on" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    assert main([*command, *GOAL]) == 0
+    curve = json.loads(out.with_suffix(".json").read_text())["curve"]
+    assert [point["update"] for point in curve] == [30, 31]
+
+
 def test_a_frame_is_stylized_in_one_pass_or_refined(model, smoke, weights, tmp_path, capsys):
     command = ["stylize", str(smoke), "--model", str(model), "--weights", str(weights)]
     assert main([*command, "--out", str(tmp_path / "pass")]) == 0

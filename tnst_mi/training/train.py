@@ -163,7 +163,7 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
     before = trainer.read(wanted.state) if resume else 0.0
     kept = _Kept(wanted, network, trainer, _card(wanted, footage, held_out, judge))
     if resume:
-        kept.curve.extend(_earlier_curve(wanted.card))
+        kept.curve.extend(_earlier_curve(wanted.card, kept.card))
     with deferred_interrupt() as interrupt:
         seconds = _go_on(wanted, trainer, kept, before, interrupt, progress)
     judgement = kept.write(seconds)
@@ -285,8 +285,19 @@ def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footag
     }
 
 
-def _earlier_curve(card: Path) -> list[dict[str, float]]:
+def _earlier_curve(card: Path, now: Mapping[str, Any]) -> list[dict[str, float]]:
+    """The curve of the training that is resumed.
+
+    Raises:
+        InputError: its card is damaged, or it had another recipe or other weights than there are now.
+    """
     try:
-        return [dict(point) for point in json.loads(card.read_text("utf-8"))["curve"]]
+        earlier = json.loads(card.read_text("utf-8"))
+        for key in ("recipe", "weights"):
+            if earlier[key] != json.loads(json.dumps(now[key])):
+                raise InputError(f"{card}: has another {key}, expected the same to go on; leave out --resume")
+        return [dict(point) for point in earlier["curve"]]
+    except InputError:
+        raise
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{card}: damaged or gone, so no training can go on from there; leave out --resume") from None
