@@ -7,6 +7,7 @@ the octave, so one block serves all of them, and a motif is drawn coarsely befor
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -98,13 +99,17 @@ class PotentialNetwork(nn.Module):
 
     def forward(self, density: Tensor) -> Tensor:
         """The potentials of all octaves together."""
+        return self.coarse_to_fine(density, self.block)
+
+    def coarse_to_fine(self, density: Tensor, block: Callable[[Tensor], Tensor]) -> Tensor:
+        """`forward`, with something that does what the block does of an octave, such as in parts."""
         densities = [density]
         for _ in range(self.architecture.octaves - 1):
             densities.append(functional.avg_pool3d(densities[-1], 2))
-        potentials = self.block(self.seen(densities[-1], None))
+        potentials = block(self.seen(densities[-1], None))
         for finer in reversed(densities[:-1]):
             known = self.carried(potentials)
-            potentials = known + self.block(self.seen(finer, known))
+            potentials = known + block(self.seen(finer, known))
         return potentials
 
     def seen(self, density: Tensor, known: Tensor | None) -> Tensor:

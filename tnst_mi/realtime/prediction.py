@@ -124,28 +124,23 @@ def fields_of(potentials: np.ndarray, architecture: Architecture, h: float) -> F
 
 def _in_blocks(network: PotentialNetwork, density: Tensor, most_cells: int) -> Tensor:
     """`network(density)`, each octave in blocks of at most so many cells."""
-    densities = [density]
-    for _ in range(network.architecture.octaves - 1):
-        densities.append(functional.avg_pool3d(densities[-1], 2))
-    potentials = None
-    for of_octave in reversed(densities):
-        known = None if potentials is None else network.carried(potentials)
-        seen = network.seen(of_octave, known)
-        if known is None:
-            known = torch.zeros_like(seen[:, 2:])
-        for part in _blocks(tuple(seen.shape[2:]), most_cells):
+
+    def in_parts(seen: Tensor) -> Tensor:
+        shape = tuple(seen.shape[2:])
+        found = seen.new_empty((1, network.architecture.channels, *shape))
+        for part in _blocks(shape, most_cells):
             wider = tuple(
                 slice(max(0, along.start - BLOCK_REACH), min(cells, along.stop + BLOCK_REACH))
-                for along, cells in zip(part, seen.shape[2:], strict=True)
+                for along, cells in zip(part, shape, strict=True)
             )
             inner = tuple(
                 slice(along.start - around.start, along.stop - around.start)
                 for along, around in zip(part, wider, strict=True)
             )
-            known[:, :, *part] += network.block(seen[:, :, *wider])[:, :, *inner]
-        potentials = known
-    assert potentials is not None
-    return potentials
+            found[:, :, *part] = network.block(seen[:, :, *wider])[:, :, *inner]
+        return found
+
+    return network.coarse_to_fine(density, in_parts)
 
 
 def _blocks(shape: tuple[int, ...], most_cells: int) -> Iterator[tuple[slice, slice, slice]]:
