@@ -33,6 +33,10 @@ def record(out):
     return json.loads((out / "run.json").read_text())
 
 
+def density(out):
+    return np.load(out / "density" / "smoke_0000.npz")["density"]
+
+
 def test_a_training_says_what_it_has_come_to(model, smoke):
     card = json.loads(model.with_suffix(".json").read_text())
     assert card["inputs"] == {str(smoke): 3} and card["held_out"] == {}
@@ -76,6 +80,42 @@ def test_a_frame_is_stylized_in_one_pass_or_refined(model, smoke, weights, tmp_p
         assert abs(at_once["mass_after"] / at_once["mass_before"] - 1) < 0.02
 
 
+def test_gamma_lambda_and_strength_act_on_what_a_network_gives(model, smoke, weights, tmp_path):
+    def found(*flags):
+        out = tmp_path / "_".join(("run", *flags))
+        command = ["stylize", f"{smoke}/smoke_0000.npy", "--model", str(model), "--weights", str(weights)]
+        assert main([*command, *flags, "--out", str(out)]) == 0
+        return density(out), record(out)["frames"][0]
+
+    plain, at_once = found()
+    thick, _ = found("--gamma", "0.3")
+    compressed, told = found("--lam", "0.6")
+    weak, half = found("--strength", "0.5")
+    unstylized = np.load(smoke / "smoke_0000.npy")
+    for other in (thick, compressed, weak):
+        assert np.abs(other - plain).max() > 1e-3
+    # Only a velocity with a divergence changes the mass.
+    assert abs(told["mass_after"] - told["mass_before"]) > abs(at_once["mass_after"] - at_once["mass_before"])
+    assert half["largest_displacement"] == pytest.approx(at_once["largest_displacement"] / 2, rel=1e-3)
+    assert np.square(weak - unstylized).sum() < np.square(plain - unstylized).sum()
+
+
+def test_smoke_outside_of_a_mask_stays_as_it_is(model, smoke, weights, tmp_path):
+    mask = np.zeros((16, 24, 16), np.float32)
+    mask[:, :12] = 1
+    np.save(tmp_path / "mask.npy", mask)
+    recipe = tmp_path / "masked.toml"
+    recipe.write_text(f'mask = "{tmp_path / "mask.npy"}"\n')
+    for refine in ("0", "2"):
+        out = tmp_path / refine
+        command = ["stylize", f"{smoke}/smoke_0000.npy", "--model", str(model), "--weights", str(weights)]
+        assert main([*command, "--recipe", str(recipe), "--refine", refine, "--out", str(out)]) == 0
+        change = np.abs(density(out) - np.load(smoke / "smoke_0000.npy"))
+        assert change[:, :9].max() > 1e-3
+        # Smoke is drawn from within one cell of what is moved.
+        assert not change[:, 14:].any()
+
+
 def test_a_run_goes_on_as_it_began_and_with_no_other_model(model, smoke, weights, tmp_path, capsys):
     out = tmp_path / "run"
     command = ["stylize", str(smoke), "--model", str(model), "--weights", str(weights), "--out", str(out)]
@@ -91,7 +131,7 @@ def test_a_run_goes_on_as_it_began_and_with_no_other_model(model, smoke, weights
         (["--refine", "3"], "--refine: goes on from what a model gives; give --model too"),
         (["--model", "none.safetensors"], "none.safetensors: no such file"),
         (["--model", "MODEL", "--refine", "21"], "refine = 21: expected 0 to 20"),
-        (["--model", "MODEL", "--lam", "1"], "gives psi, and with this recipe smoke_0000 has phi"),
+        (["--model", "MODEL", "--parameterisation", "density"], "gives phi and psi, and with this recipe"),
         (["--model", "MODEL", "--from", "RUN"], "--model and --from: expected only one of them"),
     ],
 )

@@ -22,13 +22,13 @@ def test_another_runtime_gives_the_same(tmp_path, capsys):
     assert capsys.readouterr().out == f"model     {out}\n"
     session = onnxruntime.InferenceSession(out, providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
-    assert metadata["multiple"] == "8" and json.loads(metadata["fields"]) == {"psi": 3}
+    assert metadata["multiple"] == "8" and json.loads(metadata["fields"]) == {"phi": 1, "psi": 3}
     model = read_model(written)
     for shape in ((8, 8, 8), (16, 40, 24), (48, 24, 32)):
-        density = torch.rand((1, 1, *shape), generator=torch.Generator().manual_seed(1))
+        smoke, lam = torch.rand((1, 1, *shape), generator=torch.Generator().manual_seed(1)), torch.tensor([0.4])
         with torch.no_grad():
-            expected = model.network(density).numpy()
-        (found,) = session.run(["potentials"], {"density": density.numpy()})
+            expected = model.network(smoke, lam).numpy()
+        (found,) = session.run(["potentials"], {"smoke": smoke.numpy(), "lam": lam.numpy()})
         assert np.abs(expected).max() > 0.5
         assert np.abs(found - expected).max() <= 1e-4
 

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from tnst_mi.realtime.potential_network import BLOCK_REACH, LARGEST, Architecture, Block, PotentialNetwork
+from tnst_mi.realtime.potential_network import BLOCK_REACH, CHANNELS, LARGEST, Architecture, Block, PotentialNetwork
 from tnst_mi.realtime.prediction import Example, _blocks, _in_blocks, edge_fade, predicted, smoke_box
 
+#: γ of a cell, and λ.
+SEEN = (0.1, 0.0)
 
-def network(octaves=2, width=4, fields=None, spread=2.0):
+
+def network(octaves=2, width=4, spread=2.0):
     """A network with weights that are not 0, so that all of its parts matter."""
     torch.manual_seed(0)
-    made = PotentialNetwork(Architecture(octaves, width, fields or {"psi": 3})).eval()
+    made = PotentialNetwork(Architecture(octaves, width)).eval()
     torch.nn.init.normal_(made.block.last.weight, std=spread)
     return made
 
@@ -23,35 +26,36 @@ def smoke(shape=(40, 56, 48), centre=(20, 30, 22), size=8):
 
 
 def test_an_untrained_network_leaves_smoke_as_it_is():
-    made = PotentialNetwork(Architecture(3, 4, {"phi": 1, "psi": 3})).eval()
-    assert not predicted(made, smoke()).any()
+    made = PotentialNetwork(Architecture(3, 4)).eval()
+    assert not predicted(made, smoke(), *SEEN).any()
 
 
 @pytest.mark.parametrize("octaves", [1, 2, 3])
 def test_potentials_are_within_their_bound(octaves):
     made = network(octaves, spread=1e4)
     bound = LARGEST * (2**octaves - 1)
-    found = predicted(made, smoke())
+    found = predicted(made, smoke(), *SEEN)
     assert 0.8 * bound < np.abs(found).max() <= bound
 
 
 def test_blocks_agree_with_the_whole():
     made = network(octaves=2)
     density = torch.from_numpy(smoke((64, 160, 96), (30, 80, 50), 30))[None, None]
-    whole = made(density).detach()
+    lam = torch.tensor([0.3])
+    whole = made(density, lam).detach()
     parts = list(_blocks((64, 160, 96), (2 * BLOCK_REACH + 16) ** 3))
     assert len(parts) > 20
     with torch.no_grad():
-        found = _in_blocks(made, density, (2 * BLOCK_REACH + 16) ** 3)
+        found = _in_blocks(made, density, lam, (2 * BLOCK_REACH + 16) ** 3)
     assert whole.abs().max() > 1
     assert torch.allclose(found, whole, rtol=0, atol=2e-5)
 
 
 def test_what_is_beyond_the_reach_of_a_block_does_not_matter():
     torch.manual_seed(0)
-    block = Block(4, 3)
+    block = Block(4)
     torch.nn.init.normal_(block.last.weight, std=0.3)
-    seen = torch.rand(1, 5, 8, 8, 160)
+    seen = torch.rand(1, 3 + CHANNELS, 8, 8, 160)
     seen.requires_grad_()
     at = 81
     block(seen)[..., at].sum().backward()
@@ -93,18 +97,29 @@ def test_smoke_that_fills_the_grid_has_no_soft_edge():
 def test_smoke_that_moves_by_whole_groups_of_cells_takes_its_motif_along():
     """So a motif neither stays behind nor shifts within the smoke while that drifts."""
     made = network(octaves=2)
-    here = predicted(made, smoke((72, 88, 64), (36, 36, 32)))
-    there = predicted(made, smoke((72, 88, 64), (36, 44, 32)))
+    here = predicted(made, smoke((72, 88, 64), (36, 36, 32)), *SEEN)
+    there = predicted(made, smoke((72, 88, 64), (36, 44, 32)), *SEEN)
     assert np.abs(here).max() > 1
     assert np.abs(there[:, 8:] - here[:, :-8]).max() < 1e-4
 
 
 def test_potentials_of_empty_frames_are_0():
-    assert predicted(network(fields={"phi": 1, "psi": 3}), np.zeros((8, 12, 8), np.float32)).shape == (8, 12, 8, 4)
+    found = predicted(network(), np.zeros((8, 12, 8), np.float32), *SEEN)
+    assert found.shape == (8, 12, 8, 4) and not found.any()
 
 
 def test_gradients_reach_every_weight():
     made = network(octaves=3)
-    example = Example(smoke(), made)
-    example.on_grid(made(example.density)).square().sum().backward()
+    Example(smoke(), 0.1, 0.5, made).potentials(made).square().sum().backward()
     assert all(weight.grad is not None and weight.grad.abs().sum() > 0 for weight in made.parameters())
+
+
+def test_thicker_smoke_and_a_larger_gamma_are_the_same():
+    made, density = network(), smoke()
+    assert np.array_equal(predicted(made, 2 * density, 0.1, 0.0), predicted(made, density, 0.2, 0.0))
+    assert np.abs(predicted(made, density, 0.2, 0.0) - predicted(made, density, 0.1, 0.0)).max() > 0.1
+
+
+def test_lambda_is_seen():
+    made, density = network(), smoke()
+    assert np.abs(predicted(made, density, 0.1, 1.0) - predicted(made, density, 0.1, 0.0)).max() > 0.1

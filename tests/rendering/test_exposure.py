@@ -21,7 +21,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.rendering.cameras.views import sample_views
 from tnst_mi.rendering.columns import views_around
 from tnst_mi.rendering.driving import driving_renderer
-from tnst_mi.rendering.exposure import Brightness, brightness
+from tnst_mi.rendering.exposure import Brightness, brightness, exposure_of_thicker
 from tnst_mi.rendering.levels import levels_seen
 
 RECIPE = Recipe(style=("net",), octaves=3)
@@ -138,3 +138,13 @@ def test_where_empty_space_is_bright_empty_frames_still_take_no_steps() -> None:
     half, whole, empty = found([0.5 * block(), block(), 0 * block()], [recipe] * 3)
     assert (whole.step_scale, empty.step_scale) == (1.0, 0.0) and 0.4 < half.step_scale < 1.0
     assert 0.85 < brightest(0 * block(), recipe, 0) * empty.exposure <= 1.0
+
+
+@pytest.mark.parametrize("quadrature", ["paper", "exact", "transmittance", "integrated_transmittance"])
+def test_the_exposure_of_thicker_smoke_follows_from_that_of_the_smoke(quadrature: str) -> None:
+    density = np.random.default_rng(4).random((12, 16, 10), dtype=np.float32)
+    recipe = Recipe(style=("spirals",), gamma=0.02, quadrature=quadrature, octaves=1)
+    (thin,) = brightness([Frame(density)], [recipe], levels_seen(recipe, density.shape), 1.0)
+    (thick,) = brightness([Frame(density)], [recipe], levels_seen(recipe, density.shape), 3.0)
+    assert exposure_of_thicker(thin.exposure, 3.0, recipe) == pytest.approx(thick.exposure, rel=1e-4)
+    assert exposure_of_thicker(thin.exposure, 1.0, recipe) == pytest.approx(thin.exposure, rel=1e-9)

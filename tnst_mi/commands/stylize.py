@@ -101,10 +101,9 @@ def _input_and_recipe(arguments: StylizeArguments) -> tuple[Path, Recipe]:
         say([f"note: {arguments.out}: its run was ended before it began, so it begins now"])
     if source is None:
         raise InputError("stylize: expected INPUT: a density file, a folder of numbered ones, or a pattern")
-    if arguments.recipe is not None:
-        return source, Recipe.from_toml(arguments.recipe)
-    if earlier is None:
-        return source, Recipe() if arguments.model is None else from_model.recipe_of_model(arguments.model)
+    if arguments.recipe is not None or earlier is None:
+        recipe = Recipe() if arguments.model is None else from_model.recipe_of_model(arguments.model)
+        return source, recipe if arguments.recipe is None else recipe.updated_by_file(arguments.recipe)
     recipe = recipe_of_run(earlier)
     return source, recipe if resumed else recipe.updated({"quality": following(recipe)}, "--from: ", Path.cwd())
 

@@ -23,10 +23,10 @@ from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
 _KEY = "tnst_mi_model"
 
 #: Of the metadata: what else it says of itself is not read.
-_FORMAT = 1
+_FORMAT = 2
 
 #: Limits of what a file may ask for.
-_MOST_OCTAVES, _MOST_WIDTH, _FIELDS = 8, 512, {"phi": 1, "psi": 3}
+_MOST_OCTAVES, _MOST_WIDTH = 8, 512
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,6 @@ def write_model(path: Path, network: PotentialNetwork, recipe: Mapping[str, Any]
         "format": _FORMAT,
         "octaves": architecture.octaves,
         "width": architecture.width,
-        "fields": architecture.fields,
         "recipe": dict(recipe),
         "trained": dict(trained),
     }
@@ -109,9 +108,8 @@ def _architecture(path: Path, described: Mapping[str, Any]) -> Architecture:
     if described["format"] != _FORMAT:
         found = quoted(str(described["format"]))
         raise InputError(f"{path}: has format {found}, expected {_FORMAT}; use the version of tnst-mi that wrote it")
-    octaves, width, fields = described["octaves"], described["width"], dict(described["fields"])
+    octaves, width = described["octaves"], described["width"]
     whole = isinstance(octaves, int) and isinstance(width, int)
-    known = fields and all(_FIELDS.get(name) == count for name, count in fields.items())
-    if not (whole and known and 1 <= octaves <= _MOST_OCTAVES and 1 <= width <= _MOST_WIDTH):
+    if not (whole and 1 <= octaves <= _MOST_OCTAVES and 1 <= width <= _MOST_WIDTH):
         raise InputError(f"{path}: damaged, it describes no network that there can be; train it again")
-    return Architecture(octaves, width, fields)
+    return Architecture(octaves, width)

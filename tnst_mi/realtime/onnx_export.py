@@ -14,7 +14,7 @@ import torch
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.realtime.model import Model
-from tnst_mi.realtime.potential_network import PotentialNetwork
+from tnst_mi.realtime.potential_network import FIELDS, PotentialNetwork
 
 #: Of the operators; every runtime of the last years has them.
 OPSET = 18
@@ -27,7 +27,7 @@ _PACKAGES = ("onnx", "onnxscript")
 
 
 def write_onnx(model: Model, path: Path) -> None:
-    """Write the network: `density` (1, 1, D, H, W) → `potentials` (1, C, D, H, W), float32, sizes of any multiple.
+    """Write the network: `smoke` (1, 1, D, H, W) and `lam` (1,) → `potentials` (1, C, D, H, W), sizes of any multiple.
 
     The metadata of the file have the multiple of which sizes must be, the names of the fields, and the recipe.
 
@@ -40,26 +40,26 @@ def write_onnx(model: Model, path: Path) -> None:
     architecture = model.network.architecture
     network = PotentialNetwork(architecture)
     network.load_state_dict({name: weight.cpu() for name, weight in model.network.state_dict().items()})
-    density = torch.zeros((1, 1, *(architecture.multiple * times for times in _TRACED)))
+    smoke = torch.zeros((1, 1, *(architecture.multiple * times for times in _TRACED)))
     sizes = {2 + axis: architecture.multiple * torch.export.Dim(f"{name}_groups", min=1) for axis, name in _AXES}
     # The exporter tells of each of its steps on stdout, and of packages that are not needed.
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             network.eval(),
-            (density,),
+            (smoke, torch.zeros(1)),
             dynamo=True,
             opset_version=OPSET,
-            input_names=["density"],
+            input_names=["smoke", "lam"],
             output_names=["potentials"],
-            dynamic_shapes=(sizes,),
+            dynamic_shapes=(sizes, None),
             verbose=False,
         )
     assert program is not None
     program.model.metadata_props.update(
         {
             "multiple": str(architecture.multiple),
-            "fields": json.dumps(architecture.fields),
+            "fields": json.dumps(FIELDS),
             "recipe": json.dumps(dict(model.recipe)),
             "sha256": model.sha256,
         }

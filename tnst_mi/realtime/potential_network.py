@@ -1,8 +1,9 @@
-"""The network: from the density of smoke to potentials, coarse to fine, with one block for all octaves.
+"""The network: from the smoke that is seen to potentials, coarse to fine, with one block for all octaves.
 
-Each octave halves the cells of the one before. The block sees the density of its octave and the potentials that the
-coarser octaves have found, and adds to these, as the iterations of an optimisation do. It measures lengths in cells of
-the octave, so one block serves all of them, and a motif is drawn coarsely before it gets its details.
+Each octave halves the cells of the one before. The block sees the smoke of its octave, the λ by which potentials become
+a velocity, and the potentials that the coarser octaves have found, and adds to these, as the iterations of an
+optimisation do. It measures lengths in cells of the octave, so one block serves all of them, and a motif is drawn
+coarsely before it gets its details.
 """
 
 from __future__ import annotations
@@ -25,7 +26,16 @@ BLOCK_REACH = 28
 #: optimisation, all octaves can move smoke equally far.
 LARGEST = 4.0
 
-#: Cells on each side over which the density is softened, so that a block finds thick smoke without counting.
+#: What the network gives, in the order of its channels, and the channels of each.
+FIELDS = {"phi": 1, "psi": 3}
+
+#: All of these channels.
+CHANNELS = sum(FIELDS.values())
+
+#: What a block is given beside the potentials: the smoke, the same softened, and λ.
+_GIVEN = 3
+
+#: Cells on each side over which the smoke is softened, so that a block finds thick smoke without counting.
 _SOFTENED = 2
 
 
@@ -36,17 +46,10 @@ class Architecture:
     Attributes:
         octaves: how many there are; the finest has the cells of the input.
         width: channels at half the resolution of an octave; twice as many at a quarter.
-        fields: names and channels of what it gives, such as {"psi": 3}.
     """
 
     octaves: int
     width: int
-    fields: dict[str, int]
-
-    @property
-    def channels(self) -> int:
-        """The channels of all fields together."""
-        return sum(self.fields.values())
 
     @property
     def multiple(self) -> int:
@@ -55,21 +58,21 @@ class Architecture:
 
 
 class Block(nn.Module):
-    """What one octave adds to the potentials: (1, 2 + C, D, H, W) → (1, C, D, H, W).
+    """What one octave adds to the potentials: (1, 3 + C, D, H, W) → (1, C, D, H, W).
 
-    The channels are the density, the same softened, and the potentials that there are, in units of what a block adds.
+    The channels are the smoke, the same softened, λ, and the potentials that there are, in units of what a block adds.
     It begins as 0: an untrained network leaves smoke as it is.
     """
 
-    def __init__(self, width: int, channels: int) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
         # Eight cells become the channels of one: what a full grid costs is an eighth of it, and nothing is lost.
-        self.first = _convolution(8 * (2 + channels), width)
+        self.first = _convolution(8 * (_GIVEN + CHANNELS), width)
         self.fine = _convolution(width, width)
         self.narrow = _convolution(width, 2 * width)
         self.coarse = nn.ModuleList([_convolution(2 * width, 2 * width) for _ in range(3)])
         self.joined = _convolution(3 * width, width)
-        self.last = _convolution(width, 8 * channels)
+        self.last = _convolution(width, 8 * CHANNELS)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(_bias(self.last))
 
@@ -87,39 +90,41 @@ class Block(nn.Module):
 
 
 class PotentialNetwork(nn.Module):
-    """Density (1, 1, D, H, W) in the run's unit → potentials (1, C, D, H, W) in squares of cells per frame.
+    """Smoke (1, 1, D, H, W) and λ (1,) → potentials (1, C, D, H, W) in squares of cells per frame.
 
-    The sizes are multiples of `architecture.multiple`.
+    The smoke is its optical thickness, see `prediction.THICK`; the channels are those of `FIELDS`; the sizes are
+    multiples of `architecture.multiple`.
     """
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = architecture
-        self.block = Block(architecture.width, architecture.channels)
+        self.block = Block(architecture.width)
 
-    def forward(self, density: Tensor) -> Tensor:
+    def forward(self, smoke: Tensor, lam: Tensor) -> Tensor:
         """The potentials of all octaves together."""
-        return self.coarse_to_fine(density, self.block)
+        return self.coarse_to_fine(smoke, lam, self.block)
 
-    def coarse_to_fine(self, density: Tensor, block: Callable[[Tensor], Tensor]) -> Tensor:
+    def coarse_to_fine(self, smoke: Tensor, lam: Tensor, block: Callable[[Tensor], Tensor]) -> Tensor:
         """`forward`, with something that does what the block does of an octave, such as in parts."""
-        densities = [density]
+        octaves = [smoke]
         for _ in range(self.architecture.octaves - 1):
-            densities.append(functional.avg_pool3d(densities[-1], 2))
-        potentials = block(self.seen(densities[-1], None))
-        for finer in reversed(densities[:-1]):
+            octaves.append(functional.avg_pool3d(octaves[-1], 2))
+        potentials = block(self.seen(octaves[-1], lam, None))
+        for finer in reversed(octaves[:-1]):
             known = self.carried(potentials)
-            potentials = known + block(self.seen(finer, known))
+            potentials = known + block(self.seen(finer, lam, known))
         return potentials
 
-    def seen(self, density: Tensor, known: Tensor | None) -> Tensor:
-        """What a block is given of an octave: its density and the potentials that there are, None for 0."""
+    @staticmethod
+    def seen(smoke: Tensor, lam: Tensor, known: Tensor | None) -> Tensor:
+        """What a block is given of an octave: its smoke, λ, and the potentials that there are, None for 0."""
         softened = functional.avg_pool3d(
-            functional.pad(density, (_SOFTENED,) * 6, mode="replicate"), 2 * _SOFTENED + 1, stride=1
+            functional.pad(smoke, (_SOFTENED,) * 6, mode="replicate"), 2 * _SOFTENED + 1, stride=1
         )
         if known is None:
-            known = density.new_zeros((1, self.architecture.channels, *density.shape[2:]))
-        return torch.cat([density, softened, known / LARGEST], dim=1)
+            known = smoke.new_zeros((1, CHANNELS, *smoke.shape[2:]))
+        return torch.cat([smoke, softened, lam.to(smoke).expand(smoke.shape), known / LARGEST], dim=1)
 
     @staticmethod
     def carried(potentials: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import mitsuba as mi
 import numpy as np
@@ -10,8 +10,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tnst_mi.optimisation.parameterisation import Fields
-from tnst_mi.realtime.potential_network import BLOCK_MULTIPLE, BLOCK_REACH, Architecture, PotentialNetwork
+from tnst_mi.fields.grid import Octave
+from tnst_mi.optimisation.parameterisation import Fields, Parameterisation
+from tnst_mi.optimisation.plan import FramePlan
+from tnst_mi.realtime.potential_network import BLOCK_MULTIPLE, BLOCK_REACH, CHANNELS, FIELDS, PotentialNetwork
+
+#: Optical thickness γ d h of a cell that counts as 1 to the network: that of smoke of density 1 in images as the paper
+#: has them. What is seen depends on nothing else of γ and density, so whoever changes γ needs no other network.
+THICK = 0.1
 
 #: Cells with less than this density, in the run's unit, are not smoke.
 _VISIBLE = 1e-3
@@ -67,24 +73,29 @@ class Example:
 
     Args:
         density: (D, H, W), in the run's unit.
+        extinction: γ of a cell of this grid, per unit of density.
+        lam: λ of the velocity that the potentials are for.
         network: that it is for.
     """
 
-    def __init__(self, density: np.ndarray, network: PotentialNetwork) -> None:
+    def __init__(self, density: np.ndarray, extinction: float, lam: float, network: PotentialNetwork) -> None:
         multiple = network.architecture.multiple
         self._shape, self.box = density.shape, smoke_box(density, multiple)
         device = next(network.parameters()).device
         if self.box is None:
             return
-        inside = torch.from_numpy(np.ascontiguousarray(density[self.box], np.float32)).to(device)
+        thickness = density[self.box] * np.float32(extinction / THICK)
+        inside = torch.from_numpy(np.ascontiguousarray(thickness, np.float32)).to(device)
         self._size = tuple(inside.shape)
         missing = [-cells % multiple for cells in self._size]
-        self.density = functional.pad(inside[None, None], (0, missing[2], 0, missing[1], 0, missing[0]))
+        self._lam = torch.tensor([lam], device=device)
+        self._smoke = functional.pad(inside[None, None], (0, missing[2], 0, missing[1], 0, missing[0]))
         self._fade = torch.from_numpy(edge_fade(self._shape, self.box)).to(device)
 
-    def on_grid(self, potentials: Tensor) -> Tensor:
-        """Potentials (1, C, d, h, w) of the box on the grid, (D, H, W, C), 0 elsewhere; it can be differentiated."""
+    def potentials(self, network: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+        """What the network gives for the box, on the grid: (D, H, W, C), 0 elsewhere; it can be differentiated."""
         assert self.box is not None
+        potentials = network(self._smoke, self._lam)
         d, h, w = self._size
         inside = (potentials[0, :, :d, :h, :w] * self._fade).permute(1, 2, 3, 0)
         around = [(part.start, cells - part.stop) for part, cells in zip(self.box, self._shape, strict=True)]
@@ -92,42 +103,70 @@ class Example:
 
 
 @torch.no_grad()
-def predicted(network: PotentialNetwork, density: np.ndarray, most_cells: int = MOST_CELLS) -> np.ndarray:
+def predicted(
+    network: PotentialNetwork, density: np.ndarray, extinction: float, lam: float, most_cells: int = MOST_CELLS
+) -> np.ndarray:
     """The potentials of smoke, (D, H, W, C) in squares of cells per frame.
 
     Args:
         network: that has learned a style.
         density: (D, H, W), in the run's unit, in which that of thick smoke is about 1.
+        extinction: γ of a cell of this grid, per unit of density.
+        lam: λ of the velocity that they are for.
         most_cells: that go through the network at a time; the result does not depend on it, but for rounding.
     """
-    example = Example(density, network)
+    example = Example(density, extinction, lam, network)
     if example.box is None:
-        return np.zeros((*density.shape, network.architecture.channels), np.float32)
-    return example.on_grid(_in_blocks(network, example.density, most_cells)).cpu().numpy()
+        return np.zeros((*density.shape, CHANNELS), np.float32)
+    return example.potentials(lambda smoke, lam: _in_blocks(network, smoke, lam, most_cells)).cpu().numpy()
 
 
-def fields_of(potentials: np.ndarray, architecture: Architecture, h: float) -> Fields:
+def predicted_fields(network: PotentialNetwork, frame: FramePlan, octave: Octave, density: mi.TensorXf) -> Fields:
+    """The fields that a network gives for a frame, in squares of full-resolution cells per frame.
+
+    Args:
+        network: that has learned a style.
+        frame: the plan of the frame.
+        octave: the grid on which it sees the smoke.
+        density: (D, H, W) on this grid, in the run's unit.
+    """
+    recipe, h = frame.recipe, octave.cell_size
+    potentials = predicted(network, density.numpy(), recipe.extinction * h, recipe.lam, MOST_CELLS)
+    return fields_of(potentials, frame.parameterisation, h)
+
+
+def fields_of(potentials: np.ndarray, parameterisation: Parameterisation, h: float) -> Fields:
     """Potentials (D, H, W, C), in squares of the cells of their grid, as fields, in squares of full-resolution cells.
 
     Args:
         potentials: of a network.
-        architecture: of the network.
+        parameterisation: whose fields they become; those that it does not have are left out.
         h: the size of a cell in full-resolution cells.
     """
-    fields, first = Fields(), 0
-    for name, count in architecture.fields.items():
-        part = potentials[..., first] if count == 1 else potentials[..., first : first + count]
-        fields[name] = mi.TensorXf(np.ascontiguousarray(part * np.float32(h * h)))
+    return Fields(
+        {
+            name: mi.TensorXf(np.ascontiguousarray(potentials[..., part] * np.float32(h * h)))
+            for name, part in channels_of(parameterisation).items()
+        }
+    )
+
+
+def channels_of(parameterisation: Parameterisation) -> dict[str, int | slice]:
+    """Where the fields of a parameterisation are among the channels of a network, by name."""
+    places, first = {}, 0
+    for name, count in FIELDS.items():
+        if name in parameterisation.channels:
+            places[name] = first if count == 1 else slice(first, first + count)
         first += count
-    return fields
+    return places
 
 
-def _in_blocks(network: PotentialNetwork, density: Tensor, most_cells: int) -> Tensor:
-    """`network(density)`, each octave in blocks of at most so many cells."""
+def _in_blocks(network: PotentialNetwork, smoke: Tensor, lam: Tensor, most_cells: int) -> Tensor:
+    """`network(smoke, lam)`, each octave in blocks of at most so many cells."""
 
     def in_parts(seen: Tensor) -> Tensor:
         shape = tuple(seen.shape[2:])
-        found = seen.new_empty((1, network.architecture.channels, *shape))
+        found = seen.new_empty((1, CHANNELS, *shape))
         for part in _blocks(shape, most_cells):
             wider = tuple(
                 slice(max(0, along.start - BLOCK_REACH), min(cells, along.stop + BLOCK_REACH))
@@ -140,7 +179,7 @@ def _in_blocks(network: PotentialNetwork, density: Tensor, most_cells: int) -> T
             found[:, :, *part] = network.block(seen[:, :, *wider])[:, :, *inner]
         return found
 
-    return network.coarse_to_fine(density, in_parts)
+    return network.coarse_to_fine(smoke, lam, in_parts)
 
 
 def _blocks(shape: tuple[int, ...], most_cells: int) -> Iterator[tuple[slice, slice, slice]]:

@@ -125,15 +125,8 @@ class Recipe(Reading, Resources, Colouring, Method, Goals, NotebookDisplay):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Recipe:
-        """Read a recipe file; relative paths in it start from its folder.
-
-        Raises:
-            InputError: the file is missing or not TOML, a key is unknown, a value has the wrong type or is out
-                of range, or a picture or another file that it names does not exist.
-        """
-        path = expanded(Path(path))
-        with decoding(path, "a recipe file"):
-            return cls.from_dict(read_recipe_file(path), source=f"{path}: ", folder=path.parent)
+        """Read a recipe file, as `updated_by_file` does."""
+        return cls().updated_by_file(path)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "recipe: ", folder: Path | None = None) -> Recipe:
@@ -151,6 +144,17 @@ class Recipe(Reading, Resources, Colouring, Method, Goals, NotebookDisplay):
         kept = {name: self._value_or_table(name) for name in self.given}
         shares = () if "style" in values else self.style_shares
         return Recipe(**kept | replaced, style_shares=shares)
+
+    def updated_by_file(self, path: str | Path) -> Recipe:
+        """Return a copy with the keys of a recipe file replaced; relative paths in it start from its folder.
+
+        Raises:
+            InputError: the file is missing or not TOML, a key is unknown, a value has the wrong type or is out
+                of range, or a picture or another file that it names does not exist.
+        """
+        path = expanded(Path(path))
+        with decoding(path, "a recipe file"):
+            return self.updated(read_recipe_file(path), f"{path}: ", path.parent)
 
     def located(self, folder: Path) -> Recipe:
         """Return a copy with absolute paths, resolved from `folder`; keyframes and shares are kept.
@@ -278,11 +282,8 @@ class Recipe(Reading, Resources, Colouring, Method, Goals, NotebookDisplay):
     @property
     def semantic_channels(self) -> list[tuple[str, tuple[int, ...]]]:
         """The semantic targets as (layer, channels)."""
-        targets = []
-        for target in self.semantic:
-            layer, _, channels = target.partition(":")
-            targets.append((layer, tuple(int(channel) for channel in channels.split(","))))
-        return targets
+        parts = [target.partition(":") for target in self.semantic]
+        return [(layer, tuple(int(channel) for channel in channels.split(","))) for layer, _, channels in parts]
 
 
 def _checked(name: str, value: Any, source: str) -> Any:

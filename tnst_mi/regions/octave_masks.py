@@ -75,6 +75,14 @@ def octave_mask(mask: np.ndarray, border: RegionBorder | None, octave: Octave) -
     return resample_region(full, 1.0, octave.shape, octave.cell_size)
 
 
+def union_of(masks: Sequence[mi.TensorXf | None]) -> mi.TensorXf | None:
+    """The largest of some masks in every cell; None if one of them is everywhere, or there are none."""
+    present = [mask for mask in masks if mask is not None]
+    if not present or len(present) < len(masks):
+        return None
+    return functools.reduce(lambda a, b: mi.TensorXf(dr.maximum(a.array, b.array), tuple(a.shape)), present)
+
+
 def distance_within(inside: torch.Tensor, most: float) -> torch.Tensor:
     """The distance of each cell (D, H, W) to the nearest one outside, in cells, at most `most`; 0 outside.
 

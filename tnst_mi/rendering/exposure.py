@@ -57,6 +57,21 @@ def exposure_for(brightest: float) -> float:
     return 1.0 / brightest if brightest > 0.0 else 1.0
 
 
+def exposure_of_thicker(exposure: float, factor: float, recipe: Recipe) -> float:
+    """The exposure of a frame once there is `factor` times as much smoke along each ray; see `brightest_possible`.
+
+    Args:
+        exposure: what it was before.
+        factor: above 0.
+        recipe: of the frame, without keyframes, rendered by emission and absorption.
+    """
+    if recipe.quadrature == "integrated_transmittance":
+        return exposure
+    full = 1.0 if recipe.quadrature == "transmittance" else 1.0 / recipe.extinction
+    opacity = min(1.0 / (exposure * full), 1.0 - 1e-12)
+    return exposure_for(-math.expm1(factor * math.log1p(-opacity)) * full)
+
+
 #: Paths per pixel of the path-traced views whose brightest pixel counts.
 _GLIMPSE_SPP = 64
 

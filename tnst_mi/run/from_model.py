@@ -16,13 +16,17 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import scaled
+from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.frame import Frame
-from tnst_mi.optimisation.plan import Plan
+from tnst_mi.optimisation.parameterisation import times
+from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.start import Start
 from tnst_mi.realtime.model import Model, read_model
-from tnst_mi.realtime.prediction import fields_of, predicted
+from tnst_mi.realtime.potential_network import FIELDS
+from tnst_mi.realtime.prediction import predicted_fields
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.regions.octave_masks import border_of, octave_mask, union_of
 from tnst_mi.resources import expanded
 
 
@@ -73,7 +77,7 @@ def begun_by(
         InputError: the file is no model, or another one than the run began with, or it does not go with the recipe.
     """
     network, refine = read_model(model.path), model.refine
-    _require_fitting(network, plan, refine)
+    _require_fitting(model.path, plan, refine)
     said = {"file": str(model.path.absolute()), "sha256": network.sha256, "refine": refine}
     if earlier is not None and earlier.get("model") != said:
         raise InputError(f"{model.path}: the run that is resumed began otherwise; use --overwrite")
@@ -93,27 +97,37 @@ class _Potentials:
 
     def __call__(self, name: str) -> Mapping[str, np.ndarray]:
         """The fields of the frame."""
-        plan, network = self.plan, self.model.network
-        octave, index = plan.octaves[-1], next(frame.index for frame in plan.frames if frame.name == name)
-        full = mi.TensorXf(scaled(self.frames[index].density, plan.density_scale))
-        density = resample_density(full, 1.0, octave.shape, octave.cell_size)
-        fields = fields_of(predicted(network, density.numpy()), network.architecture, octave.cell_size)
-        return {name: field.numpy() for name, field in fields.items()}
+        plan, octave = self.plan, self.plan.octaves[-1]
+        frame = next(frame for frame in plan.frames if frame.name == name)
+        source = self.frames[frame.index]
+        density = mi.TensorXf(scaled(source.density, plan.density_scale))
+        density = resample_density(density, 1.0, octave.shape, octave.cell_size)
+        fields = predicted_fields(self.model.network, frame, octave, density)
+        inside = self._inside(frame, source, octave)
+        return {
+            field: (tensor if inside is None else times(inside, tensor)).numpy() for field, tensor in fields.items()
+        }
+
+    def _inside(self, frame: FramePlan, source: Frame, octave: Octave) -> mi.TensorXf | None:
+        """The factor that keeps potentials within the regions of a frame; None if these are everywhere."""
+        if self.plan.regions is None:
+            return None
+        masks = self.plan.regions.masks(frame.index, source)
+        border = border_of(masks, octave)
+        return union_of([None if mask is None else octave_mask(mask, border, octave) for mask in masks])
 
 
-def _require_fitting(model: Model, plan: Plan, refine: int) -> None:
+def _require_fitting(path: Path, plan: Plan, refine: int) -> None:
     """Check that a run can begin with the potentials of a network.
 
     Raises:
         InputError: it cannot.
     """
-    fields = model.network.architecture.fields
     for frame in plan.frames:
-        if frame.parameterisation.channels != fields:
+        if not set(frame.parameterisation.channels) <= set(FIELDS):
             raise InputError(
-                f"{model.path}: gives {' and '.join(fields)}, and with this recipe {frame.name} has "
-                f"{' and '.join(frame.parameterisation.channels)}; give lam, parameterisation and colour as it was "
-                "trained, or leave them out"
+                f"{path}: gives {' and '.join(FIELDS)}, and with this recipe {frame.name} has "
+                f"{' and '.join(frame.parameterisation.channels)}; leave out parameterisation and colour"
             )
     most = plan.iterations(len(plan.octaves) - 1)
     if not 0 <= refine <= most:

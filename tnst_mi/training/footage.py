@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -11,19 +12,37 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.density_unit import ReferenceDensity, scaled
-from tnst_mi.fields.resampling import resample_density
+from tnst_mi.fields.kernels import opaque
+from tnst_mi.fields.resampling import resample_density, resample_velocity
 from tnst_mi.frame import Frame
 from tnst_mi.losses.scales import rms_scales
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
-from tnst_mi.optimisation.parameterisation import Fields
+from tnst_mi.optimisation.parameterisation import Fields, Transport
 from tnst_mi.optimisation.plan import FramePlan, Plan, plan_of
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.rendering.exposure import brightness
+from tnst_mi.rendering.exposure import brightness, exposure_of_thicker
 from tnst_mi.rendering.levels import by_frame, levels_seen
 
 #: Number of frames, evenly spaced, from whose images the terms of the loss get their scales.
 _CALIBRATING = 4
+
+
+@dataclass(frozen=True)
+class Showing:
+    """How a frame is shown to the network: what of it is changed, so that it has seen more than it was given.
+
+    Attributes:
+        mirrored: along z and along x; smoke rises along y.
+        zoom: how many times larger it is, around the centre of its grid, which cuts off what is beyond.
+        thicker: factor of its optical thickness, as by another γ.
+        lam: λ of the velocity; None for that of the recipe.
+    """
+
+    mirrored: tuple[bool, bool] = (False, False)
+    zoom: float = 1.0
+    thicker: float = 1.0
+    lam: float | None = None
 
 
 @dataclass(frozen=True)
@@ -33,12 +52,14 @@ class Take:
     Attributes:
         plan: of the frame.
         density: (D, H, W) in the run's unit, on the grid of the finest octave.
-        full: the same on the frame's own grid.
     """
 
     plan: FramePlan
     density: mi.TensorXf
-    full: mi.TensorXf
+
+
+#: A frame without any change.
+AS_IT_IS = Showing()
 
 
 class Footage:
@@ -89,21 +110,38 @@ class Footage:
         """The plan of the frames."""
         return self._plan
 
-    def take(self, position: int, mirrored: tuple[bool, bool] = (False, False)) -> Take:
-        """A frame with smoke, mirrored along z and x or not: smoke rises along y."""
-        plan = self._plan.alive[position]
-        density = scaled(self._frames[plan.index].density, self._scale)
-        axes = tuple(axis for axis, flipped in zip((0, 2), mirrored, strict=True) if flipped)
-        octave, full = self.problem.octave, mi.TensorXf(np.ascontiguousarray(np.flip(density, axes), np.float32))
-        return Take(plan, resample_density(full, 1.0, octave.shape, octave.cell_size), full)
+    def take(self, position: int, showing: Showing = AS_IT_IS) -> Take:
+        """A frame with smoke, as it is to be shown."""
+        plan, octave = self._plan.alive[position], self.problem.octave
+        density = mi.TensorXf(_flipped(self._full(plan).numpy(), showing.mirrored))
+        density = resample_density(density, 1.0, octave.shape, octave.cell_size / showing.zoom)
+        return Take(_shown(plan, showing), density * opaque(showing.thicker))
 
-    def judged(self, take: Take, fields: Fields) -> float:
+    def carrying(self, position: int, direction: int, showing: Showing) -> tuple[int, mi.TensorXf] | None:
+        """The neighbour of a frame before it (direction −1) or after it (1), and how its smoke moves to the frame.
+
+        Returns:
+            The neighbour's position, and a displacement (D, H, W, 3) in full-resolution cells on the grid of the
+            finest octave; None if there is no neighbour with smoke, or no velocity between them.
+        """
+        index, octave = self._plan.alive[position].index + direction, self.problem.octave
+        other = next((place for place, plan in enumerate(self._plan.alive) if plan.index == index), None)
+        velocity = self._frames[min(index, index - direction)].velocity
+        if other is None or velocity is None:
+            return None
+        along_z, along_x = showing.mirrored
+        signs = np.array([-1 if along_x else 1, 1, -1 if along_z else 1], np.float32)
+        u = mi.TensorXf(_flipped(velocity, showing.mirrored) * signs)
+        u = resample_velocity(u, 1.0, octave.shape, octave.cell_size / showing.zoom)
+        return other, u * opaque(-direction * showing.zoom)
+
+    def judged(self, position: int, fields: Fields) -> float:
         """The loss of a frame that is transported by fields, in the fixed views."""
-        parameterisation, full = take.plan.parameterisation, self._plan.full
+        plan, full = self._plan.alive[position], self._plan.full
         with dr.suspend_grad():
-            fields = parameterisation.carried(fields, self.problem.octave, full)
-            moved = parameterisation.density(fields, take.full, full.cell_size)
-        return self.problem.judge(take.plan, moved.numpy())[0]
+            fields = plan.parameterisation.carried(fields, self.problem.octave, full)
+            moved = plan.parameterisation.density(fields, self._full(plan), full.cell_size)
+        return self.problem.judge(plan, moved.numpy())[0]
 
     def zeros(self) -> Fields:
         """The fields that leave smoke as it is."""
@@ -122,6 +160,24 @@ class Footage:
             zeros = take.plan.parameterisation.zeros(problem.octave)
             yield problem.gradient_square_sum(take.plan, zeros, take.density, seed)
 
+    def _full(self, plan: FramePlan) -> mi.TensorXf:
+        """A frame's density in the run's unit, on its own grid."""
+        return mi.TensorXf(scaled(self._frames[plan.index].density, self._scale))
 
-#: All ways to mirror a frame.
-MIRRORINGS = ((False, False), (False, True), (True, False), (True, True))
+
+def _flipped(field: np.ndarray, mirrored: tuple[bool, bool]) -> np.ndarray:
+    """A field (D, H, W, …), mirrored along z and x or not."""
+    axes = tuple(axis for axis, flipped in zip((0, 2), mirrored, strict=True) if flipped)
+    return np.ascontiguousarray(np.flip(field, axes), np.float32)
+
+
+def _shown(plan: FramePlan, showing: Showing) -> FramePlan:
+    """The plan of a frame as it is shown: as bright, though thicker, and with λ."""
+    recipe, parameterisation = plan.recipe, plan.parameterisation
+    exposure = exposure_of_thicker(plan.exposure, showing.thicker * showing.zoom, recipe)
+    if showing.lam is not None:
+        recipe = recipe.updated({"lam": showing.lam}, "lam: ", Path.cwd())
+        parameterisation = Transport(
+            recipe.lam, recipe.steps, None, None, recipe.transport, recipe.stages, recipe.conservative
+        )
+    return replace(plan, recipe=recipe, parameterisation=parameterisation, exposure=exposure)

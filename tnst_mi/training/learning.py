@@ -7,22 +7,45 @@ the potentials: the derivative of the loss with respect to these is what torch p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+import mitsuba as mi
 import numpy as np
 import torch
 from torch import Tensor
 
+from tnst_mi.fields.advection import step
+from tnst_mi.fields.grid import Octave
+from tnst_mi.machine.backend import torch_device
 from tnst_mi.optimisation.parameterisation import LARGEST_DERIVATIVE, limited
-from tnst_mi.realtime.potential_network import PotentialNetwork
-from tnst_mi.realtime.prediction import Example, fields_of
+from tnst_mi.realtime.potential_network import CHANNELS, PotentialNetwork
+from tnst_mi.realtime.prediction import Example, channels_of, fields_of, predicted
 from tnst_mi.training.footage import Footage, Take
 
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
 #: is grow without bound, and smoke is torn rather than moved.
 PULL = 0.1
 
+#: How strongly they are drawn, in the smoke, towards those of the frame before or after, carried along by the flow.
+STEADINESS = 0.05
 
-def learn(network: PotentialNetwork, footage: Footage, take: Take, seed: Sequence[int]) -> float | None:
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A frame next to one that is learned from.
+
+    Attributes:
+        take: the frame, shown as the other is.
+        displacement: (D, H, W, 3), by which its smoke moves to the other frame, in full-resolution cells.
+    """
+
+    take: Take
+    displacement: mi.TensorXf
+
+
+def learn(
+    network: PotentialNetwork, footage: Footage, take: Take, seed: Sequence[int], neighbour: Neighbour | None = None
+) -> float | None:
     """Add a frame's derivative to those of the weights; gives its loss, None if it has no smoke.
 
     Derivatives of frames have one size whatever their smoke is, so that all of them count alike.
@@ -32,26 +55,45 @@ def learn(network: PotentialNetwork, footage: Footage, take: Take, seed: Sequenc
         footage: that the frame is of.
         take: the frame.
         seed: of the views.
+        neighbour: the frame whose potentials those of this one should be like; they are not learned from.
     """
-    example = Example(take.density.numpy(), network)
+    octave, recipe = footage.problem.octave, take.plan.recipe
+    example = Example(take.density.numpy(), recipe.extinction * octave.cell_size, recipe.lam, network)
     if example.box is None:
         return None
     # Half the digits cost a third of the time, and the noise of a step is far above that of rounding.
-    with torch.autocast(example.density.device.type, torch.bfloat16):
-        in_box = network(example.density)
-    potentials = example.on_grid(in_box)
-    h = footage.problem.octave.cell_size
-    fields = fields_of(potentials.detach().cpu().numpy(), network.architecture, h)
+    with torch.autocast(torch_device().type, torch.bfloat16):
+        potentials = example.potentials(network)
+    fields = fields_of(potentials.detach().cpu().numpy(), take.plan.parameterisation, octave.cell_size)
     found = footage.problem.gradient(take.plan, fields, take.density, seed)
     (gradient,) = found.gradients
-    parts = [limited(gradient[name], LARGEST_DERIVATIVE).numpy() for name in network.architecture.fields]
-    derivative = np.concatenate([part if part.ndim == 4 else part[..., None] for part in parts], axis=-1)
+    derivative = np.zeros(tuple(potentials.shape), np.float32)
+    wanted = np.zeros(CHANNELS, np.float32)
+    for name, part in channels_of(take.plan.parameterisation).items():
+        derivative[..., part] = limited(gradient[name], LARGEST_DERIVATIVE).numpy()
+        wanted[part] = 1
     size = float(np.sqrt(np.square(derivative, dtype=np.float64).sum()))
     if size > 0:
-        potentials.backward(torch.from_numpy(derivative / size).to(potentials) + PULL * _drawn(potentials))
-    return float(found.loss) / take.plan.recipe.views
+        now = potentials.detach()
+        whole = torch.from_numpy(derivative / size).to(now) + PULL * now / now.numel() ** 0.5
+        if neighbour is not None:
+            whole += STEADINESS * _unsteady(network, now, take, neighbour, octave)
+        # Of a potential that λ leaves out, nothing is known.
+        potentials.backward(whole * torch.from_numpy(wanted).to(now))
+    return float(found.loss) / recipe.views
 
 
-def _drawn(potentials: Tensor) -> Tensor:
-    """The potentials, divided by the root of their number: of size 1 where all of them are."""
-    return potentials.detach() / potentials.numel() ** 0.5
+@torch.no_grad()
+def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Neighbour, octave: Octave) -> Tensor:
+    """How far potentials (D, H, W, C) differ in the smoke from those that a neighbour's become by the flow.
+
+    It is of the size 1 where all of those in the smoke differ by 1.
+    """
+    recipe, density = take.plan.recipe, neighbour.take.density.numpy()
+    with torch.autocast(torch_device().type, torch.bfloat16):
+        before = predicted(network, density, recipe.extinction * octave.cell_size, recipe.lam)
+    channels = [mi.TensorXf(np.ascontiguousarray(channel)) for channel in np.moveaxis(before, -1, 0)]
+    carried = [step(one, neighbour.displacement, "semi_lagrangian", octave.cell_size).numpy() for one in channels]
+    smoke = torch.from_numpy(take.density.numpy()).clamp(max=1.0)[..., None].to(now)
+    difference = now - torch.from_numpy(np.stack(carried, axis=-1)).to(now)
+    return smoke * difference / (CHANNELS * smoke.sum()).clamp(min=1.0).sqrt()

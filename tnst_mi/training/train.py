@@ -157,8 +157,7 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
     # `frames` selects what is learned from.
     held_out = _footage(wanted.held_out, dataclasses.replace(recipe, frames=None), judge, progress)
     torch.manual_seed(recipe.seed)
-    fields = footage[0].plan.alive[0].parameterisation.channels
-    network = PotentialNetwork(Architecture(min(recipe.octaves, OCTAVES), WIDTH, fields)).to(torch_device())
+    network = PotentialNetwork(Architecture(min(recipe.octaves, OCTAVES), WIDTH)).to(torch_device())
     trainer = Trainer(network, footage, held_out or footage, recipe.seed)
     before = trainer.read(wanted.state) if resume else 0.0
     kept = _Kept(wanted, network, trainer, _card(wanted, footage, held_out, judge))

@@ -16,15 +16,21 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.realtime.potential_network import PotentialNetwork
-from tnst_mi.realtime.prediction import fields_of, predicted
-from tnst_mi.training.footage import MIRRORINGS, Footage
-from tnst_mi.training.learning import learn
+from tnst_mi.realtime.prediction import predicted_fields
+from tnst_mi.training.footage import Footage, Showing
+from tnst_mi.training.learning import Neighbour, learn
 
 #: Adam's rate at its highest, and the steps in which it rises to that.
 RATE, RISING = 1.2e-3, 50
 
 #: The length at which the gradient of all weights is cut off.
 _LONGEST = 1.0
+
+#: How much larger or smaller, thicker or thinner smoke is shown: up to these factors, in either direction.
+_ZOOM, _THICKER = 1.4, 2.0
+
+#: In how many updates λ is any, and not that of the recipe.
+_OTHER_LAM = 0.2
 
 #: How many frames of each input are judged at most.
 _JUDGED = 3
@@ -62,11 +68,11 @@ class Trainer:
         self._network, self._footage, self._seed = network, footage, seed
         self._optimiser = torch.optim.Adam(network.parameters(), lr=RATE, betas=(0.9, 0.99))
         self._judged = [
-            (of_input, of_input.take(int(position)))
+            (of_input, int(position))
             for of_input in held_out
             for position in np.unique(np.linspace(0, len(of_input) - 1, _JUDGED).round())
         ]
-        self._before = [of_input.judged(take, of_input.zeros()) for of_input, take in self._judged]
+        self._before = [of_input.judged(position, of_input.zeros()) for of_input, position in self._judged]
         self.updates = 0
 
     def update(self, done: float) -> float | None:
@@ -77,12 +83,13 @@ class Trainer:
         chance = np.random.default_rng((self._seed, self.updates))
         # Every input counts alike, however many frames it has.
         footage = self._footage[int(chance.integers(len(self._footage)))]
-        take = footage.take(int(chance.integers(len(footage))), MIRRORINGS[int(chance.integers(len(MIRRORINGS)))])
+        position, showing = int(chance.integers(len(footage))), _showing(chance, footage)
+        neighbour = _neighbour(footage, position, 1 if chance.integers(2) else -1, showing)
         rate = RATE * min(1.0, (self.updates + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         self._optimiser.zero_grad()
-        loss = learn(self._network, footage, take, (self._seed, self.updates))
+        loss = learn(self._network, footage, footage.take(position, showing), (self._seed, self.updates), neighbour)
         if loss is not None:
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
             self._optimiser.step()
@@ -92,10 +99,10 @@ class Trainer:
     def judged(self) -> Judgement:
         """The network as it is, on what it does not learn from."""
         after = []
-        for footage, take in self._judged:
-            potentials = predicted(self._network, take.density.numpy())
-            fields = fields_of(potentials, self._network.architecture, footage.problem.octave.cell_size)
-            after.append(footage.judged(take, fields))
+        for footage, position in self._judged:
+            take = footage.take(position)
+            fields = predicted_fields(self._network, take.plan, footage.problem.octave, take.density)
+            after.append(footage.judged(position, fields))
         return Judgement(float(np.mean(self._before)), float(np.mean(after)))
 
     def write(self, path: Path, seconds: float) -> None:
@@ -137,6 +144,21 @@ class Trainer:
     def _moments(self, weight: Tensor) -> dict[str, Tensor]:
         state = self._optimiser.state.get(weight) or {}
         return {kind: state.get(kind, torch.zeros_like(weight)) for kind in _KINDS[1:]}
+
+
+def _showing(chance: np.random.Generator, footage: Footage) -> Showing:
+    """How the next frame is shown."""
+    mirrored = bool(chance.integers(2)), bool(chance.integers(2))
+    zoom, thicker = _ZOOM ** chance.uniform(-1, 1), _THICKER ** chance.uniform(-1, 1)
+    other = chance.uniform() < _OTHER_LAM
+    lam = float(chance.uniform()) if other else None
+    return Showing(mirrored, zoom, thicker, lam)
+
+
+def _neighbour(footage: Footage, position: int, direction: int, showing: Showing) -> Neighbour | None:
+    """The frame before (direction −1) or after one (1), shown like that; None if there is none."""
+    found = footage.carrying(position, direction, showing)
+    return None if found is None else Neighbour(footage.take(found[0], showing), found[1])
 
 
 #: What is kept of every weight: itself, and Adam's moments by torch's names of them.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import drjit as dr
@@ -17,7 +16,7 @@ from tnst_mi.frame import Frame
 from tnst_mi.optimisation.colouring import COLOUR, on_octave
 from tnst_mi.optimisation.mask import soft_mask
 from tnst_mi.optimisation.plan import FramePlan, Plan
-from tnst_mi.regions.octave_masks import border_of, octave_mask
+from tnst_mi.regions.octave_masks import border_of, octave_mask, union_of
 
 #: Name of the factor that keeps fields inside the regions.
 INSIDE = "inside"
@@ -45,7 +44,7 @@ class Inputs:
         """For each target, its part of the regions, (D, H, W) in [0, 1]; None if it is everywhere."""
         if len(self.regions) < 2:
             return list(self.regions) or [None]
-        union = _union(self.regions)
+        union = union_of(self.regions)
         return [
             None if region is None and union is None else mi.TensorXf(_share(region, union), self.mask.shape)
             for region in self.regions
@@ -55,7 +54,7 @@ class Inputs:
         """For each target, the mask of the smoke in its region."""
         if len(self.regions) < 2:
             return [self.mask]
-        union = _union(self.regions)
+        union = union_of(self.regions)
         return [mi.TensorXf(_share(region, union) * self.mask.array, self.mask.shape) for region in self.regions]
 
 
@@ -100,7 +99,7 @@ def octave_inputs(
     arrays |= {region_name(i): mi.TensorXf16(region) for i, region in enumerate(masks) if region is not None}
     if border is not None:
         arrays[INSIDE] = mi.TensorXf16(border.fade())
-    if (union := _union(masks)) is not None:
+    if (union := union_of(masks)) is not None:
         mask = mi.TensorXf(mask.array * union.array, mask.shape)
     if (allowed := plan.allowed(frame, source, octave)) is not None:
         arrays["allowed"] = allowed
@@ -115,14 +114,6 @@ def octave_inputs(
             raise InputError(f"{frame.name}: has no velocity, which a window of {plan.window} frames needs")
         arrays["velocity"] = mi.TensorXf16(resample_velocity(mi.TensorXf(source.velocity), 1.0, shape, h))
     return arrays
-
-
-def _union(regions: Sequence[mi.TensorXf | None]) -> mi.TensorXf | None:
-    """The largest of some masks in every cell; None if one of them is everywhere, or there are none."""
-    present = [region for region in regions if region is not None]
-    if not present or len(present) < len(regions):
-        return None
-    return functools.reduce(lambda a, b: mi.TensorXf(dr.maximum(a.array, b.array), tuple(a.shape)), present)
 
 
 def _share(region: mi.TensorXf | None, union: mi.TensorXf | None) -> mi.Float:
