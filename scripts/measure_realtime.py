@@ -1,19 +1,22 @@
 """Loss against time: an optimisation, a trained network, and a network whose potentials are refined.
 
-    python scripts/measure_realtime.py MODEL INPUT… [--refine N…] [--iterations N…]
+    python scripts/measure_realtime.py MODEL INPUT… [--refine N…] [--iterations N…] [--figure FILE.png]
 
 Every INPUT is a frame that the network has not learned from. All are judged alike: the mean loss in the three fixed
 views, with the scales that the terms have for the unstylized smoke. Times are those of a second run of each, so without
-compiling kernels, and without reading, judging and writing. Prints a table in Markdown.
+compiling kernels, and without reading, judging and writing. Prints a table in Markdown, and draws loss against time.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import mitsuba as mi
 import numpy as np
 
 import tnst_mi
@@ -23,8 +26,9 @@ from tnst_mi.optimisation.items.store import MemoryStore
 from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.realtime.model import Model, read_model
-from tnst_mi.realtime.prediction import fields_of, predicted
+from tnst_mi.realtime.prediction import predicted_fields
 from tnst_mi.run.from_model import FromModel, begun_by
+from tnst_mi.run.prepare import load_network
 from tnst_mi.training.footage import Footage
 
 
@@ -48,11 +52,10 @@ class Measured:
     def in_one_pass(self) -> np.ndarray:
         """By the network: its potentials, and the transport by these."""
         plan, octave, take = self.footage.plan, self.footage.problem.octave, self.footage.take(0)
-        potentials = predicted(self.model.network, take.density.numpy())
-        fields = fields_of(potentials, self.model.network.architecture, octave.cell_size)
-        parameterisation = plan.frames[0].parameterisation
-        fields = parameterisation.carried(fields, octave, plan.full)
-        moved = parameterisation.density(fields, take.full, plan.full.cell_size)
+        fields = predicted_fields(self.model.network, take.plan, octave, take.density)
+        fields = take.plan.parameterisation.carried(fields, octave, plan.full)
+        full = mi.TensorXf(scaled(self.frame.density, plan.density_scale))
+        moved = take.plan.parameterisation.density(fields, full, plan.full.cell_size)
         return moved.numpy() / np.float32(plan.density_scale)
 
     def refined(self, iterations: int) -> np.ndarray:
@@ -62,18 +65,42 @@ class Measured:
         return found.density
 
 
-def rows(measured: Measured, iterations: list[int], refine: list[int]) -> Iterator[tuple[str, float, float]]:
-    """Of each way: what it is, its seconds, and its loss."""
-    ways: list[tuple[str, Callable[[], np.ndarray]]] = [
-        (f"optimised, {n * measured.recipe.octaves} iterations", lambda n=n: measured.optimised(n)) for n in iterations
+@dataclass(frozen=True)
+class Row:
+    """A way to stylize a frame: its kind, what it is called, its seconds, and the loss that it leaves."""
+
+    kind: str
+    name: str
+    seconds: float
+    loss: float
+
+
+def rows(measured: Measured, iterations: list[int], refine: list[int]) -> Iterator[Row]:
+    """All ways, from the fewest iterations to the most."""
+    ways: list[tuple[str, str, Callable[[], np.ndarray]]] = [
+        ("optimised", f"{n * measured.recipe.octaves} iterations", lambda n=n: measured.optimised(n))
+        for n in iterations
     ]
-    ways += [("network", measured.in_one_pass)]
-    ways += [(f"network, then {n} iterations", lambda n=n: measured.refined(n)) for n in refine]
-    for name, way in ways:
+    ways += [("network", "alone", measured.in_one_pass)]
+    ways += [("network", f"then {n} iterations", lambda n=n: measured.refined(n)) for n in refine]
+    for kind, name, way in ways:
         way()
         begun = time.perf_counter()
         density = way()
-        yield name, time.perf_counter() - begun, measured.loss(density)
+        yield Row(kind, name, time.perf_counter() - begun, measured.loss(density))
+
+
+def draw(found: Mapping[str, tuple[float, Sequence[Row]]], path: Path) -> None:
+    """Loss against time, a picture for each input."""
+    figure, axes = plt.subplots(1, len(found), figsize=(5 * len(found), 4), squeeze=False)
+    for axis, (name, (before, ways)) in zip(axes[0], found.items(), strict=True):
+        for kind, start in (("optimised", [(0.0, before)]), ("network", [])):
+            points = [*start, *((way.seconds, way.loss) for way in ways if way.kind == kind)]
+            axis.plot(*zip(*points, strict=True), marker="o", label=kind)
+        axis.set(title=name, xlabel="seconds", ylabel="mean loss in the fixed views")
+        axis.legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=90)
 
 
 def main() -> None:
@@ -81,22 +108,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path)
     parser.add_argument("inputs", type=Path, nargs="+")
-    parser.add_argument("--refine", type=int, nargs="*", default=[10])
-    parser.add_argument("--iterations", type=int, nargs="+", default=[13, 20], help="in each octave")
+    parser.add_argument("--refine", type=int, nargs="*", default=[5, 10])
+    parser.add_argument("--iterations", type=int, nargs="+", default=[5, 13, 20], help="in each octave")
+    parser.add_argument("--figure", type=Path, help="PNG of loss against time")
     parser.add_argument("--views", type=int, default=tnst_mi.Recipe().views, help="of an iteration")
     arguments = parser.parse_args()
     tnst_mi.activate()
-    network, model = GoogLeNet.load(), read_model(arguments.model)
+    model = read_model(arguments.model)
     recipe = tnst_mi.recipe_of_model(arguments.model).updated({"views": arguments.views}, "--views: ", Path.cwd())
+    network = load_network(recipe).model
     print("| smoke | how | seconds | loss | gone, of what the longest optimisation takes |\n|---|---|---|---|---|")
+    drawn: dict[str, tuple[float, Sequence[Row]]] = {}
     for path in arguments.inputs:
         frame = tnst_mi.load_frames(path)[0]
         measured = Measured(frame, recipe, network, model)
         before, found = measured.loss(frame.density), list(rows(measured, arguments.iterations, arguments.refine))
-        full = found[len(arguments.iterations) - 1][2]
+        full = found[len(arguments.iterations) - 1].loss
         print(f"| {path} | unstylized | | {before:.1f} | |")
-        for how, seconds, loss in found:
-            print(f"| | {how} | {seconds:.2f} | {loss:.1f} | {(before - loss) / (before - full):.0%} |", flush=True)
+        for row in found:
+            gone = (before - row.loss) / (before - full)
+            print(f"| | {row.kind}, {row.name} | {row.seconds:.2f} | {row.loss:.1f} | {gone:.0%} |", flush=True)
+        drawn[str(path)] = before, found
+    if arguments.figure is not None:
+        draw(drawn, arguments.figure)
 
 
 if __name__ == "__main__":

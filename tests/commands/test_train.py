@@ -128,11 +128,11 @@ def test_a_run_goes_on_as_it_began_and_with_no_other_model(model, smoke, weights
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--refine", "3"], "--refine: goes on from what a model gives; give --model too"),
+        (["--refine", "3"], "refine = 3: goes on from what a model gives; give a model too"),
         (["--model", "none.safetensors"], "none.safetensors: no such file"),
         (["--model", "MODEL", "--refine", "21"], "refine = 21: expected 0 to 20"),
         (["--model", "MODEL", "--parameterisation", "density"], "gives phi and psi, and with this recipe"),
-        (["--model", "MODEL", "--from", "RUN"], "--model and --from: expected only one of them"),
+        (["--model", "MODEL", "--from", "RUN"], "expected only one of them to begin with"),
     ],
 )
 def test_what_does_not_go_together_is_refused(model, smoke, weights, tmp_path, capsys, flags, said):

@@ -27,6 +27,8 @@ class DemoArguments(Arguments):
 
     out: Folder = Path("tnst_mi-demo")
     """Folder for the results; those of an earlier demo in it are replaced."""
+    fast: bool = False
+    """In one pass by the network of `--model flower`, in seconds, rather than by an optimisation."""
 
 
 @dataclass(kw_only=True)
@@ -45,9 +47,9 @@ class StylizeArguments(Arguments):
     start_from: Annotated[Path | None, tyro.conf.arg(name="from", metavar="RUN")] = None
     """Go on from what an earlier run of the same input and goals has found, a draft or a preview, of which nothing is
     computed again: with its input and its recipe, and the next --quality, unless these are given (docs/preview.md)."""
-    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Take the potentials of a network that `tnst-mi train` has trained, in one pass in place of an optimisation: with
-    its recipe, unless --recipe or flags are given (docs/realtime.md)."""
+    model: Annotated[Path | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Take the potentials of a network in one pass, in place of an optimisation: flames or flower, which ship with the
+    package, or FILE of `tnst-mi train`; with its recipe, but for what --recipe and flags say (docs/realtime.md)."""
     refine: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """With --model: iterations in the finest octave that go on from these potentials."""
     resume: bool = False

@@ -53,11 +53,7 @@ def run(arguments: StylizeArguments) -> int:
         require_reachable(cluster)
         # Its processes may have begun in other folders.
         source, out = source.absolute(), out.absolute()
-    if arguments.model is None and arguments.refine:
-        raise InputError("--refine: goes on from what a model gives; give --model too")
-    if arguments.model is not None and begin is not None:
-        raise InputError("--model and --from: expected only one of them to begin with")
-    model = None if arguments.model is None else from_model.FromModel(arguments.model, arguments.refine)
+    model = from_model.model_to_begin_with(arguments.model, arguments.refine, begin)
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(

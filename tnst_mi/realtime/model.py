@@ -18,6 +18,10 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.download import file_hash
 from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
+from tnst_mi.resources import DATA
+
+#: Models that come with the package.
+_SHIPPED = DATA / "models"
 
 #: What the metadata of these files has, apart from those of other programs.
 _KEY = "tnst_mi_model"
@@ -66,14 +70,24 @@ def write_model(path: Path, network: PotentialNetwork, recipe: Mapping[str, Any]
         temporary.write_bytes(save(weights, {_KEY: json.dumps(described)}))
 
 
+def shipped_models() -> dict[str, Path]:
+    """The models that come with the package, by name."""
+    return {path.stem: path for path in sorted(_SHIPPED.glob("*.safetensors"))}
+
+
 def read_model(path: Path) -> Model:
-    """Read a network.
+    """Read a network: a file, or one of `shipped_models` by its name; ./NAME is a file of such a name.
 
     Raises:
         InputError: there is no such file, or it is not one that `tnst-mi train` has written, or damaged.
     """
+    shipped = shipped_models()
+    path = shipped.get(str(path), path)
     if not path.is_file():
-        raise InputError(f"{path}: no such file, expected a model that `tnst-mi train` has written")
+        raise InputError(
+            f"{path}: no such file, expected one that `tnst-mi train` has written, or a model that ships with the "
+            f"package: {', '.join(shipped)}"
+        )
     try:
         with safe_open(path, "pt") as file:
             described = json.loads((file.metadata() or {}).get(_KEY, "null"))

@@ -6,7 +6,9 @@ import contextlib
 import importlib.util
 import io
 import json
+import logging
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
@@ -43,7 +45,7 @@ def write_onnx(model: Model, path: Path) -> None:
     smoke = torch.zeros((1, 1, *(architecture.multiple * times for times in _TRACED)))
     sizes = {2 + axis: architecture.multiple * torch.export.Dim(f"{name}_groups", min=1) for axis, name in _AXES}
     # The exporter tells of each of its steps on stdout, and of packages that are not needed.
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), _errors_alone("torch.onnx"):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             network.eval(),
@@ -66,6 +68,18 @@ def write_onnx(model: Model, path: Path) -> None:
     )
     with written_whole(path) as temporary:
         program.save(temporary, external_data=False)
+
+
+@contextlib.contextmanager
+def _errors_alone(name: str) -> Iterator[None]:
+    """Meanwhile nothing but errors is logged by a package."""
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 _AXES = tuple(enumerate(("depth", "height", "width")))

@@ -20,7 +20,7 @@ from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
 from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.colour_record import colour_flicker
-from tnst_mi.run.from_model import FromModel
+from tnst_mi.run.from_model import FromModel, model_to_begin_with
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
@@ -85,8 +85,9 @@ def stylize(
             (docs/preview.md); None to begin anew.
         cluster: what has the work done by several processes, such as "local:2", for frames in files with `out`
             (docs/cluster.md); None for this process alone. Scripts then need `if __name__ == "__main__":`.
-        model: a trained network whose potentials are taken in place of an optimisation (docs/realtime.md); None to
-            optimise from the beginning. Its own recipe is `tnst_mi.recipe_of_model(model)`.
+        model: a trained network whose potentials are taken in place of an optimisation (docs/realtime.md), a file or
+            "flames" or "flower"; None to optimise from the beginning. Its own recipe is
+            `tnst_mi.recipe_of_model(model)`.
         refine: iterations in the finest octave that go on from these, 0 or more.
 
     Raises:
@@ -111,11 +112,7 @@ def stylize(
         recipe = Recipe.from_dict(recipe)
     elif not isinstance(recipe, Recipe):
         raise InputError(f"recipe: is a {type(recipe).__name__}, expected a recipe, its path, or a dict of its keys")
-    if model is None and refine:
-        raise InputError(f"refine = {refine}: goes on from what a model gives, expected one")
-    if model is not None and start_from is not None:
-        raise InputError("model and start_from: expected only one of them to begin with")
-    began = None if model is None else FromModel(expanded(Path(model)), refine)
+    began = model_to_begin_with(model, refine, start_from)
     where = None if cluster is None else cluster_of(cluster)
     if where is not None and (out is None or not isinstance(frames, str | Path)):
         raise InputError(

@@ -19,7 +19,7 @@ from tnst_mi.fields.density_unit import scaled
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.frame import Frame
-from tnst_mi.optimisation.parameterisation import times
+from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.start import Start
 from tnst_mi.realtime.model import Model, read_model
@@ -35,7 +35,7 @@ class FromModel:
     """A trained network, and how many iterations refine what it finds.
 
     Attributes:
-        path: of the file of the network.
+        path: of the file of the network, or the name of one that ships with the package.
         refine: iterations in the finest octave, 0 or more.
     """
 
@@ -43,8 +43,21 @@ class FromModel:
     refine: int = 0
 
 
+def model_to_begin_with(path: str | Path | None, refine: int, start_from: str | Path | None) -> FromModel | None:
+    """What a run begins with that was asked for a model or not.
+
+    Raises:
+        InputError: it was asked for more than one thing to begin with, or to refine nothing.
+    """
+    if path is None and refine:
+        raise InputError(f"refine = {refine}: goes on from what a model gives; give a model too")
+    if path is not None and start_from is not None:
+        raise InputError(f"model = {path}, from = {start_from}: expected only one of them to begin with")
+    return None if path is None else FromModel(expanded(Path(path)), refine)
+
+
 def recipe_of_model(path: str | Path) -> Recipe:
-    """The recipe by which a network was trained.
+    """The recipe by which a network was trained: one of a file, or of a name that ships with the package.
 
     Raises:
         InputError: the file is no model, or names pictures that are not there.
@@ -77,8 +90,8 @@ def begun_by(
         InputError: the file is no model, or another one than the run began with, or it does not go with the recipe.
     """
     network, refine = read_model(model.path), model.refine
-    _require_fitting(model.path, plan, refine)
-    said = {"file": str(model.path.absolute()), "sha256": network.sha256, "refine": refine}
+    _require_fitting(network.path, plan, refine)
+    said = {"file": str(network.path.absolute()), "sha256": network.sha256, "refine": refine}
     if earlier is not None and earlier.get("model") != said:
         raise InputError(f"{model.path}: the run that is resumed began otherwise; use --overwrite")
     last = len(plan.octaves) - 1
@@ -103,10 +116,9 @@ class _Potentials:
         density = mi.TensorXf(scaled(source.density, plan.density_scale))
         density = resample_density(density, 1.0, octave.shape, octave.cell_size)
         fields = predicted_fields(self.model.network, frame, octave, density)
-        inside = self._inside(frame, source, octave)
-        return {
-            field: (tensor if inside is None else times(inside, tensor)).numpy() for field, tensor in fields.items()
-        }
+        if (inside := self._inside(frame, source, octave)) is not None:
+            fields = Fields({field: times(inside, tensor) for field, tensor in fields.items()})
+        return {field: tensor.numpy() for field, tensor in fields.items()}
 
     def _inside(self, frame: FramePlan, source: Frame, octave: Octave) -> mi.TensorXf | None:
         """The factor that keeps potentials within the regions of a frame; None if these are everywhere."""

@@ -20,6 +20,7 @@ from tnst_mi.machine.backend import activate, own_variant, torch_device
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
+from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.realtime.model import write_model
 from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
 from tnst_mi.recipe.paths import shipped_name
@@ -271,10 +272,16 @@ def _keys(recipe: Recipe) -> dict[str, Any]:
     return keys
 
 
+def _kept_keys(wanted: _Wanted, judge: GoogLeNet) -> dict[str, Any]:
+    """The keys of the recipe that a run by the network begins with."""
+    shipped = {"weights": PATTERNS} if judge.flavour == PATTERNS else {}
+    return _keys(wanted.recipe) | shipped
+
+
 def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footage], judge: GoogLeNet) -> dict[str, Any]:
     """What is known of a training before it begins."""
     return {
-        "recipe": _keys(wanted.recipe),
+        "recipe": _kept_keys(wanted, judge),
         "inputs": {one.name: len(one) for one in footage},
         "held_out": {one.name: len(one) for one in held_out},
         "seed": wanted.recipe.seed,

@@ -43,11 +43,6 @@ class Judgement:
     before: float
     after: float
 
-    @property
-    def share(self) -> float:
-        """What is left of the loss."""
-        return self.after / self.before if self.before else 1.0
-
 
 class Trainer:
     """The training of a network; the number of an update decides what it is shown.
