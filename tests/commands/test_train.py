@@ -39,7 +39,7 @@ def density(out):
 
 def test_a_training_says_what_it_has_come_to(model, smoke):
     card = json.loads(model.with_suffix(".json").read_text())
-    assert card["inputs"] == {str(smoke): 3} and card["held_out"] == {}
+    assert card["inputs"] == [{"name": smoke.name, "frames": 3}] and card["held_out"] == []
     assert card["recipe"] == {"style": ["spirals"], "octaves": 1, "views": 1}
     assert [point["update"] for point in card["curve"]] == [30]
     assert card["curve"][0]["loss"] < card["loss_before"]

@@ -220,7 +220,9 @@ class _Kept:
         # Without how long it took, the same training gives the same file.
         said = {"inputs": card["inputs"], "held_out": card["held_out"], "updates": trainer.updates}
         said |= {"loss": judgement.after, "loss_before": judgement.before}
-        write_model(self.wanted.out, self.network, card["recipe"], said)
+        # How many views an update takes is nothing that a run of the network should begin with.
+        recipe = {name: value for name, value in card["recipe"].items() if name != "views"}
+        write_model(self.wanted.out, self.network, recipe, said)
         with written_whole(self.wanted.card) as temporary:
             text = json.dumps({**card, "loss_before": judgement.before, "curve": self.curve}, indent=1)
             temporary.write_text(text + "\n", "utf-8")
@@ -282,13 +284,18 @@ def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footag
     """What is known of a training before it begins."""
     return {
         "recipe": _kept_keys(wanted, judge),
-        "inputs": {one.name: len(one) for one in footage},
-        "held_out": {one.name: len(one) for one in held_out},
+        "inputs": _shown_inputs(footage),
+        "held_out": _shown_inputs(held_out),
         "seed": wanted.recipe.seed,
         "width": WIDTH,
         "weights": {"sha256": judge.sha256, "flavour": judge.flavour},
         "versions": environment.versions(),
     }
+
+
+def _shown_inputs(footage: Sequence[Footage]) -> list[dict[str, Any]]:
+    """What of inputs is told: models are given to others, who need not know where the files were."""
+    return [{"name": Path(one.name).name, "frames": len(one)} for one in footage]
 
 
 def _earlier_curve(card: Path, now: Mapping[str, Any]) -> list[dict[str, float]]:
