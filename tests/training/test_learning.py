@@ -183,11 +183,17 @@ def test_potentials_that_move_with_the_smoke_are_steady(network):
         other, displacement = footage.carrying(1, -1, Showing())
         take, octave = footage.take(1), footage.problem.octave
         with torch.autocast("cpu", torch.bfloat16):
-            now = predicted(made, take.density.numpy(), take.plan.recipe.extinction, 0.0)
-        neighbour = Neighbour(footage.take(other), displacement)
-        return learning._unsteady(made, torch.from_numpy(now), take, neighbour, octave).norm()
+            now = torch.from_numpy(predicted(made, take.density.numpy(), take.plan.recipe.extinction, 0.0))
+        now[..., 0] = 0  # Φ, which λ = 0 leaves out
+        neighbour = Neighbour(footage.take(other), displacement, 1.0)
+        return now, learning._unsteady(made, now, take, neighbour, octave)
 
-    assert unsteady((0, 4, 0)) < 0.05 * unsteady((0, 2, 0))
+    _, steady = unsteady((0, 4, 0))
+    now, turned = unsteady((0, 2, 0))
+    assert steady.norm() < 0.05 * turned.norm()
+    # They are turned, and neither weakened nor strengthened.
+    assert turned.norm() > 0.01
+    assert abs((turned * now).sum()) < 1e-4 * turned.norm() * now.norm()
 
 
 def test_smoke_that_is_shown_thicker_and_larger_is_as_bright(network):

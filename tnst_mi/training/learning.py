@@ -24,10 +24,7 @@ from tnst_mi.training.footage import Footage, Take
 
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
 #: is grow without bound, and smoke is torn rather than moved.
-PULL = 0.1
-
-#: How strongly they are drawn, in the smoke, towards those of the frame before or after, carried along by the flow.
-STEADINESS = 0.05
+PULL = 0.03
 
 
 @dataclass(frozen=True)
@@ -37,10 +34,13 @@ class Neighbour:
     Attributes:
         take: the frame, shown as the other is.
         displacement: (D, H, W, 3), by which its smoke moves to the other frame, in full-resolution cells.
+        pull: how strongly potentials are drawn, in the smoke, towards those that it has, carried along by the flow;
+            relative to what the loss asks for.
     """
 
     take: Take
     displacement: mi.TensorXf
+    pull: float
 
 
 def learn(
@@ -68,26 +68,24 @@ def learn(
     found = footage.problem.gradient(take.plan, fields, take.density, seed)
     (gradient,) = found.gradients
     derivative = np.zeros(tuple(potentials.shape), np.float32)
-    wanted = np.zeros(CHANNELS, np.float32)
     for name, part in channels_of(take.plan.parameterisation).items():
         derivative[..., part] = limited(gradient[name], LARGEST_DERIVATIVE).numpy()
-        wanted[part] = 1
     size = float(np.sqrt(np.square(derivative, dtype=np.float64).sum()))
     if size > 0:
-        now = potentials.detach()
+        now = _known(potentials.detach(), take)
         whole = torch.from_numpy(derivative / size).to(now) + PULL * now / now.numel() ** 0.5
         if neighbour is not None:
-            whole += STEADINESS * _unsteady(network, now, take, neighbour, octave)
-        # Of a potential that λ leaves out, nothing is known.
-        potentials.backward(whole * torch.from_numpy(wanted).to(now))
+            whole += neighbour.pull * _unsteady(network, now, take, neighbour, octave)
+        potentials.backward(whole)
     return float(found.loss) / recipe.views
 
 
 @torch.no_grad()
 def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Neighbour, octave: Octave) -> Tensor:
-    """How far potentials (D, H, W, C) differ in the smoke from those that a neighbour's become by the flow.
+    """The derivative of how much potentials (D, H, W, C) differ in the smoke from a neighbour's, carried by the flow.
 
-    It is of the size 1 where all of those in the smoke differ by 1.
+    The difference is 1 − cos of the angle between them: potentials turn towards each other, and are not weakened as
+    their distance would weaken them. Its derivative by the direction of the potentials is at most of size 1.
     """
     recipe, density = take.plan.recipe, neighbour.take.density.numpy()
     with torch.autocast(torch_device().type, torch.bfloat16):
@@ -95,5 +93,19 @@ def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Nei
     channels = [mi.TensorXf(np.ascontiguousarray(channel)) for channel in np.moveaxis(before, -1, 0)]
     carried = [step(one, neighbour.displacement, "semi_lagrangian", octave.cell_size).numpy() for one in channels]
     smoke = torch.from_numpy(take.density.numpy()).clamp(max=1.0)[..., None].to(now)
-    difference = now - torch.from_numpy(np.stack(carried, axis=-1)).to(now)
-    return smoke * difference / (CHANNELS * smoke.sum()).clamp(min=1.0).sqrt()
+    here = _unit(smoke * now)
+    there = _unit(smoke * _known(torch.from_numpy(np.stack(carried, axis=-1)).to(now), take))
+    return smoke * ((here * there).sum() * here - there)
+
+
+def _known(potentials: Tensor, take: Take) -> Tensor:
+    """Potentials (D, H, W, C) without those that λ leaves out, of which nothing is known."""
+    known = potentials.new_zeros(CHANNELS)
+    for part in channels_of(take.plan.parameterisation).values():
+        known[part] = 1
+    return potentials * known
+
+
+def _unit(field: Tensor) -> Tensor:
+    """A field divided by its length; 0 if it is that."""
+    return field / field.norm().clamp(min=torch.finfo(field.dtype).tiny)

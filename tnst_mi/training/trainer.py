@@ -32,6 +32,10 @@ _ZOOM, _THICKER = 1.4, 2.0
 #: In how many updates λ is any, and not that of the recipe.
 _OTHER_LAM = 0.2
 
+#: How strongly potentials are drawn towards those of neighbouring frames at the end of a training; in its course that
+#: rises from 0 by its square. A network that is held steady before it has learned to draw learns to leave smoke alone.
+STEADINESS = 0.5
+
 #: How many frames of each input are judged at most.
 _JUDGED = 3
 
@@ -79,7 +83,7 @@ class Trainer:
         # Every input counts alike, however many frames it has.
         footage = self._footage[int(chance.integers(len(self._footage)))]
         position, showing = int(chance.integers(len(footage))), _showing(chance, footage)
-        neighbour = _neighbour(footage, position, 1 if chance.integers(2) else -1, showing)
+        neighbour = _neighbour(footage, position, 1 if chance.integers(2) else -1, showing, STEADINESS * done**2)
         rate = RATE * min(1.0, (self.updates + 1) / RISING) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
         for group in self._optimiser.param_groups:
             group["lr"] = rate
@@ -150,10 +154,10 @@ def _showing(chance: np.random.Generator, footage: Footage) -> Showing:
     return Showing(mirrored, zoom, thicker, lam)
 
 
-def _neighbour(footage: Footage, position: int, direction: int, showing: Showing) -> Neighbour | None:
+def _neighbour(footage: Footage, position: int, direction: int, showing: Showing, pull: float) -> Neighbour | None:
     """The frame before (direction −1) or after one (1), shown like that; None if there is none."""
     found = footage.carrying(position, direction, showing)
-    return None if found is None else Neighbour(footage.take(found[0], showing), found[1])
+    return None if found is None else Neighbour(footage.take(found[0], showing), found[1], pull)
 
 
 #: What is kept of every weight: itself, and Adam's moments by torch's names of them.
