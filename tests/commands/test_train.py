@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tnst_mi.cli import main
 
@@ -58,6 +59,8 @@ def test_a_training_goes_on_with_what_it_began_with(model, smoke, weights, tmp_p
         (tmp_path / file.name).write_bytes(file.read_bytes())
     command = ["train", str(smoke), "--weights", str(weights), "--out", str(out), "--resume", "--updates", "31"]
     before = out.read_bytes()
+    assert main([*command, *GOAL, "--held-out", f"{smoke}/smoke_0000.npy"]) == 2
+    assert "has another held_out" in capsys.readouterr().err
     assert main([*command, "--style", "net", *GOAL[2:]]) == 2
     assert "has another recipe, expected the same to go on" in capsys.readouterr().err
     assert out.read_bytes() == before
@@ -78,6 +81,50 @@ def test_a_frame_is_stylized_in_one_pass_or_refined(model, smoke, weights, tmp_p
         assert at_once["loss_after"] < at_once["loss_before"]
         assert further["loss_after"] < at_once["loss_after"]
         assert abs(at_once["mass_after"] / at_once["mass_before"] - 1) < 0.02
+
+
+def test_a_run_that_stopped_goes_on_with_the_model_that_it_began_with(model, smoke, weights, tmp_path):
+    whole, out = tmp_path / "whole", tmp_path / "run"
+    command = ["stylize", str(smoke), "--model", str(model), "--weights", str(weights)]
+    assert main([*command, "--out", str(whole)]) == 0
+    assert main([*command, "--out", str(out)]) == 0
+    began = record(out)
+    began["status"], began["frames"] = "interrupted", began["frames"][:1]
+    (out / "run.json").write_text(json.dumps(began))
+    assert main(["stylize", "--resume", "--out", str(out)]) == 0
+    assert record(out)["model"] == record(whole)["model"]
+    for number in range(3):
+        name = f"density/smoke_{number:04d}.npz"
+        assert np.array_equal(np.load(out / name)["density"], np.load(whole / name)["density"])
+
+
+def test_a_model_is_moved_with_its_picture(smoke, weights, tmp_path):
+    before, after = tmp_path / "before", tmp_path / "after"
+    before.mkdir()
+    pattern = np.indices((48, 48)).sum(axis=0) // 6 % 2 * 255
+    Image.fromarray(pattern.astype(np.uint8)).save(before / "mine.png")
+    command = ["train", str(smoke), "--style", str(before / "mine.png"), *GOAL[2:], "--weights", str(weights)]
+    assert main([*command, "--updates", "1", "--out", str(before / "mine.safetensors")]) == 0
+    assert str(tmp_path) not in (before / "mine.json").read_text()
+    before.rename(after)
+    command = ["stylize", f"{smoke}/smoke_0000.npy", "--model", str(after / "mine.safetensors")]
+    assert main([*command, "--weights", str(weights), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_files_of_others_beside_a_model_stay(smoke, weights, tmp_path, capsys):
+    (tmp_path / "shot.json").write_text("mine")
+    command = ["train", str(smoke), *GOAL, "--weights", str(weights), "--out", str(tmp_path / "shot.safetensors")]
+    assert main(command) == 2
+    assert "shot.json: is there already" in capsys.readouterr().err
+    assert (tmp_path / "shot.json").read_text() == "mine"
+
+
+def test_a_folder_named_as_a_style_is_no_picture(model, smoke, weights, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "spirals").mkdir()
+    command = ["stylize", f"{smoke}/smoke_0000.npy", "--weights", str(weights)]
+    assert main([*command, "--model", str(model), "--out", "one"]) == 0
+    assert main([*command, *GOAL, "--iterations", "1", "--out", "two"]) == 0
 
 
 def test_gamma_lambda_and_strength_act_on_what_a_network_gives(model, smoke, weights, tmp_path):
@@ -131,7 +178,10 @@ def test_a_run_goes_on_as_it_began_and_with_no_other_model(model, smoke, weights
         (["--refine", "3"], "refine = 3: goes on from what a model gives; give a model too"),
         (["--model", "none.safetensors"], "none.safetensors: no such file"),
         (["--model", "MODEL", "--refine", "21"], "refine = 21: expected 0 to 20"),
-        (["--model", "MODEL", "--parameterisation", "density"], "gives phi and psi, and with this recipe"),
+        (["--model", "MODEL", "--parameterisation", "density"], "a model moves smoke; leave parameterisation out"),
+        (["--model", "MODEL", "--style", "net"], "leave style out, or refine"),
+        (["--model", "MODEL", "--quality", "draft", "--octaves", "2"], "a model gives the finest octave"),
+        (["--model", "MODEL", "--refine", "-1"], "refine = -1: expected 0 to 20, the iterations of the finest octave"),
         (["--model", "MODEL", "--from", "RUN"], "expected only one of them to begin with"),
     ],
 )
@@ -158,6 +208,9 @@ def test_what_does_not_go_together_is_refused(model, smoke, weights, tmp_path, c
         (["--out", "new.safetensors", "--parameterisation", "density"], "a network gives potentials"),
         (["--out", "new.safetensors", "--eta", "{0: 0.1, 9: 0.2}"], "a network learns one look"),
         (["--out", "none/new.safetensors", "--resume"], "no training can go on"),
+        (["--out", "new.safetensors", "--integrator", "prbvolpath"], "a network learns from smoke that emits"),
+        (["--out", "new.safetensors", "--strength", "0.5"], "says what a run does"),
+        (["--out", "new.safetensors", "--mask", "{height = [0, 1]}"], "says what a run does"),
     ],
 )
 def test_what_cannot_be_learned_is_refused(model, smoke, weights, tmp_path, capsys, monkeypatch, flags, said):

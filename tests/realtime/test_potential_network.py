@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tnst_mi.realtime.potential_network import BLOCK_REACH, CHANNELS, LARGEST, Architecture, Block, PotentialNetwork
-from tnst_mi.realtime.prediction import Example, _blocks, _in_blocks, edge_fade, predicted, smoke_box
+from tnst_mi.realtime.prediction import Example, _blocks, _in_blocks, edge_fade, network_box, predicted
 
 #: γ of a cell, and λ.
 SEEN = (0.1, 0.0)
@@ -74,7 +74,7 @@ def test_blocks_cover_a_grid_once(most_cells):
 
 def test_the_box_has_the_smoke_and_a_margin_with_a_soft_edge():
     density = smoke((64, 80, 72), (34, 40, 36))
-    box = smoke_box(density, 8)
+    box = network_box(density, 8)
     assert box is not None
     outside = density.copy()
     outside[box] = 0
@@ -84,12 +84,12 @@ def test_the_box_has_the_smoke_and_a_margin_with_a_soft_edge():
     inside = density[box] > 1e-3
     assert fade[inside].min() == 1.0  # potentials are not lowered where there is smoke
     assert max(fade[0].max(), fade[:, 0].max(), fade[:, :, -1].max()) < 0.02  # and they do not jump at the sides
-    assert smoke_box(np.zeros((8, 8, 8), np.float32), 8) is None
+    assert network_box(np.zeros((8, 8, 8), np.float32), 8) is None
 
 
 def test_smoke_that_fills_the_grid_has_no_soft_edge():
     density = np.ones((16, 24, 16), np.float32)
-    box = smoke_box(density, 8)
+    box = network_box(density, 8)
     assert box == (slice(0, 16), slice(0, 24), slice(0, 16))
     assert (edge_fade(density.shape, box) == 1).all()
 

@@ -4,9 +4,11 @@ import dataclasses
 import itertools
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.advection import step
@@ -172,6 +174,103 @@ def test_frames_without_a_neighbour_have_none(network):
     assert footage.carrying(0, -1, Showing()) is None and footage.carrying(2, 1, Showing()) is None
     still = Footage("smoke", [dataclasses.replace(one, velocity=None) for one in frames], RECIPE, network)
     assert still.carrying(1, -1, Showing()) is None
+
+
+def test_frames_that_are_two_apart_are_carried_twice_as_far(network):
+    """And frames with a gap between them are no neighbours."""
+    frames = [dataclasses.replace(one, velocity=one.velocity / 2) for one in drifting((0, 4, 0))]
+
+    def numbered(*numbers):
+        pairs = zip(frames, numbers, strict=True)
+        return Footage("smoke", [dataclasses.replace(one, number=number) for one, number in pairs], RECIPE, network)
+
+    footage = numbered(4, 6, 8)
+    other, displacement = footage.carrying(1, -1, Showing())
+    found = step(footage.take(other).density, displacement, "semi_lagrangian", 1.0).numpy()
+    assert np.abs(found - footage.take(1).density.numpy())[6:-6, 6:-6, 6:-6].max() < 1e-5
+    assert numbered(4, 6, 9).carrying(2, -1, Showing()) is None
+
+
+def gradient_of(made, *arguments):
+    made.zero_grad()
+    learning.learn(made, *arguments)
+    return [weight.grad.clone() for weight in made.parameters()]
+
+
+def stepped(made, more, less):
+    """Go a short way along what one gradient has more than another."""
+    along = [a - b for a, b in zip(more, less, strict=True)]
+    length = sum(float(part.square().sum()) for part in along) ** 0.5
+    with torch.no_grad():
+        for weight, part in zip(made.parameters(), along, strict=True):
+            weight -= 0.02 * part / length
+
+
+def test_learning_turns_potentials_towards_those_of_a_neighbour(network):
+    made = small()
+    footage = Footage("smoke", drifting((0, 2, 0), 2, (40, 56, 40)), RECIPE, network)
+    other, displacement = footage.carrying(1, -1, Showing())
+    take, before = footage.take(1), footage.take(other)
+
+    def angle():
+        octave, smoke = footage.problem.octave, np.minimum(take.density.numpy(), 1)[..., None]
+        here, there = (predicted_fields(made, one.plan, octave, one.density)["psi"].numpy() for one in (take, before))
+        parts = [mi.TensorXf(np.ascontiguousarray(part)) for part in np.moveaxis(there, -1, 0)]
+        moved = np.stack([step(part, displacement, "semi_lagrangian", 1.0).numpy() for part in parts], axis=-1)
+        here, there = smoke * here, smoke * moved
+        return 1 - (here * there).sum() / np.linalg.norm(here) / np.linalg.norm(there)
+
+    more, less = (
+        gradient_of(made, footage, take, (1, 2), Neighbour(before, displacement, pull)) for pull in (10.0, 0.0)
+    )
+    was = angle()
+    stepped(made, more, less)
+    assert angle() < 0.99 * was
+
+
+def test_the_pull_weakens_potentials(footage, monkeypatch):
+    made, take = small(), footage.take(0)
+
+    def size():
+        return np.linalg.norm(predicted(made, take.density.numpy(), take.plan.recipe.extinction, 0.0)[..., 1:])
+
+    found, was = [], size()
+    for pull in (5.0, 0.0):
+        monkeypatch.setattr(learning, "PULL", pull)
+        found.append(gradient_of(made, footage, take, (1, 2)))
+    stepped(made, *found)
+    assert size() < 0.999 * was
+
+
+@pytest.mark.parametrize("side", [4, 8])
+def test_tiny_smoke_has_a_derivative(network, side):
+    """Where the convolutions have one or two cells, half precision would read memory that nothing has written."""
+    footage = Footage("tiny", [frame(shape=(side, side, side))], RECIPE, network)
+    for _ in range(10):
+        unused = [torch.full((n,), torch.nan) for n in (10, 100, 1000, 10_000, 100_000)]
+        del unused
+        torch.manual_seed(0)
+        made = PotentialNetwork(Architecture(1, 32))
+        assert all(torch.isfinite(part).all() for part in gradient_of(made, footage, footage.take(0), (1, 2)))
+
+
+def test_a_derivative_that_is_not_finite_ends_the_training_before_it_spoils_the_weights(footage, monkeypatch):
+    made = small()
+    training, before = Trainer(made, [footage], [footage], 0), weights_of(made)
+    monkeypatch.setattr(learning, "PULL", np.nan)
+    with pytest.raises(InputError, match="not finite in update 0"):
+        training.update(0.0)
+    assert all(torch.equal(before[name], weight) for name, weight in weights_of(made).items())
+
+
+@pytest.mark.parametrize("progress", [[np.nan, 0, 0], [-5, 0, 0], [np.inf, 0, 0], [3, 4, 0], [3, 3, np.nan], [3, 3]])
+def test_progress_that_there_cannot_be_is_refused(footage, tmp_path, progress):
+    training, state = Trainer(small(), [footage], [footage], 0), tmp_path / "state"
+    training.write(state, 1.0)
+    stored = load_file(state) | {"progress": torch.tensor(progress, dtype=torch.float64)}
+    state.write_bytes(save(stored))
+    with pytest.raises(InputError, match="damaged"):
+        training.read(state)
 
 
 def test_potentials_that_move_with_the_smoke_are_steady(network):

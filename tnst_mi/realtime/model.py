@@ -30,7 +30,7 @@ _KEY = "tnst_mi_model"
 _FORMAT = 2
 
 #: Limits of what a file may ask for.
-_MOST_OCTAVES, _MOST_WIDTH = 8, 512
+_MOST_OCTAVES, _MOST_WIDTH = 4, 64
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,14 @@ def shipped_models() -> dict[str, Path]:
 
 
 def read_model(path: Path) -> Model:
-    """Read a network: a file, or one of `shipped_models` by its name; ./NAME is a file of such a name.
+    """Read a network: a file, or one of `shipped_models` by its name if there is no such file.
 
     Raises:
         InputError: there is no such file, or it is not one that `tnst-mi train` has written, or damaged.
     """
     shipped = shipped_models()
-    path = shipped.get(str(path), path)
+    if not path.is_file():
+        path = shipped.get(str(path), path)
     if not path.is_file():
         raise InputError(
             f"{path}: no such file, expected one that `tnst-mi train` has written, or a model that ships with the "
@@ -108,7 +109,9 @@ def read_model(path: Path) -> Model:
     except InputError:
         raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise InputError(f"{path}: damaged, or no model that `tnst-mi train` has written") from None
+        raise InputError(
+            f"{path}: damaged, or no model that `tnst-mi train` has written, expected its .safetensors"
+        ) from None
     network.load_state_dict(expected)
     return Model(network.eval().to(torch_device()), recipe, trained, path, file_hash(path, "sha256"))
 

@@ -30,12 +30,12 @@ MARGIN = 12
 MOST_CELLS = 1 << 22
 
 
-def smoke_box(density: np.ndarray, multiple: int) -> tuple[slice, slice, slice] | None:
-    """The box of a frame's smoke and a margin, as large as a multiple of cells where the grid has room for that.
+def network_box(density: np.ndarray, multiple: int) -> tuple[slice, slice, slice] | None:
+    """The box of a frame's smoke and a margin.
 
     Args:
         density: (D, H, W), in the run's unit.
-        multiple: of which sizes should be; the grid's own end may cut them off.
+        multiple: of the cell at which it begins along each axis.
 
     Returns:
         The slices of its cells along z, y and x; None if there is no smoke.
@@ -80,7 +80,7 @@ class Example:
 
     def __init__(self, density: np.ndarray, extinction: float, lam: float, network: PotentialNetwork) -> None:
         multiple = network.architecture.multiple
-        self._shape, self.box = density.shape, smoke_box(density, multiple)
+        self._shape, self.box, self._multiple = density.shape, network_box(density, multiple), multiple
         device = next(network.parameters()).device
         if self.box is None:
             return
@@ -91,6 +91,11 @@ class Example:
         self._lam = torch.tensor([lam], device=device)
         self._smoke = functional.pad(inside[None, None], (0, missing[2], 0, missing[1], 0, missing[0]))
         self._fade = torch.from_numpy(edge_fade(self._shape, self.box)).to(device)
+
+    @property
+    def groups(self) -> int:
+        """Along its shortest side, the cells of the coarsest convolutions; 0 if there is no smoke."""
+        return 0 if self.box is None else min(self._smoke.shape[2:]) // self._multiple
 
     def potentials(self, network: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
         """What the network gives for the box, on the grid: (D, H, W, C), 0 elsewhere; it can be differentiated."""

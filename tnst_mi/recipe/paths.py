@@ -98,11 +98,12 @@ def _path(name: str, text: str, source: str, folder: Path) -> Path:
 
 
 def _picture(name: str, entry: str, source: str, folder: Path) -> str:
-    path = _path(name, entry, source, folder)
+    path, ships = _path(name, entry, source, folder), re.fullmatch(r"[\w-]+", entry) and STYLES / f"{entry}.png"
+    # A folder of that name, such as that of a run, is no picture.
+    if ships and ships.exists() and not path.is_file():
+        return str(ships)
     if path.exists():
         return str(path.resolve())
-    if re.fullmatch(r"[\w-]+", entry) and (STYLES / f"{entry}.png").exists():
-        return str(STYLES / f"{entry}.png")
     shipped = ", ".join(shipped_styles())
     raise MissingFileError(f"{source}{name} = {entry!r}: no such picture ({path}); those shipped are {shipped}")
 

@@ -22,10 +22,10 @@ from tnst_mi.frame import Frame
 from tnst_mi.optimisation.parameterisation import Fields, times
 from tnst_mi.optimisation.plan import FramePlan, Plan
 from tnst_mi.optimisation.start import Start
-from tnst_mi.realtime.model import Model, read_model
-from tnst_mi.realtime.potential_network import FIELDS
+from tnst_mi.realtime.model import Model, read_model, shipped_models
 from tnst_mi.realtime.prediction import predicted_fields
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.regions.octave_masks import border_of, octave_mask, union_of
 from tnst_mi.resources import expanded
 
@@ -71,7 +71,13 @@ def recipe_of_model(path: str | Path) -> Recipe:
         ...     tnst_mi.recipe_of_model(training.model).octaves
         1
     """
-    return Recipe.from_dict(read_model(expanded(Path(path))).recipe, f"{path}: ")
+    return _recipe_of(read_model(expanded(Path(path))))
+
+
+def model_of_run(record: Mapping[str, Any] | None) -> FromModel | None:
+    """The model that a run began with, by its record; None if it began otherwise."""
+    began = None if record is None else record.get("model")
+    return None if began is None else FromModel(Path(began["file"]), began["refine"])
 
 
 def begun_by(
@@ -90,9 +96,11 @@ def begun_by(
         InputError: the file is no model, or another one than the run began with, or it does not go with the recipe.
     """
     network, refine = read_model(model.path), model.refine
-    _require_fitting(network.path, plan, refine)
-    said = {"file": str(network.path.absolute()), "sha256": network.sha256, "refine": refine}
-    if earlier is not None and earlier.get("model") != said:
+    _require_fitting(network, plan, refine)
+    shipped = {path: name for name, path in shipped_models().items()}
+    file = shipped.get(network.path, str(network.path.absolute()))
+    said = {"file": file, "sha256": network.sha256, "refine": refine}
+    if earlier is not None and {**said, "file": None} != {**(earlier.get("model") or {}), "file": None}:
         raise InputError(f"{model.path}: the run that is resumed began otherwise; use --overwrite")
     last = len(plan.octaves) - 1
     iterations = {frame.name: plan.iterations(last) - refine for frame in plan.frames}
@@ -129,18 +137,42 @@ class _Potentials:
         return union_of([None if mask is None else octave_mask(mask, border, octave) for mask in masks])
 
 
-def _require_fitting(path: Path, plan: Plan, refine: int) -> None:
+def _recipe_of(model: Model) -> Recipe:
+    """The recipe of a model, whose files are where they were beside it, or else in its folder.
+
+    Raises:
+        InputError: it names pictures that are not there.
+    """
+    folder, keys = model.path.parent, dict(model.recipe)
+    for name in ("style", "content"):
+        keys[name] = [
+            entry if (folder / entry).exists() or not (folder / Path(entry).name).is_file() else Path(entry).name
+            for entry in keys.get(name, ())
+        ]
+    return Recipe().updated(keys, f"{model.path}: ", folder)
+
+
+def _require_fitting(model: Model, plan: Plan, refine: int) -> None:
     """Check that a run can begin with the potentials of a network.
 
     Raises:
         InputError: it cannot.
     """
-    for frame in plan.frames:
-        if not set(frame.parameterisation.channels) <= set(FIELDS):
-            raise InputError(
-                f"{path}: gives {' and '.join(FIELDS)}, and with this recipe {frame.name} has "
-                f"{' and '.join(frame.parameterisation.channels)}; leave out parameterisation and colour"
-            )
+    recipe = plan.recipe
+    if recipe.parameterisation != "transport" or recipe.colour == "style":
+        key = "colour" if recipe.colour == "style" else "parameterisation"
+        raise InputError(f'{key} = "{getattr(recipe, key)}": a model moves smoke; leave {key} out, or the model')
+    if len(plan.octaves) < recipe.octaves:
+        raise InputError(f'quality = "{recipe.quality}": a model gives the finest octave, in one pass; leave it out')
     most = plan.iterations(len(plan.octaves) - 1)
-    if not 0 <= refine <= most:
+    if refine > most:
         raise InputError(f"refine = {refine}: expected 0 to {most}, the iterations of the finest octave; raise those")
+    if refine < 0:
+        raise InputError(f"refine = {refine}: expected 0 to {most}, the iterations of the finest octave")
+    learned = _recipe_of(model)
+    for goal in GOALS:
+        if not refine and getattr(recipe, goal) != getattr(learned, goal):
+            raise InputError(
+                f"{goal} = {getattr(recipe, goal)!r}: {model.path} draws what it has learned, and only what refines "
+                f"it can aim at something else; leave {goal} out, or refine"
+            )

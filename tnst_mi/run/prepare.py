@@ -36,7 +36,7 @@ from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import require_there
 from tnst_mi.run.colour import colour_grids
-from tnst_mi.run.from_model import FromModel, begun_by
+from tnst_mi.run.from_model import FromModel, begun_by, model_of_run
 from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
@@ -270,6 +270,7 @@ def prepare(
         colour_names=colours.begins_with,
         colour_written=colours.written or "Cd",
     )
+    model = model or model_of_run(earlier)
     if model is None:
         plan, record = going_on(plan, record, start_from, earlier)
     else:

@@ -15,6 +15,7 @@ from tnst_mi.fields.density_unit import ReferenceDensity, scaled
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.fields.resampling import resample_density, resample_velocity
 from tnst_mi.frame import Frame
+from tnst_mi.io.files.frame_numbers import frame_step, is_next
 from tnst_mi.losses.scales import rms_scales
 from tnst_mi.network.googlenet import GoogLeNet
 from tnst_mi.optimisation.gradient import OctaveProblem, problem_of
@@ -85,6 +86,7 @@ class Footage:
             reference.add(frame.density)
         self._scale = reference.scale(recipe.density_scale)
         numbers = [frame.number for frame in frames]
+        self._step = frame_step(numbers)
         recipes = by_frame(recipe, numbers, shape)
         bright = brightness(frames, recipes, levels_seen(recipe, shape), self._scale)
         self._plan = plan_of(
@@ -98,8 +100,7 @@ class Footage:
         )
         if not self._plan.alive:
             raise InputError(f"{name}: has no smoke that can be seen at this gamma, so there is nothing to learn from")
-        self.problem = problem_of(self._plan, self._plan.octaves[-1], network)
-        self.problem = self._calibrated(self.problem)
+        self.problem = self._calibrated(problem_of(self._plan, self._plan.octaves[-1], network))
 
     def __len__(self) -> int:
         """Number of frames with smoke."""
@@ -112,7 +113,7 @@ class Footage:
 
     def take(self, position: int, showing: Showing = AS_IT_IS) -> Take:
         """A frame with smoke, as it is to be shown."""
-        plan, octave = self._plan.alive[position], self.problem.octave
+        plan, octave = self._plan.alive[position], self._plan.octaves[-1]
         density = mi.TensorXf(_flipped(self._full(plan).numpy(), showing.mirrored))
         density = resample_density(density, 1.0, octave.shape, octave.cell_size / showing.zoom)
         return Take(_shown(plan, showing), density * opaque(showing.thicker))
@@ -122,18 +123,24 @@ class Footage:
 
         Returns:
             The neighbour's position, and a displacement (D, H, W, 3) in full-resolution cells on the grid of the
-            finest octave; None if there is no neighbour with smoke, or no velocity between them.
+            finest octave; None if there is no neighbour with smoke, or it is farther away than others are, or there is
+            no velocity between them.
         """
         index, octave = self._plan.alive[position].index + direction, self.problem.octave
         other = next((place for place, plan in enumerate(self._plan.alive) if plan.index == index), None)
-        velocity = self._frames[min(index, index - direction)].velocity
-        if other is None or velocity is None:
+        if other is None:
+            return None
+        first, second = sorted((index, index - direction))
+        number, following = self._frames[first].number, self._frames[second].number
+        velocity, step = self._frames[first].velocity, self._step
+        apart = number is not None and following is not None and not is_next(number, following, step)
+        if velocity is None or apart:
             return None
         along_z, along_x = showing.mirrored
         signs = np.array([-1 if along_x else 1, 1, -1 if along_z else 1], np.float32)
         u = mi.TensorXf(_flipped(velocity, showing.mirrored) * signs)
         u = resample_velocity(u, 1.0, octave.shape, octave.cell_size / showing.zoom)
-        return other, u * opaque(-direction * showing.zoom)
+        return other, u * opaque(-direction * showing.zoom * step)
 
     def judged(self, position: int, fields: Fields) -> float:
         """The loss of a frame that is transported by fields, in the fixed views."""

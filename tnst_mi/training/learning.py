@@ -17,7 +17,7 @@ from torch import Tensor
 from tnst_mi.fields.advection import step
 from tnst_mi.fields.grid import Octave
 from tnst_mi.machine.backend import torch_device
-from tnst_mi.optimisation.parameterisation import LARGEST_DERIVATIVE, limited
+from tnst_mi.optimisation.parameterisation import limited
 from tnst_mi.realtime.potential_network import CHANNELS, PotentialNetwork
 from tnst_mi.realtime.prediction import Example, channels_of, fields_of, predicted
 from tnst_mi.training.footage import Footage, Take
@@ -25,6 +25,10 @@ from tnst_mi.training.footage import Footage, Take
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
 #: is grow without bound, and smoke is torn rather than moved.
 PULL = 0.03
+
+
+#: Cells of the coarsest convolutions along the shortest side of a box from which on half precision is safe.
+_FEWEST_GROUPS = 3
 
 
 @dataclass(frozen=True)
@@ -61,15 +65,16 @@ def learn(
     example = Example(take.density.numpy(), recipe.extinction * octave.cell_size, recipe.lam, network)
     if example.box is None:
         return None
-    # Half the digits cost a third of the time, and the noise of a step is far above that of rounding.
-    with torch.autocast(torch_device().type, torch.bfloat16):
+    with _half_precision(example):
         potentials = example.potentials(network)
     fields = fields_of(potentials.detach().cpu().numpy(), take.plan.parameterisation, octave.cell_size)
     found = footage.problem.gradient(take.plan, fields, take.density, seed)
     (gradient,) = found.gradients
+    largest = take.plan.parameterisation.largest_derivative
     derivative = np.zeros(tuple(potentials.shape), np.float32)
     for name, part in channels_of(take.plan.parameterisation).items():
-        derivative[..., part] = limited(gradient[name], LARGEST_DERIVATIVE).numpy()
+        field = gradient[name] if largest is None else limited(gradient[name], largest)
+        derivative[..., part] = field.numpy()
     size = float(np.sqrt(np.square(derivative, dtype=np.float64).sum()))
     if size > 0:
         now = _known(potentials.detach(), take)
@@ -88,7 +93,7 @@ def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Nei
     their distance would weaken them. Its derivative by the direction of the potentials is at most of size 1.
     """
     recipe, density = take.plan.recipe, neighbour.take.density.numpy()
-    with torch.autocast(torch_device().type, torch.bfloat16):
+    with _half_precision(Example(density, recipe.extinction * octave.cell_size, recipe.lam, network)):
         before = predicted(network, density, recipe.extinction * octave.cell_size, recipe.lam)
     channels = [mi.TensorXf(np.ascontiguousarray(channel)) for channel in np.moveaxis(before, -1, 0)]
     carried = [step(one, neighbour.displacement, "semi_lagrangian", octave.cell_size).numpy() for one in channels]
@@ -96,6 +101,15 @@ def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Nei
     here = _unit(smoke * now)
     there = _unit(smoke * _known(torch.from_numpy(np.stack(carried, axis=-1)).to(now), take))
     return smoke * ((here * there).sum() * here - there)
+
+
+def _half_precision(example: Example) -> torch.autocast:
+    """Half the digits cost a third of the time, and the noise of a step is far above that of rounding.
+
+    Not so for tiny boxes: the derivatives of convolutions of one or two cells, as oneDNN has them for CPUs, read memory
+    that nothing has written, and are now and then NaN.
+    """
+    return torch.autocast(torch_device().type, torch.bfloat16, enabled=example.groups >= _FEWEST_GROUPS)
 
 
 def _known(potentials: Tensor, take: Take) -> Tensor:

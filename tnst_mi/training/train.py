@@ -15,28 +15,33 @@ import torch
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.machine import environment
-from tnst_mi.machine.backend import activate, own_variant, torch_device
+from tnst_mi.machine.backend import activate, network_threads, own_variant, torch_device
+from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.interrupt import Interrupt, deferred_interrupt
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.network.googlenet import GoogLeNet
-from tnst_mi.network.shipped import PATTERNS
 from tnst_mi.realtime.model import write_model
 from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
-from tnst_mi.recipe.paths import shipped_name
 from tnst_mi.recipe.recipe import Recipe
-from tnst_mi.recipe.sections import Goals, Method
 from tnst_mi.resources import expanded
 from tnst_mi.run.inputs import sequence_of
 from tnst_mi.run.prepare import load_network
+from tnst_mi.run.readable import Readable
+from tnst_mi.training.card import card_of, earlier_curve
 from tnst_mi.training.footage import Footage
 from tnst_mi.training.trainer import Judgement, Trainer
 
-#: Channels of the network at half the resolution of an octave: with one vector potential, its file has 1.1 MB.
+#: Channels of the network at half the resolution of an octave: its file then has 1.1 MB.
 WIDTH = 32
 
-#: Octaves of the network at most. A third one makes its reach four times that of the second, and learns more slowly.
+#: Octaves of the network at most. A third one learns more slowly.
 OCTAVES = 2
+
+#: Keys of a recipe of which a training makes nothing.
+_OF_RUNS = (
+    *("mask", "strength", "blend", "reach", "keep_silhouette", "window", "coherence", "quality"),
+    *("context", "format", "carry", "keep_octaves"),
+)
 
 #: Seconds after which the network is judged and written.
 _JUDGED_AFTER = 60.0
@@ -111,6 +116,8 @@ def train(
         ...     training.updates, out.is_file()
         (2, True)
     """
+    if isinstance(inputs, str | Path | Frame) or not inputs:
+        raise InputError("inputs: expected a list of simulations, each a path or frames; there is not one of them")
     if isinstance(recipe, str | Path):
         recipe = Recipe.from_toml(recipe)
     elif isinstance(recipe, Mapping):
@@ -123,6 +130,7 @@ def train(
     recipe = recipe.located(Path.cwd())
     with own_variant():
         activate(recipe.variant)
+        network_threads(recipe.threads)
         return _trained(_Wanted(inputs, held_out, recipe, out, minutes, updates), resume, progress)
 
 
@@ -161,9 +169,9 @@ def _trained(wanted: _Wanted, resume: bool, progress: bool) -> Training:
     network = PotentialNetwork(Architecture(min(recipe.octaves, OCTAVES), WIDTH)).to(torch_device())
     trainer = Trainer(network, footage, held_out or footage, recipe.seed)
     before = trainer.read(wanted.state) if resume else 0.0
-    kept = _Kept(wanted, network, trainer, _card(wanted, footage, held_out, judge))
+    kept = _Kept(wanted, network, trainer, card_of(recipe, footage, held_out, judge, WIDTH, wanted.out.parent))
     if resume:
-        kept.curve.extend(_earlier_curve(wanted.card, kept.card))
+        kept.curve.extend(earlier_curve(wanted.card, kept.card))
     with deferred_interrupt() as interrupt:
         seconds = _go_on(wanted, trainer, kept, before, interrupt, progress)
     judgement = kept.write(seconds)
@@ -235,7 +243,7 @@ def _footage(
     found = []
     for one in progress_bar(inputs, "reading", leave=False, disable=not progress or len(inputs) < 2):
         name = str(one) if isinstance(one, str | Path) else "frames"
-        found.append(Footage(name, list(sequence_of(one, recipe)), recipe, network))
+        found.append(Footage(name, list(Readable(sequence_of(one, recipe), recipe.skip_bad)), recipe, network))
     return found
 
 
@@ -255,62 +263,20 @@ def _require_trainable(recipe: Recipe) -> None:
         raise InputError('colour = "style": a network moves smoke and does not colour it; use "keep" or "off"')
     if recipe.camera is not None:
         raise InputError("camera: a network learns views from all around; leave it out")
+    if recipe.integrator != "emission_absorption":
+        raise InputError(
+            f'integrator = "{recipe.integrator}": a network learns from smoke that emits and absorbs light'
+        )
+    usual = Recipe()
+    for name in _OF_RUNS:
+        if (value := getattr(recipe, name)) != getattr(usual, name):
+            raise InputError(f"{name} = {value!r}: says what a run does with what a network gives; leave it out here")
 
 
 def _require_place(out: Path, resume: bool) -> None:
     if out.suffix != ".safetensors":
         raise InputError(f"{out}: expected a file name that ends in .safetensors")
-    if out.exists() and not resume:
-        raise InputError(f"{out}: is there already; give another name, or --resume to train it further")
-
-
-def _keys(recipe: Recipe) -> dict[str, Any]:
-    """The keys of a recipe that say what was learned, as in a recipe file, without those that are as always."""
-    usual, keys = Recipe(), {}
-    for name in (key for section in (Goals, Method) for key in section.__annotations__):
-        value = getattr(recipe, name)
-        if value != getattr(usual, name):
-            keys[name] = [shipped_name(path) for path in value] if name in ("style", "content") else value
-    return keys
-
-
-def _kept_keys(wanted: _Wanted, judge: GoogLeNet) -> dict[str, Any]:
-    """The keys of the recipe that a run by the network begins with."""
-    shipped = {"weights": PATTERNS} if judge.flavour == PATTERNS else {}
-    return _keys(wanted.recipe) | shipped
-
-
-def _card(wanted: _Wanted, footage: Sequence[Footage], held_out: Sequence[Footage], judge: GoogLeNet) -> dict[str, Any]:
-    """What is known of a training before it begins."""
-    return {
-        "recipe": _kept_keys(wanted, judge),
-        "inputs": _shown_inputs(footage),
-        "held_out": _shown_inputs(held_out),
-        "seed": wanted.recipe.seed,
-        "width": WIDTH,
-        "weights": {"sha256": judge.sha256, "flavour": judge.flavour},
-        "versions": environment.versions(),
-    }
-
-
-def _shown_inputs(footage: Sequence[Footage]) -> list[dict[str, Any]]:
-    """What of inputs is told: models are given to others, who need not know where the files were."""
-    return [{"name": Path(one.name).name, "frames": len(one)} for one in footage]
-
-
-def _earlier_curve(card: Path, now: Mapping[str, Any]) -> list[dict[str, float]]:
-    """The curve of the training that is resumed.
-
-    Raises:
-        InputError: its card is damaged, or it had another recipe or other weights than there are now.
-    """
-    try:
-        earlier = json.loads(card.read_text("utf-8"))
-        for key in ("recipe", "weights"):
-            if earlier[key] != json.loads(json.dumps(now[key])):
-                raise InputError(f"{card}: has another {key}, expected the same to go on; leave out --resume")
-        return [dict(point) for point in earlier["curve"]]
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{card}: damaged or gone, so no training can go on from there; leave out --resume") from None
+    require_writable(out.parent, remedy=None)
+    for file in (out, out.with_suffix(".json"), out.with_suffix(".state")):
+        if file.exists() and not resume:
+            raise InputError(f"{file}: is there already; give another name, or --resume to train it further")

@@ -72,7 +72,7 @@ class Trainer:
             for position in np.unique(np.linspace(0, len(of_input) - 1, _JUDGED).round())
         ]
         self._before = [of_input.judged(position, of_input.zeros()) for of_input, position in self._judged]
-        self.updates = 0
+        self.updates = self._steps = 0
 
     def update(self, done: float) -> float | None:
         """Learn from a frame; gives its loss, None if it has no smoke.
@@ -90,8 +90,12 @@ class Trainer:
         self._optimiser.zero_grad()
         loss = learn(self._network, footage, footage.take(position, showing), (self._seed, self.updates), neighbour)
         if loss is not None:
-            torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
+            length = torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST)
+            if not torch.isfinite(length):
+                # Weights would be lost for good.
+                raise InputError(f"{footage.name}: the derivative of the loss is not finite in update {self.updates}")
             self._optimiser.step()
+            self._steps += 1
         self.updates += 1
         return loss
 
@@ -110,7 +114,7 @@ class Trainer:
         for name, weight in self._network.named_parameters():
             tensors |= {f"{key} {name}": value for key, value in self._moments(weight).items()}
         tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
-        tensors["progress"] = torch.tensor([self.updates, seconds], dtype=torch.float64)
+        tensors["progress"] = torch.tensor([self.updates, self._steps, seconds], dtype=torch.float64)
         with written_whole(path) as temporary:
             temporary.write_bytes(save(tensors))
 
@@ -124,7 +128,9 @@ class Trainer:
             raise InputError(f"{path}: no such file, so no training can go on from there; leave out --resume")
         try:
             tensors = load_file(path)
-            updates, seconds = tensors.pop("progress").tolist()
+            updates, steps, seconds = tensors.pop("progress").tolist()
+            if not (0 <= steps <= updates < 2**53 and 0 <= seconds < math.inf):
+                raise ValueError("no progress that there can be")
             expected = {f"{kind} {name}" for kind in _KINDS for name, _ in self._network.named_parameters()}
             if set(tensors) != expected:
                 raise InputError(f"{path}: is of another network; leave out --resume")
@@ -132,12 +138,12 @@ class Trainer:
                 for name, weight in self._network.named_parameters():
                     weight.copy_(_fitting(tensors[f"weight {name}"], weight))
                     moments = {kind: _fitting(tensors[f"{kind} {name}"], weight) for kind in _KINDS[1:]}
-                    self._optimiser.state[weight] = {"step": torch.tensor(float(updates)), **moments}
+                    self._optimiser.state[weight] = {"step": torch.tensor(float(steps)), **moments}
         except InputError:
             raise
         except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError):
             raise InputError(f"{path}: damaged, so no training can go on from there; leave out --resume") from None
-        self.updates = int(updates)
+        self.updates, self._steps = int(updates), int(steps)
         return float(seconds)
 
     def _moments(self, weight: Tensor) -> dict[str, Tensor]:
@@ -149,6 +155,8 @@ def _showing(chance: np.random.Generator, footage: Footage) -> Showing:
     """How the next frame is shown."""
     mirrored = bool(chance.integers(2)), bool(chance.integers(2))
     zoom, thicker = _ZOOM ** chance.uniform(-1, 1), _THICKER ** chance.uniform(-1, 1)
+    if 1 in footage.problem.octave.shape:
+        zoom = 1.0  # a plane would be as much thicker
     other = chance.uniform() < _OTHER_LAM
     lam = float(chance.uniform()) if other else None
     return Showing(mirrored, zoom, thicker, lam)
@@ -165,11 +173,11 @@ _KINDS = ("weight", "exp_avg", "exp_avg_sq")
 
 
 def _fitting(stored: Tensor, weight: Tensor) -> Tensor:
-    """A stored tensor that is as large as a weight.
+    """A stored tensor that is as large as a weight, and finite.
 
     Raises:
         ValueError: it is not.
     """
-    if stored.shape != weight.shape:
-        raise ValueError("another size")
+    if stored.shape != weight.shape or not torch.isfinite(stored).all():
+        raise ValueError("another size, or not finite")
     return stored.to(weight).clone()
