@@ -39,6 +39,7 @@ COMMANDS = {
     "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
     "train": "Train a network that stylizes smoke of a kind in one pass, for `stylize --model`.",
     "batch": "Stylize every input by every recipe, one run after the other, and show the results on a page.",
+    "reconstruct": "Find the density of smoke from pictures that cameras with known places took.",
     "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
     "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",
     "diff": "Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.",

@@ -308,12 +308,16 @@ KINDS: dict[str, Kind] = {
 @functools.cache
 def documentation() -> dict[str, str]:
     """The documentation of each key, one paragraph: the text below its field in this file."""
+    return {name: text for section in SECTIONS for name, text in paragraphs_below_fields(section).items()}
+
+
+def paragraphs_below_fields(section: type) -> dict[str, str]:
+    """The text below each field in the source of a class, one paragraph each."""
+    nodes = ast.walk(ast.parse(inspect.getsource(section)))
+    (statements,) = (node.body for node in nodes if isinstance(node, ast.ClassDef))
     paragraphs = {}
-    for section in SECTIONS:
-        nodes = ast.walk(ast.parse(inspect.getsource(section)))
-        (statements,) = (node.body for node in nodes if isinstance(node, ast.ClassDef))
-        for pair in itertools.pairwise(statements):
-            match pair:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    paragraphs[name] = " ".join(text.split())
+    for pair in itertools.pairwise(statements):
+        match pair:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                paragraphs[name] = " ".join(text.split())
     return paragraphs
