@@ -24,7 +24,7 @@ from torch import Tensor
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.torch_operation import called_from_torch
 from tnst_mi.machine.backend import torch_device
-from tnst_mi.reconstruction.image_model import RATE, ImageModel
+from tnst_mi.reconstruction.image_model import ImageModel
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.rendering import RendererChoice
 
@@ -56,6 +56,7 @@ class Descent:
         steps: how many will be done.
         batch: views of a step.
         seed: of the order of the views.
+        waits: steps before what is to be found of the model is found: an extinction that is nothing yet tells nothing.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Descent:
         steps: int,
         batch: int,
         seed: Sequence[int],
+        waits: int,
     ) -> None:
         device = torch_device()
         self.octave, self.steps, self.done, self.model = octave, steps, 0, model
@@ -79,15 +81,13 @@ class Descent:
         self._weight = noise**2 * PRIOR * longest
         self._batch, self._seed = min(batch, len(photographs)), list(seed)
         self._views = [_OnDevice(photograph, device) for photograph in photographs]
-        self.adam = torch.optim.Adam(
-            [{"params": [self.extinction]}, *({"params": [value]} for value in model.unknown)], betas=_BETAS
-        )
+        self._waits = waits
+        self.adam = torch.optim.Adam([self.extinction], betas=_BETAS)
 
     def step(self) -> float:
         """Do one more step; gives the mean square difference of its views, in units of the squared peak."""
-        falling = 0.5 * (1 + math.cos(math.pi * self.done / self.steps))
-        for number, group in enumerate(self.adam.param_groups):
-            group["lr"] = falling * (RATE if number else _STEP * self._typical)
+        for group in self.adam.param_groups:
+            group["lr"] = 0.5 * (1 + math.cos(math.pi * self.done / self.steps)) * _STEP * self._typical
         self.adam.zero_grad()
         loss = self._difference(self._chosen())
         total = loss + self._weight * self._variation() if self._weight else loss
@@ -95,9 +95,14 @@ class Descent:
         self.adam.step()
         with torch.no_grad():
             self.extinction.clamp_(min=0.0)
-        self.model.keep_possible()
         self.done += 1
         return loss.item()
+
+    def fit_model(self) -> None:
+        """Find what is to be found of the image model, by all views."""
+        if not self.model.complete:
+            with torch.no_grad():
+                self._fit(self._rendered(sorted(range(len(self._views)), key=self._by_size)))
 
     def _chosen(self) -> list[int]:
         """The views of the next step: all of them once in a random order, then again in another."""
@@ -106,27 +111,43 @@ class Descent:
             epoch: np.random.default_rng([*self._seed, epoch]).permutation(count)
             for epoch in {first // count, (first + self._batch - 1) // count}
         }
-        # Sorted by size, since views are rendered together if their pictures have one size.
         chosen = {int(orders[k // count][k % count]) for k in range(first, first + self._batch)}
-        return sorted(chosen, key=lambda number: (self._photographs[number].values.shape, number))
+        return sorted(chosen, key=self._by_size)
+
+    def _by_size(self, number: int) -> tuple[tuple[int, ...], int]:
+        """Orders views by the size of their pictures: those of one size are rendered together."""
+        return self._photographs[number].values.shape, number
 
     def _difference(self, chosen: Sequence[int]) -> Tensor:
         """The mean square difference between the pixels of some views and their pictures."""
+        images = self._rendered(chosen)
+        if not self.model.complete and self.done >= self._waits:
+            self._fit(images)
         total, pixels = torch.zeros((), device=self.extinction.device), 0
-        for size, numbers in groupby(chosen, key=lambda number: self._photographs[number].values.shape):
-            numbers = list(numbers)
+        for number, image in images:
+            view = self._views[number]
+            shown = self._renderers.pixels(image, view.background, self.model)
+            total = total + (view.weights * (shown - view.values) ** 2).sum()
+            pixels += image.numel()
+        return total / pixels
+
+    def _rendered(self, chosen: Sequence[int]) -> list[tuple[int, Tensor]]:
+        """What is seen in some views, in order of their size, each with its number."""
+        found = []
+        for size, group in groupby(chosen, key=lambda number: self._photographs[number].values.shape):
+            numbers = list(group)
             cameras = [self._photographs[number].camera for number in numbers]
             renderer, seed = self._renderers.of(self.octave, size), [*self._seed, self.done]
-            rendered = called_from_torch(
+            images = called_from_torch(
                 lambda σ, renderer=renderer, cameras=cameras, seed=seed: renderer.render(σ, cameras, seed),
                 [self.extinction],
             )
-            for image, number in zip(rendered, numbers, strict=True):
-                view = self._views[number]
-                shown = self._renderers.pixels(image, view.background, self.model)
-                total = total + (view.weights * (shown - view.values) ** 2).sum()
-                pixels += math.prod(size)
-        return total / pixels
+            found.extend(zip(numbers, images, strict=True))
+        return found
+
+    def _fit(self, images: Sequence[tuple[int, Tensor]]) -> None:
+        views = [(image, self._views[number]) for number, image in images]
+        self.model.fit([(image, view.values, view.weights, view.background) for image, view in views])
 
     def _variation(self) -> Tensor:
         """mean |∇σ| in units of full-resolution cells; the extinction repeats its border outside."""

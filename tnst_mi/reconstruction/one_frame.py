@@ -12,7 +12,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.reconstruction.descent import Descent, rendered
-from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
 from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
 from tnst_mi.reconstruction.rendering import RendererChoice
 from tnst_mi.reconstruction.settings import ReconstructionSettings
@@ -83,8 +83,12 @@ class FrameReconstruction:
         self.noise = estimated_noise(fitted) if settings.noise == "auto" else float(settings.noise)
         self._renderers = RendererChoice(settings, self.peak)
         border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
-        known = [None if value is None else value / self.peak for value in (brightness, background)]
-        self._model = ImageModel.starting(known[0], known[1], border)
+        self._model = ImageModel(
+            BRIGHTER if brightness is None else brightness / self.peak,
+            border if background is None else background / self.peak,
+            brightness is None and settings.integrator == "emission_absorption",
+            background is None,
+        )
         self._typical = self._typical_extinction()
         self.first_level = 0 if start is None else len(levels) - 1
 
@@ -111,22 +115,24 @@ class FrameReconstruction:
             self._settings.iterations,
             self._settings.batch,
             (self._settings.seed, self._index, level),
+            self._settings.iterations // 3 if level == self.first_level else 0,
         )
 
     def full_extinction(self, descent: Descent) -> np.ndarray:
-        """What a descent has found, on the full grid: (D, H, W) float32, per cell."""
+        """What a descent has found, on the full grid: (D, H, W) float32, per cell; and the light that goes with it."""
+        descent.fit_model()
         found = descent.extinction.detach().cpu().numpy()
         return np.array(resample_density(found, descent.octave.cell_size, *_to(self._levels[-1])), np.float32)
 
     @property
     def brightness(self) -> float:
         """The value of a pixel where no light gets through, in the pictures' unit, as found so far."""
-        return float(self._model.brightness) * self.peak
+        return self._model.brightness * self.peak
 
     @property
     def background(self) -> float:
         """The value of a pixel without smoke, likewise."""
-        return float(self._model.background) * self.peak
+        return self._model.background * self.peak
 
     def judged(self, extinction: np.ndarray) -> list[HeldOutView]:
         """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak."""
@@ -147,7 +153,7 @@ class FrameReconstruction:
         """That of smoke which is as thick as the pictures show and a quarter of the grid deep."""
         depth = _SCATTERING_DEPTH
         if self._settings.integrator == "emission_absorption":
-            brightness, background = float(self._model.brightness), float(self._model.background)
+            brightness, background = self._model.brightness, self._model.background
             spread = brightness - background
             opacity = [
                 (one.values - (background if one.background is None else one.background)) / (spread or 1.0)

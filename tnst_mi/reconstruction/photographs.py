@@ -150,8 +150,8 @@ def require_size(path: Path, image: np.ndarray, size: tuple[int, int]) -> None:
 def estimated_noise(photographs: Sequence[Photograph]) -> float:
     """The standard deviation of the pixels' noise, by the median magnitude of the finest diagonal details.
 
-    Few details are a picture's own (Donoho and Johnstone 1994, with Haar's wavelet), if much of it shows no smoke; where
-    smoke is everywhere, its details count as noise. Noise that was cut off below black is underestimated.
+    Few details are a picture's own (Donoho and Johnstone 1994, with Haar's wavelet) if much of it shows no smoke;
+    where smoke is everywhere, its details count as noise. Noise that was cut off below black is underestimated.
     """
     found: list[np.ndarray] = [np.zeros(1, np.float32)]
     for photograph in photographs:

@@ -17,6 +17,15 @@ from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
 _STILL_SPP = 256
 
 
+class OpacityRenderer(EmissionAbsorptionRenderer):
+    """Emission and absorption of an extinction: with γ = 1, images are opacities.
+
+    Coarse grids have views of few pixels, which take the CPU longer to launch than to compute: several go together.
+    """
+
+    samples_of_cpu = 1 << 22
+
+
 class RendererChoice:
     """Renders extinctions, so with γ = 1, on any grid and in any size; renderers are kept.
 
@@ -51,7 +60,7 @@ class RendererChoice:
         if s.integrator == "emission_absorption":
             # The paper's sum depends on the distance of its samples, which are those of the full grid.
             step = 1.0 if s.quadrature == "paper" else None
-            return EmissionAbsorptionRenderer(octave.shape, 1.0, s.quadrature, octave.cell_size, step, size)
+            return OpacityRenderer(octave.shape, 1.0, s.quadrature, octave.cell_size, step, size)
         light = LIGHTS / f"{s.light}.xml" if s.light in shipped_lights() else Path(s.light)
         lighting = Lighting(s.albedo, s.anisotropy, light, _STILL_SPP if still else s.spp)
         return ScatteringRenderer(octave.shape, 1.0, octave.cell_size, lighting, size)

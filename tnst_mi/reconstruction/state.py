@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,31 +78,21 @@ class Progress:
             InputError: the file is of another grid.
         """
         try:
+            extinction = descent.extinction
             with torch.no_grad():
-                for name, value in _parameters(descent).items():
-                    value.copy_(_fitting(self.tensors[name], value))
-                    moments = {key: _fitting(self.tensors[f"{name} {key}"], value) for key in _MOMENTS}
-                    steps = self.tensors[f"{name} step"].float().reshape(())
-                    descent.adam.state[value] = {"step": steps, **moments}
+                extinction.copy_(_fitting(self.tensors["extinction"], extinction))
+            moments = {name: _fitting(self.tensors[name], extinction) for name in _MOMENTS}
             descent.done = int(self.tensors["done"])
+            descent.adam.state[extinction] = {"step": torch.tensor(float(descent.done)), **moments}
         except (KeyError, ValueError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
 
 
-def _parameters(descent: Descent) -> dict[str, Tensor]:
-    found: Sequence[Tensor] = [value for group in descent.adam.param_groups for value in group["params"]]
-    return {f"parameter {number}": value for number, value in enumerate(found)}
-
-
 def _tensors(descent: Descent) -> dict[str, Tensor]:
-    tensors = {"done": torch.tensor(descent.done)}
-    for name, value in _parameters(descent).items():
-        state = descent.adam.state.get(value) or {}
-        tensors[name] = value.detach().cpu().contiguous()
-        tensors[f"{name} step"] = torch.as_tensor(state.get("step", 0.0)).cpu()
-        for key in _MOMENTS:
-            tensors[f"{name} {key}"] = state.get(key, torch.zeros_like(value)).cpu().contiguous()
-    return tensors
+    extinction, state = descent.extinction.detach(), descent.adam.state.get(descent.extinction) or {}
+    tensors = {name: state.get(name, torch.zeros_like(extinction)) for name in _MOMENTS}
+    tensors["extinction"] = extinction
+    return {"done": torch.tensor(descent.done)} | {name: t.cpu().contiguous() for name, t in tensors.items()}
 
 
 def _fitting(stored: Tensor, value: Tensor) -> Tensor:
