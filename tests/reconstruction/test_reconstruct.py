@@ -53,14 +53,6 @@ def test_the_density_is_found(views, cloud, tmp_path):
     assert again == pytest.approx(found.records[0]["psnr_of_views"]["held_out_01"], abs=1e-3)
 
 
-def test_extinction_is_found_where_smoke_is_thick(cloud, tmp_path):
-    thick = EmissionAbsorptionRenderer(cloud.shape, 1.0, "exact", 1.0, size=(20, 20))
-    views = write_views(tmp_path / "views", [tnst_mi.Frame(cloud)], thick, (12, 3), 0.0, 1.0)
-    found = reconstruct(views, tmp_path / "out", {**QUICK, "gamma": "auto"}, progress=False)
-    # It begins with a brightness of 1.25 times the largest value, so with a γ of 0.8.
-    assert found.records[0]["gamma"] == pytest.approx(1.0, rel=0.02)
-
-
 def test_a_background_is_found_or_given_as_a_picture(views, cloud, tmp_path):
     across = np.linspace(0.2, 0.6, 20, dtype=np.float32)[None, :].repeat(20, 0)
     even = changed(views, tmp_path / "even", lambda image, name: image + 0.5 * (1 - GAMMA * image))
