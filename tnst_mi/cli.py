@@ -172,7 +172,7 @@ def _overview() -> str:
     """The commands with their summaries."""
     description = "Transport-based neural style transfer for smoke. Each command has its own --help."
     rows = [
-        textwrap.fill(summary, width=80, initial_indent=f"  {name:9}", subsequent_indent=" " * 11)
+        textwrap.fill(summary, width=80, initial_indent=f"  {name:12}", subsequent_indent=" " * 14)
         for name, summary in COMMANDS.items()
     ]
     return "\n".join(["usage: tnst-mi COMMAND ...", "", description, "", *rows])

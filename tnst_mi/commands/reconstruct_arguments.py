@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.recipe.sections import paragraphs_below_fields
+from tnst_mi.recipe.paragraphs import paragraphs_below_fields
 from tnst_mi.reconstruction.settings import SETTING_KINDS, ReconstructionSettings
 
 

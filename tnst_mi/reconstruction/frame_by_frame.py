@@ -17,7 +17,7 @@ from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.preparation import Preparation
 from tnst_mi.reconstruction.results import write_frame_results, write_report
-from tnst_mi.reconstruction.state import Progress
+from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
 
 #: Seconds after which a reconstruction that is under way is written, to go on from there.
@@ -44,7 +44,7 @@ class FrameByFrame:
     """
 
     def __init__(
-        self, prepared: Preparation, out: Path, format: str, state: Path, progress: Progress, shown: bool
+        self, prepared: Preparation, out: Path, format: str, state: Path, progress: ReconstructionState, shown: bool
     ) -> None:
         self._prepared, self._out, self._format, self._state, self._shown = prepared, out, format, state, shown
         self.progress = progress
@@ -87,7 +87,7 @@ class FrameByFrame:
         seconds = time.perf_counter() - begun
         record = write_frame_results(self._out, self._format, prepared, number, frame, descent, seconds, finished)
         if finished:
-            self.progress = Progress(self.progress.identity, [*self.progress.records, record])
+            self.progress = ReconstructionState(self.progress.identity, [*self.progress.records, record])
             self.progress.write(self._state, None)
         else:
             self.progress.seconds = seconds

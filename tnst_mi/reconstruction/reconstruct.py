@@ -15,7 +15,7 @@ from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import locked
 from tnst_mi.reconstruction.frame_by_frame import FrameByFrame
 from tnst_mi.reconstruction.preparation import prepare
-from tnst_mi.reconstruction.state import Progress
+from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.resources import expanded
 
 
@@ -112,7 +112,9 @@ def reconstruct(
         activate()
         prepared = prepare(cameras, settings or {}, frames, None if velocities is None else expanded(Path(velocities)))
         state = out / "state.safetensors"
-        before = Progress.read(state, prepared.identity) if resume else Progress(prepared.identity)
+        before = (
+            ReconstructionState.read(state, prepared.identity) if resume else ReconstructionState(prepared.identity)
+        )
         out.mkdir(parents=True, exist_ok=True)
         with locked(out), deferred_interrupt() as interrupt:
             run = FrameByFrame(prepared, out, format, state, before, progress)

@@ -22,7 +22,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 @dataclass
-class Progress:
+class ReconstructionState:
     """How far a reconstruction has got.
 
     Attributes:
@@ -47,7 +47,7 @@ class Progress:
             temporary.write_bytes(save(tensors, {"progress": json.dumps(told)}))
 
     @classmethod
-    def read(cls, path: Path, identity: str) -> Progress:
+    def read(cls, path: Path, identity: str) -> ReconstructionState:
         """Read how far an earlier reconstruction got.
 
         Raises:

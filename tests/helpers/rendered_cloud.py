@@ -1,15 +1,15 @@
-"""Views of a small cloud, rendered once."""
+"""Views of a small cloud, rendered once: fixtures of all tests of reconstructions."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from render_views import write_views
 
-import tnst_mi
-from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+if TYPE_CHECKING:
+    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 GAMMA = 0.3
 
@@ -29,11 +29,17 @@ def cloud() -> np.ndarray:
 @pytest.fixture(scope="session")
 def renderer(cloud: np.ndarray) -> EmissionAbsorptionRenderer:
     """What renders it, in 20 × 20 pixels."""
+    from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
+
     return EmissionAbsorptionRenderer(cloud.shape, GAMMA, "exact", 1.0, size=(20, 20))
 
 
 @pytest.fixture(scope="session")
 def views(cloud: np.ndarray, renderer: EmissionAbsorptionRenderer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """cameras.toml of 12 views and 3 that judge."""
+    from render_views import write_views
+
+    import tnst_mi
+
     out = tmp_path_factory.mktemp("views")
     return write_views(out, [tnst_mi.Frame(cloud)], renderer, (12, 3), 0.0, GAMMA)
