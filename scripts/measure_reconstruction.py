@@ -114,7 +114,7 @@ class Bench:
         coarse = tnst_mi.Frame(resample_density(self.density, 1.0, shape, self.density.shape[1] / shape[1]))
         gamma = 2 * GAMMA  # per cell, so that it is as thick
         if not (folder / "cameras.toml").is_file():
-            lighting = Lighting(ALBEDO, 0.0, LIGHTS / "key.xml", 128)
+            lighting = Lighting(ALBEDO, 0.0, LIGHTS / "key.xml", 32)
             renderer = ScatteringRenderer(shape, gamma, 1.0, lighting, (max(shape), max(shape)))
             write_views(folder, [coarse], renderer, (views, HELD_OUT), 0.0, gamma)
         density, record = self._found(folder / "cameras.toml", self.out / name, keys)
@@ -145,7 +145,7 @@ class Bench:
 
 def rows(bench: Bench) -> dict[str, Callable[[], dict[str, float]]]:
     """What is measured, by name."""
-    traced = {"integrator": "prbvolpath", "albedo": ALBEDO, "light": "key", "spp": 16, "iterations": 60, "levels": 2}
+    traced = {"integrator": "prbvolpath", "albedo": ALBEDO, "light": "key", "spp": 4, "iterations": 40, "levels": 2}
     return {
         "9 views": lambda: bench.reconstructed("views_9", 9, 0.0, {}),
         "18 views": lambda: bench.reconstructed("views_18", 18, 0.0, {}),

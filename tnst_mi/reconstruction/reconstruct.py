@@ -87,7 +87,6 @@ def reconstruct(
         ...     text = "up_axis = 'y'\\nheight = 12\\n"
         ...     for azimuth in (0, 45, 90, 135):
         ...         image = tnst_mi.render(density, view=(azimuth, 0), quadrature="exact", size=(12, 12))
-        ...         np.clip(image, 0, None, out=image)
         ...         tnst_mi.io.pictures.exr.write_exr(folder / f"{azimuth}.exr", image, {})
         ...         x, z = 20 * np.sin(np.radians(azimuth)), 20 * np.cos(np.radians(azimuth))
         ...         text += f"[views.at{azimuth}]\\nimage = '{azimuth}.exr'\\n"
