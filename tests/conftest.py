@@ -98,6 +98,9 @@ SLOW = (
     "studio/test_work.py::test_what_cannot_be_done_is_told_in_one_line",
 )
 
+#: Fixtures that have a module of their own.
+pytest_plugins = ["rendered_cloud"]
+
 ASSETS = Path(__file__).resolve().parents[2] / "shared"
 
 

@@ -25,7 +25,7 @@ FLOORS = (
     "rendering",
     "regions",
     "optimisation",
-    "compare atlas realtime",
+    "compare reconstruction atlas realtime",
     "run",
     "cluster notebook training",
     "batch studio",

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tnst_mi.network.googlenet import GoogLeNet
     from tnst_mi.notebook.viewer import view
     from tnst_mi.recipe.recipe import Recipe
+    from tnst_mi.reconstruction.reconstruct import Reconstruction, reconstruct
     from tnst_mi.rendering.cameras.camera import Camera
     from tnst_mi.rendering.cameras.views import sample_views
     from tnst_mi.rendering.render import render
@@ -42,12 +43,14 @@ _PUBLIC = {
     "Frame": "frame",
     "GoogLeNet": "network.googlenet",
     "Recipe": "recipe.recipe",
+    "Reconstruction": "reconstruction.reconstruct",
     "Result": "run.api",
     "Training": "training.train",
     "activate": "machine.backend",
     "advect": "fields.advection",
     "load_frames": "io",
     "recipe_of_model": "run.from_model",
+    "reconstruct": "reconstruction.reconstruct",
     "render": "rendering.render",
     "sample_views": "rendering.cameras.views",
     "save_frames": "io",
@@ -63,12 +66,14 @@ __all__ = [
     "GoogLeNet",
     "InputError",
     "Recipe",
+    "Reconstruction",
     "Result",
     "Training",
     "activate",
     "advect",
     "load_frames",
     "recipe_of_model",
+    "reconstruct",
     "render",
     "sample_views",
     "save_frames",

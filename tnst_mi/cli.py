@@ -39,6 +39,7 @@ COMMANDS = {
     "stylize": "Stylize a density file, or a folder of numbered ones, towards pictures, features or classes.",
     "train": "Train a network that stylizes smoke of a kind in one pass, for `stylize --model`.",
     "batch": "Stylize every input by every recipe, one run after the other, and show the results on a page.",
+    "reconstruct": "Find the density of smoke from pictures that cameras with known places took.",
     "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
     "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",
     "diff": "Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.",
@@ -171,7 +172,7 @@ def _overview() -> str:
     """The commands with their summaries."""
     description = "Transport-based neural style transfer for smoke. Each command has its own --help."
     rows = [
-        textwrap.fill(summary, width=80, initial_indent=f"  {name:9}", subsequent_indent=" " * 11)
+        textwrap.fill(summary, width=80, initial_indent=f"  {name:12}", subsequent_indent=" " * 14)
         for name, summary in COMMANDS.items()
     ]
     return "\n".join(["usage: tnst-mi COMMAND ...", "", description, "", *rows])

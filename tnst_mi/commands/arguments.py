@@ -13,6 +13,7 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
+from tnst_mi.commands.reconstruct_arguments import ReconstructArguments
 from tnst_mi.commands.run_arguments import (
     BatchArguments,
     ClusterAddress,
@@ -286,13 +287,14 @@ class DoctorArguments(Arguments):
 
 
 #: The arguments that are given without a flag, each with its name in the help.
-POSITIONAL = {"input": "INPUT", "output": "OUTPUT", "files": "FILE…", "inputs": "INPUT…"}
+POSITIONAL = {"cameras": "CAMERAS", "input": "INPUT", "output": "OUTPUT", "files": "FILE…", "inputs": "INPUT…"}
 
 ARGUMENTS: dict[str, type[Arguments]] = {
     "demo": DemoArguments,
     "stylize": StylizeArguments,
     "train": TrainArguments,
     "batch": BatchArguments,
+    "reconstruct": ReconstructArguments,
     "render": RenderArguments,
     "show": ShowArguments,
     "diff": DiffArguments,

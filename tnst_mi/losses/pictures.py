@@ -179,10 +179,19 @@ def _decode(path: Path) -> tuple[np.ndarray, np.float32, tuple[str, ...]]:
             shown = srgb(np.maximum(linear[..., :3], 0.0))
             remark = "is linear, up to 1 at most: taken as that of a display (sRGB)"
         return np.concatenate([shown, np.clip(linear[..., 3:], 0.0, 1.0)], axis=-1), np.float32(1), (remark,)
-    return *_decoded_by_pillow(path, start), ()
+    return *decoded_by_pillow(path, start), ()
 
 
-def _decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32]:
+def decoded_by_pillow(path: Path, start: bytes) -> tuple[np.ndarray, np.float32]:
+    """The pixels of a file as stored, (H, W), (H, W, 3) or (H, W, 4), and their full-scale value, which maps to 1.
+
+    Args:
+        path: the file.
+        start: its first bytes, by which some formats are known.
+
+    Raises:
+        InputError: it is unreadable, or has more pixels than a file of its size may have.
+    """
     formats = _known_formats(path, start)
     try:
         with warnings.catch_warnings():

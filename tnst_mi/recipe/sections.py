@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import functools
-import inspect
-import itertools
 from dataclasses import dataclass, field
 from typing import Annotated, Any, get_type_hints
 
@@ -18,6 +15,7 @@ from tnst_mi.recipe.keys import Choice, Integer, Kind, LayerWeights, Number, Ran
 from tnst_mi.recipe.lengths import Length
 from tnst_mi.recipe.name_lists import Names
 from tnst_mi.recipe.optional_keys import Point, Unset
+from tnst_mi.recipe.paragraphs import paragraphs_below_fields
 from tnst_mi.recipe.region_keys import MaskKind, TargetsKind
 
 #: Number of a frame or a sub-frame.
@@ -308,12 +306,4 @@ KINDS: dict[str, Kind] = {
 @functools.cache
 def documentation() -> dict[str, str]:
     """The documentation of each key, one paragraph: the text below its field in this file."""
-    paragraphs = {}
-    for section in SECTIONS:
-        nodes = ast.walk(ast.parse(inspect.getsource(section)))
-        (statements,) = (node.body for node in nodes if isinstance(node, ast.ClassDef))
-        for pair in itertools.pairwise(statements):
-            match pair:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    paragraphs[name] = " ".join(text.split())
-    return paragraphs
+    return {name: text for section in SECTIONS for name, text in paragraphs_below_fields(section).items()}

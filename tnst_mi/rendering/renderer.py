@@ -114,6 +114,9 @@ class EmissionAbsorptionRenderer(Renderer):
     #: Adjoint samples that are stored for each sample of a ray.
     samples_per_ray = 1
 
+    #: Limit in bytes of the adjoint samples that a CPU stores at once; of one view, if that has more.
+    samples_of_cpu = 0
+
     def __init__(
         self,
         shape: Shape,
@@ -183,7 +186,7 @@ class EmissionAbsorptionRenderer(Renderer):
     def _views_at_once(self, count: int) -> int:
         """Number of views whose adjoint samples are stored together."""
         of_view = self.samples_per_ray * view_samples(self.shape, self.size)
-        return max(1, min(count, LARGEST_SAMPLES // of_view)) if on_gpu() else 1
+        return max(1, min(count, (LARGEST_SAMPLES if on_gpu() else self.samples_of_cpu) // of_view))
 
     def _rays(self, views: Sequence[Viewpoint]) -> OrthographicRays | ViewpointRays:
         rows, columns = self.size

@@ -1,0 +1,78 @@
+"""Our own files of views: TOML with a table of settings and one for each view (docs/reconstruction.md)."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tnst_mi.errors import InputError, naming
+from tnst_mi.io.bounded_toml import toml_values
+from tnst_mi.io.cameras.scene_camera import SceneCamera
+from tnst_mi.io.cameras.tables import camera_of
+from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView
+
+#: Longest file in bytes, for which Python's reader takes seconds.
+_LONGEST = 1 << 20
+
+#: Keys of a view beside those of its camera.
+_PICTURES = ("image", "mask", "background")
+
+
+def read_own_tables(path: Path) -> CameraSet:
+    """Read a file of ours; everything in it is checked but the pictures.
+
+    Raises:
+        InputError: it is too large or deep, or holds something else.
+        ValueError: it is no TOML.
+        OSError: it cannot be read.
+    """
+    if (size := path.stat().st_size) > _LONGEST:
+        raise InputError(f"{path}: {size} bytes, expected a file of cameras of at most {_LONGEST}")
+    text = path.read_bytes().decode("utf-8-sig")
+    with naming(path):
+        values = toml_values(text.replace("\r\n", "\n"))
+        shared = dict(values)
+        up, views, settings = (shared.pop(key, None) for key in ("up_axis", "views", "reconstruction"))
+        if up not in (None, "y", "z"):
+            raise InputError(f'up_axis = {reprlib.repr(up)}: expected "y" or "z"')
+        if not isinstance(views, dict) or not views:
+            raise InputError("expected a table [views.NAME] for each view, with image and the keys of a camera")
+        up, assumed = up or "y", () if up else ('up_axis: is not there, taken as "y"',)
+        found = [_view(name, shared | _table(name, table), up, path.parent) for name, table in views.items()]
+        return CameraSet(path, up, found, _table("reconstruction", settings or {}), assumed)
+
+
+def _table(name: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(f"{name}: is {reprlib.repr(value)}, expected a table of keys")
+    return value
+
+
+def _view(name: str, table: Mapping[str, Any], up: str, folder: Path) -> PosedView:
+    camera = dict(table)
+    with naming(Path(f"view {name}")):
+        files = {key: _path(key, camera.pop(key), folder) for key in _PICTURES if key in camera}
+        held_out = camera.pop("held_out", False)
+        if not isinstance(held_out, bool):
+            raise InputError(f"held_out = {reprlib.repr(held_out)}: expected true or false")
+        if "image" not in files:
+            raise InputError('image: is not there, expected a file, such as "left.png"')
+        # Checked now, with a size that any camera can have, and not when all pictures have been read.
+        if "aspect" not in camera:
+            _camera(camera, up, (1, 1))
+        return PosedView(name=name, camera=partial(_camera, camera, up), held_out=held_out, **files)
+
+
+def _path(key: str, value: Any, folder: Path) -> Path:
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise InputError(f"{key} = {reprlib.repr(value)}: expected the name of a file")
+    return folder / value
+
+
+def _camera(table: Mapping[str, Any], up: str, size: tuple[int, int]) -> SceneCamera:
+    """The camera of a table, whose picture has square pixels unless it says an aspect."""
+    known = "aspect" in table or "resolution" in table
+    return camera_of(table if known else {**table, "resolution": list(size)}, up)

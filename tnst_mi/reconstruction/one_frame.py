@@ -1,0 +1,187 @@
+"""One frame: from its pictures to an extinction, grid by grid, each beginning with what the coarser one has found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.fields.grid import Octave
+from tnst_mi.fields.resampling import resample_density
+from tnst_mi.reconstruction.descent import Descent, rendered
+from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
+from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
+from tnst_mi.reconstruction.rendering import RendererChoice
+from tnst_mi.reconstruction.settings import ReconstructionSettings
+
+#: The share of pixels that count as those of the thickest smoke.
+_THICKEST = 0.005
+
+#: Opacity that is taken for the most: beyond it, a pixel says little of the smoke behind.
+_OPAQUE = 0.98
+
+#: Optical depth of the thickest smoke where pictures do not show it directly, since light is scattered.
+_SCATTERING_DEPTH = 3.0
+
+#: Optical depth through the whole grid that a path tracer begins with: where there is nothing, no path scatters, and
+#: there is no derivative either.
+_HAZE = 0.05
+
+
+@dataclass(frozen=True)
+class HeldOutView:
+    """A view that judges: its picture, what is seen of the result, and how near they are."""
+
+    name: str
+    picture: np.ndarray
+    rendering: np.ndarray
+    psnr: float
+
+
+class FrameReconstruction:
+    """The reconstruction of one frame.
+
+    Args:
+        settings: of all of it.
+        levels: the grids, from coarse to fine.
+        photographs: of the frame, as they were read.
+        brightness, background: what is known of them, in the pictures' unit; None for what is to be found.
+        start: extinction (D, H, W) on the full grid to begin with, without coarser grids; None to begin with nothing.
+        index: of the frame, part of the seed.
+
+    Attributes:
+        peak: the largest value of the pictures that are used, which counts as 1.
+        noise: the standard deviation of their noise in parts of that.
+        first_level: the grid to begin with.
+
+    Raises:
+        InputError: the pictures show nothing.
+    """
+
+    def __init__(
+        self,
+        settings: ReconstructionSettings,
+        levels: Sequence[Octave],
+        photographs: Sequence[Photograph],
+        brightness: float | None,
+        background: float | None,
+        start: np.ndarray | None,
+        index: int,
+    ) -> None:
+        self._settings, self._levels, self._index, self._start = settings, levels, index, start
+        used = [photograph for photograph in photographs if not photograph.held_out]
+        self.peak = max(float((photograph.values * (photograph.weights > 0)).max()) for photograph in used)
+        if not (self.peak > 0 and math.isfinite(self.peak)):
+            raise InputError("the pictures are black, expected smoke that is brighter than what is behind it")
+        self._used = [photograph.in_units_of(self.peak) for photograph in used]
+        self._judges = [one.in_units_of(self.peak) for one in photographs if one.held_out]
+        # Of the pixels that are fitted in the end: a mean over several has less noise than each.
+        fitted = [photograph.averaged(levels[-1].cell_size) for photograph in self._used]
+        self.noise = estimated_noise(fitted) if settings.noise == "auto" else float(settings.noise)
+        self._renderers = RendererChoice(settings, self.peak)
+        border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
+        self._model = ImageModel(
+            BRIGHTER if brightness is None else brightness / self.peak,
+            border if background is None else background / self.peak,
+            brightness is None and settings.integrator == "emission_absorption",
+            background is None,
+        )
+        self._typical = self._typical_extinction()
+        self.first_level = 0 if start is None else len(levels) - 1
+
+    def descent(self, level: int, coarser: Descent | None) -> Descent:
+        """The steps on a grid, from what those on the coarser one have found."""
+        octave = self._levels[level]
+        if coarser is not None:
+            found = resample_density(coarser.extinction.detach().cpu().numpy(), coarser.octave.cell_size, *_to(octave))
+        elif self._start is not None:
+            found = resample_density(self._start, 1.0, *_to(octave))
+        else:
+            longest = max(self._levels[-1].shape)
+            scattering = self._settings.integrator == "prbvolpath"
+            found = np.full(octave.shape, _HAZE / longest if scattering else 0.0, np.float32)
+        return Descent(
+            octave,
+            np.array(found, np.float32),
+            self._typical,
+            [photograph.averaged(octave.cell_size) for photograph in self._used],
+            self._renderers,
+            self._model,
+            self.noise,
+            max(self._levels[-1].shape),
+            self._settings.iterations,
+            self._settings.batch,
+            (self._settings.seed, self._index, level),
+            self._settings.iterations // 3 if level == self.first_level else 0,
+        )
+
+    def full_extinction(self, descent: Descent) -> np.ndarray:
+        """What a descent has found, on the full grid: (D, H, W) float32, per cell; and the light that goes with it."""
+        descent.fit_model()
+        found = descent.extinction.detach().cpu().numpy()
+        return np.array(resample_density(found, descent.octave.cell_size, *_to(self._levels[-1])), np.float32)
+
+    @property
+    def brightness(self) -> float:
+        """The value of a pixel where no light gets through, in the pictures' unit, as found so far."""
+        return self._model.brightness * self.peak
+
+    @property
+    def background(self) -> float:
+        """The value of a pixel without smoke, likewise."""
+        return self._model.background * self.peak
+
+    def judged(self, extinction: np.ndarray) -> list[HeldOutView]:
+        """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak."""
+        octave = self._levels[-1]
+        pictures = [photograph.averaged(octave.cell_size) for photograph in self._judges]
+        seen = rendered(extinction, octave, pictures, self._renderers, self._model)
+        return [
+            HeldOutView(picture.name, picture.values, image, psnr(image, picture.values, picture.weights))
+            for picture, image in zip(pictures, seen, strict=True)
+        ]
+
+    def pixel_count(self, level: int) -> int:
+        """Pixels of a step on a grid, by which its time is estimated."""
+        sizes = [photograph.averaged(self._levels[level].cell_size).values.size for photograph in self._used[:1]]
+        return min(self._settings.batch, len(self._used)) * sizes[0]
+
+    def _typical_extinction(self) -> float:
+        """That of smoke which is as thick as the pictures show and a quarter of the grid deep."""
+        depth = _SCATTERING_DEPTH
+        if self._settings.integrator == "emission_absorption":
+            brightness, background = self._model.brightness, self._model.background
+            spread = brightness - background
+            opacity = [
+                (one.values - (background if one.background is None else one.background)) / (spread or 1.0)
+                for one in self._used
+            ]
+            thickest = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in opacity])), 1 - _THICKEST))
+            depth = -math.log(1 - min(thickest, _OPAQUE))
+        return max(depth, 1e-4) / (max(self._levels[-1].shape) / 4)
+
+
+def psnr(image: np.ndarray, picture: np.ndarray, weights: np.ndarray) -> float:
+    """Peak signal-to-noise ratio in dB of an image whose peak is 1, over the pixels that count."""
+    error = float((weights * (image - picture) ** 2).sum(dtype=np.float64) / max(float(weights.sum()), 1e-12))
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def mean_psnr(views: Sequence[HeldOutView]) -> float | None:
+    """That of all views together, by their mean square error; None if there is no view."""
+    if not views:
+        return None
+    error = float(np.mean([10 ** (-view.psnr / 10) for view in views]))
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def _border(values: np.ndarray) -> np.ndarray:
+    """The pixels at the edges of a picture."""
+    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+
+
+def _to(octave: Octave) -> tuple[tuple[int, int, int], float]:
+    return octave.shape, octave.cell_size

@@ -1,0 +1,175 @@
+"""Pictures of views as linear values, averaged over as many pixels as a cell covers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tnst_mi.errors import InputError
+from tnst_mi.io.pictures.exr import read_linear
+from tnst_mi.io.pictures.radiance import read_radiance
+from tnst_mi.io.pictures.srgb import linear_of
+from tnst_mi.losses.pictures import decoded_by_pillow
+from tnst_mi.machine.gate import opening, silenced
+from tnst_mi.rendering.cameras.camera import Camera
+
+#: Pixels of a picture at most.
+_MOST_PIXELS = 1 << 26
+
+#: Weights of linear red, green and blue in the luminance (ITU-R BT.709).
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+#: The standard deviation of normal numbers is their median magnitude times this.
+_NORMAL = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A picture with the camera that took it.
+
+    Attributes:
+        name: of its view.
+        camera: in the renderer's world, full-resolution cells about the grid's centre.
+        values: (rows, columns) float32, linear, row 0 at the top.
+        weights: likewise, from 0, where a pixel does not count, to 1.
+        background: likewise, what is seen without smoke; None if one value stands for it.
+        held_out: whether it judges the result instead of being used.
+    """
+
+    name: str
+    camera: Camera
+    values: np.ndarray
+    weights: np.ndarray
+    background: np.ndarray | None
+    held_out: bool
+
+    def in_units_of(self, peak: float) -> Photograph:
+        """The same with values in parts of a peak."""
+        background = None if self.background is None else self.background / np.float32(peak)
+        return replace(self, values=self.values / np.float32(peak), background=background)
+
+    def averaged(self, cell: float) -> Photograph:
+        """The same with pixels about as large as a cell at the grid's centre, never with more than it has."""
+        rows, columns = self.values.shape
+        height = image_height(self.camera)
+        wanted = (
+            max(1, min(rows, round(height / cell))),
+            max(1, min(columns, round(self.camera.aspect * height / cell))),
+        )
+        if wanted == (rows, columns):
+            return self
+        down, across = area_matrix(rows, wanted[0]), area_matrix(columns, wanted[1]).T
+        weights = down @ self.weights @ across
+
+        def mean(plane: np.ndarray) -> np.ndarray:
+            total = down @ (plane * self.weights) @ across
+            return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
+
+        background = None if self.background is None else mean(self.background)
+        return replace(self, values=mean(self.values), weights=weights, background=background)
+
+
+def image_height(camera: Camera) -> float:
+    """The height of a camera's picture where the grid's centre is, in cells."""
+    if not camera.perspective:
+        return camera.field
+    distance = max(1.0, float(camera.position @ camera.axes[2]))
+    return 2 * distance * float(np.tan(np.radians(camera.field) / 2))
+
+
+def area_matrix(n_from: int, n_to: int) -> np.ndarray:
+    """Means over the pixels of a coarser row, (n_to, n_from) float32, each as much as it lies inside.
+
+    Example:
+        >>> area_matrix(3, 2).round(3).tolist()
+        [[0.667, 0.333, 0.0], [0.0, 0.333, 0.667]]
+    """
+    edges = np.arange(n_to + 1) * (n_from / n_to)
+    low, high = edges[:-1, None], edges[1:, None]
+    pixel = np.arange(n_from)[None, :]
+    overlap = np.clip(np.minimum(high, pixel + 1) - np.maximum(low, pixel), 0, None)
+    return (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def read_values(path: Path, channel: str, transfer: str) -> np.ndarray:
+    """One linear channel of a picture, (rows, columns) float32.
+
+    Args:
+        path: the file.
+        channel: "luminance", of what is seen before black, "red", "green", "blue" or "alpha".
+        transfer: "linear", "srgb", or "auto": EXR and HDR are linear, other formats have the curve of sRGB.
+
+    Raises:
+        InputError: it cannot be read, has no alpha, or values that are not finite.
+    """
+    with opening(path, "a picture"), silenced():
+        pixels, linear = _decoded(path)
+    if not np.isfinite(pixels).all():
+        raise InputError(f"{path}: {int((~np.isfinite(pixels)).sum())} values are not finite; mend the picture")
+    planes = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+    alpha = planes[..., 3] if planes.shape[2] == 4 else None
+    if channel == "alpha":
+        if alpha is None:
+            raise InputError(f"{path}: has no alpha, which channel = alpha asks for; take luminance")
+        return np.ascontiguousarray(alpha)
+    colours = planes[..., :3] if linear or transfer == "linear" else linear_of(planes[..., :3])
+    if linear and transfer == "srgb":
+        raise InputError(f"{path}: is linear, as EXR and HDR always are; leave out transfer = srgb")
+    grey = colours @ _LUMINANCE if channel == "luminance" else colours[..., ("red", "green", "blue").index(channel)]
+    return np.ascontiguousarray(grey if alpha is None else grey * alpha)
+
+
+def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """A mask as weights from 0 to 1, (rows, columns) float32: the mean of its colours, or its alpha if it has one.
+
+    Raises:
+        InputError: it cannot be read, or has another size than (rows, columns).
+    """
+    with opening(path, "a mask"), silenced():
+        pixels, _ = _decoded(path)
+    if pixels.ndim == 3:
+        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(axis=2)
+    require_size(path, pixels, size)
+    return np.clip(pixels, 0.0, 1.0).astype(np.float32)
+
+
+def require_size(path: Path, image: np.ndarray, size: tuple[int, int]) -> None:
+    """Check that a picture has the size (rows, columns) of the one that it belongs to.
+
+    Raises:
+        InputError: it does not.
+    """
+    if image.shape != size:
+        found, wanted = (f"{columns} × {rows}" for rows, columns in (image.shape, size))
+        raise InputError(f"{path}: has {found} pixels, and the picture that it belongs to {wanted}; expected the same")
+
+
+def estimated_noise(photographs: Sequence[Photograph]) -> float:
+    """The standard deviation of the pixels' noise, by the median magnitude of the finest diagonal details.
+
+    Few details are a picture's own (Donoho and Johnstone 1994, with Haar's wavelet) if much of it shows no smoke;
+    where smoke is everywhere, its details count as noise. Noise that was cut off below black is underestimated.
+    """
+    found: list[np.ndarray] = [np.zeros(1, np.float32)]
+    for photograph in photographs:
+        rows, columns = (n // 2 * 2 for n in photograph.values.shape)
+        places = [(slice(row, rows, 2), slice(column, columns, 2)) for row in (0, 1) for column in (0, 1)]
+        a, b, c, d = (photograph.values[place] for place in places)
+        counts = np.logical_and.reduce([photograph.weights[place] > 0 for place in places])
+        found.append((np.abs(a - b - c + d) / 2)[counts])
+    return _NORMAL * float(np.median(np.concatenate(found)))
+
+
+def _decoded(path: Path) -> tuple[np.ndarray, bool]:
+    """The pixels in parts of full scale, (H, W), (H, W, 3) or (H, W, 4), and whether they are linear."""
+    with path.open("rb") as file:
+        start = file.read(64)
+    if path.suffix.lower() == ".exr":
+        return read_linear(path, _MOST_PIXELS), True
+    if path.suffix.lower() == ".hdr":
+        return read_radiance(path, _MOST_PIXELS), True
+    pixels, full_scale = decoded_by_pillow(path, start)
+    return pixels.astype(np.float32) / full_scale, False

@@ -1,0 +1,196 @@
+"""Everything that a reconstruction needs to know before it begins: settings, grid, views, frames and velocities."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.errors import InputError, naming
+from tnst_mi.fields.grid import Octave, octaves
+from tnst_mi.io.sequence import FrameFiles, open_frames
+from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
+from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
+from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size
+from tnst_mi.reconstruction.settings import ReconstructionSettings
+from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
+from tnst_mi.rendering.cameras.shots import camera_in_cells
+
+#: Where nothing says which views are held out, those of these numbers are, as usual for view synthesis since LLFF
+#: (Mildenhall et al. 2019); of fewer views, none.
+_EVERY = 8
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What is known before the first step.
+
+    Attributes:
+        settings: with those of the file of cameras.
+        cameras: the file of cameras.
+        views: of it, with what is held out.
+        place: the full grid.
+        levels: from the coarsest grid to the full one.
+        frames: their numbers; a single None where pictures have none.
+        velocities: of the simulation, frame by frame; None where they are not known.
+        remarks: what was assumed, to be said.
+    """
+
+    settings: ReconstructionSettings
+    cameras: CameraSet
+    views: Sequence[PosedView]
+    place: GridPlace
+    levels: Sequence[Octave]
+    frames: Sequence[int | None]
+    velocities: FrameFiles | None
+    remarks: tuple[str, ...]
+
+    @property
+    def identity(self) -> str:
+        """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
+        cameras = [(view.name, str(view.image), view.held_out, _numbers(view)) for view in self.views]
+        told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames)], default=str)
+        return hashlib.sha256(told.encode("utf-8")).hexdigest()
+
+    def photographs(self, number: int | None) -> list[Photograph]:
+        """The pictures of a frame.
+
+        Raises:
+            InputError: one cannot be used, or none that is used has anything in it.
+        """
+        found = [self._photograph(view, number) for view in self.views]
+        if not any((photograph.weights > 0).any() for photograph in found if not photograph.held_out):
+            raise InputError(f"{self.cameras.file}: masks leave nothing of any picture that is not held out")
+        return found
+
+    def velocity(self, number: int | None) -> np.ndarray | None:
+        """The velocity (D, H, W, 3) of a frame, in cells per frame; None if none is known of it.
+
+        Raises:
+            InputError: it is of another grid.
+        """
+        if self.velocities is None or number not in self.velocities.numbers:
+            return None
+        frame = self.velocities[self.velocities.numbers.index(number)]
+        if frame.velocity is not None and frame.density.shape != self.place.shape:
+            raise InputError(
+                f"{frame.name}: its velocity is on a grid of {_cells(frame.density.shape)} cells (D × H × W), expected "
+                f"{_cells(self.place.shape)}, those of the reconstruction (box and cells)"
+            )
+        return frame.velocity
+
+    def _photograph(self, view: PosedView, number: int | None) -> Photograph:
+        s, file = self.settings, file_of_frame(view.image, number)
+        values = read_values(file, s.channel, s.transfer)
+        rows, columns = values.shape
+        weights = np.ones_like(values)
+        if view.mask is not None:
+            weights = read_weights(_of_frame(view.mask, number), values.shape)
+        background = None
+        if view.background is not None:
+            background = read_values(view.background, s.channel, s.transfer)
+            require_size(view.background, background, values.shape)
+        with naming(Path(f"{self.cameras.file}: view {view.name}")):
+            stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
+            camera = camera_in_cells(stands, self.place.placement, self.place.shape)
+            if abs(camera.aspect * rows / columns - 1) > 0.5 / min(rows, columns) + 1e-6:
+                raise InputError(
+                    f"its camera has an aspect of {camera.aspect:.4g}, and {file.name} {columns} × {rows} pixels; "
+                    "expected the same proportions"
+                )
+        return Photograph(view.name, camera, values, weights, background, view.held_out)
+
+
+def prepare(
+    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: Path | None
+) -> Preparation:
+    """Read the file of cameras and check all that can be checked before pictures are read.
+
+    Args:
+        cameras: the file.
+        given: settings that win over those of the file; or all of them.
+        frames: "FIRST:LAST", the numbers of the frames; None for pictures without numbers.
+        velocities: a folder of frames with velocities; None for none.
+
+    Raises:
+        InputError: something cannot be used.
+    """
+    found = read_camera_set(cameras)
+    if isinstance(given, ReconstructionSettings):
+        settings = given
+    else:
+        settings = ReconstructionSettings().updated(found.settings, f"{cameras}: reconstruction: ").updated(given)
+    settings.require_consistent()
+    if settings.box is None:
+        raise InputError(
+            f"{cameras}: does not say where the smoke is; give the box around it in the cameras' scene, as "
+            "--box X0,Y0,Z0,X1,Y1,Z1 or as box under [reconstruction]"
+        )
+    views, said = _held_out(found.views, settings.hold_out)
+    place = grid_in_box(settings.box, settings.cells, found.up)
+    numbers = _numbers_of(frames)
+    if velocities is not None and numbers == [None]:
+        raise InputError(f"--velocities {velocities}: is of sequences; give --frames FIRST:LAST")
+    return Preparation(
+        settings,
+        found,
+        views,
+        place,
+        octaves(place.shape, _levels(settings.levels, place.shape), 2.0),
+        numbers,
+        None if velocities is None else open_frames(velocities),
+        (*found.remarks, *said),
+    )
+
+
+def _held_out(views: Sequence[PosedView], hold_out: int | str) -> tuple[list[PosedView], list[str]]:
+    """The views with what is held out, and what is to be said of that."""
+    said = []
+    if hold_out == "auto" and any(view.held_out for view in views):
+        chosen = [view.held_out for view in views]
+    else:
+        every = int(hold_out) if hold_out != "auto" else _EVERY if len(views) >= _EVERY else 0
+        chosen = [bool(every) and number % every == 0 for number in range(len(views))]
+        if hold_out == "auto":
+            what = f"every {_EVERY}th is held out" if every else "none is held out, so that none judges the result"
+            said.append(f"views: {what} (--hold-out N holds out every Nth, 0 none)")
+    if all(chosen):
+        raise InputError(f"--hold-out {hold_out}: leaves none of {len(views)} views to use; hold out fewer")
+    return [replace(view, held_out=out) for view, out in zip(views, chosen, strict=True)], said
+
+
+def _levels(wanted: int, shape: Sequence[int]) -> int:
+    """As many grids as there can be with four cells or more along the longest edge of the coarsest."""
+    return max(1, min(wanted, int(np.log2(max(shape) / 4)) + 1))
+
+
+def _numbers_of(frames: str | None) -> list[int | None]:
+    if frames is None:
+        return [None]
+    first, colon, last = frames.partition(":")
+    try:
+        span = range(int(first), int(last if colon else first) + 1)
+    except ValueError:
+        span = range(0)
+    if not 0 < len(span) <= 100_000:
+        raise InputError(f"--frames {frames}: expected FIRST:LAST, such as 49:72")
+    return list(span)
+
+
+def _of_frame(path: Path, number: int | None) -> Path:
+    """The file of a mask, which may be the same for all frames."""
+    return file_of_frame(path, number) if "#" in path.name else path
+
+
+def _cells(shape: Sequence[int]) -> str:
+    return " × ".join(map(str, shape))
+
+
+def _numbers(view: PosedView) -> list[Any]:
+    camera = view.camera((1, 1))
+    return [camera.to_scene.round(9).tolist(), camera.perspective, camera.field, camera.shift]
