@@ -1,0 +1,149 @@
+"""The statistics of `tnst-mi compare --left --right`: their laws, and how often they find fault where there is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from tnst_mi.compare.bench.batches import Batches, difference
+from tnst_mi.compare.bench.decision import alarms, family, holm
+from tnst_mi.compare.bench.measurement import value_families
+from tnst_mi.compare.bench.student import quantile, two_sided_tail
+
+
+@pytest.mark.parametrize(
+    ("degrees", "value"),
+    [(1, 12.7062047364), (2, 4.3026527299), (3, 3.1824463053), (15, 2.1314495456), (30, 2.0422724563)],
+)
+def test_quantiles_are_those_of_the_tables(degrees: int, value: float) -> None:
+    assert quantile(0.05, degrees) == pytest.approx(value, rel=1e-9)
+    assert two_sided_tail(np.array(-value), np.array(degrees + 0.9)) == pytest.approx(0.05, rel=1e-9)
+
+
+def test_far_tails_are_those_of_the_density_and_its_limit() -> None:
+    """By the integral of the density beyond 8; for many degrees of freedom by the normal law."""
+    for degrees in (7, 16, 31):
+        scale = math.exp(math.lgamma((degrees + 1) / 2) - math.lgamma(degrees / 2)) / math.sqrt(degrees * math.pi)
+        t = np.geomspace(8, 1e5, 400_001)
+        density = scale * (1 + t**2 / degrees) ** (-(degrees + 1) / 2)
+        tail = 2 * np.trapezoid(density * t, np.log(t))
+        assert two_sided_tail(np.array(8.0), np.array(degrees)) == pytest.approx(tail, rel=1e-6)
+    assert two_sided_tail(np.array(2.0), np.array(10**4)) == pytest.approx(2 * NormalDist().cdf(-2), rel=1e-3)
+    assert two_sided_tail(np.array(np.inf), np.array(3)) == 0 and two_sided_tail(np.array(0.0), np.array(4)) == 1
+
+
+def test_holm_rejects_what_its_steps_allow() -> None:
+    np.testing.assert_array_equal(holm(np.array([0.02, 0.001, 0.04, 0.011]), 0.05), [True, True, True, True])
+    np.testing.assert_array_equal(holm(np.array([0.03, 0.001, 0.04, 0.011]), 0.05), [False, True, False, True])
+    assert not holm(np.array([0.2, 0.3]), 0.05).any() and holm(np.array([0.04]), 0.05).all()
+
+
+def test_degrees_of_freedom_are_welchs() -> None:
+    rng = np.random.default_rng(1)
+    noisy, quiet, exact = rng.normal(0, 5, (16, 3)), rng.normal(0, 0.1, (16, 3)), np.zeros((1, 3))
+    both = difference(Batches(noisy), Batches(quiet))
+    assert (both.degrees >= 15).all() and (both.degrees < 15.1).all(), "the noisy one decides"
+    np.testing.assert_allclose(difference(Batches(noisy), Batches(exact)).degrees, 15, rtol=1e-12)
+    assert (difference(Batches(noisy), Batches(rng.normal(0, 5, (16, 3)))).degrees > 20).all()
+    np.testing.assert_array_equal(difference(Batches(exact), Batches(exact)).standard_error, 0)
+
+
+def test_without_noise_the_allowance_alone_decides() -> None:
+    left, right = Batches(np.array([[1.0, 1.0011]])), Batches(np.ones((1, 2)))
+    tests = family("means", ["a", "b"], left, right, np.array(1e-3))
+    np.testing.assert_array_equal(alarms([tests])[0], [False, True])
+
+
+def test_pixels_whose_paths_nearly_all_do_the_same_are_left_to_their_tile() -> None:
+    """All paths of 16 batches passed, by chance: the scatter is 0, and would be taken for certainty."""
+    left = np.ones((16, 1, 2, 2, 1))
+    left[:, 0, 0, 0, 0] = np.random.default_rng(2).binomial(32, 0.5, 16) / 32
+    assert Batches(left).testable.sum() == 1
+    assert Batches(left[:1]).testable.all(), "free of noise"
+    half = np.repeat([0.0, 1.0], 8)[:, None]
+    assert Batches(half).testable.all() and not Batches(np.append(half[:-1], [[0.0]], 0)).testable.any()
+
+
+# --------------------------------------------------------------------
+# False alarms
+# --------------------------------------------------------------------
+
+SHAPE = (2, 10, 8, 1)
+BATCHES, PATHS = 16, 32
+
+
+def binomial(rng: np.random.Generator) -> Callable[[], np.ndarray]:
+    """Paths that pass or do not, of all transmittances."""
+    transmittance = np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(SHAPE)
+    return lambda: rng.binomial(PATHS, transmittance, (BATCHES, *SHAPE)) / PATHS
+
+
+def skewed(rng: np.random.Generator) -> Callable[[], np.ndarray]:
+    """Radiance of long-tailed paths: exponential, the mean of a batch is a gamma variable."""
+    mean = np.geomspace(1e-3, 1.0, math.prod(SHAPE)).reshape(SHAPE)
+    return lambda: rng.gamma(PATHS, mean / PATHS, (BATCHES, *SHAPE))
+
+
+def common(rng: np.random.Generator) -> Callable[[], np.ndarray]:
+    """All pixels of a batch share most of their noise, as neighbours under a wide pixel filter do."""
+    return lambda: 1 + rng.normal(0, 1, (BATCHES, 1, 1, 1, 1)) + 0.1 * rng.normal(0, 1, (BATCHES, *SHAPE))
+
+
+@pytest.mark.parametrize("law", [binomial, skewed, common])
+def test_two_that_agree_raise_an_alarm_once_in_a_thousand_comparisons_at_most(law: Callable) -> None:
+    """2000 comparisons of fake renders of one law, each of means, tiles and pixels."""
+    render = law(np.random.default_rng(5))
+    smallest = []
+    for _ in range(2000):
+        families = value_families("", Batches(render()), Batches(render()), 0.0)
+        smallest.append(min(len(families) * len(tests.labels) * tests.tail.min() for tests in families))
+    count = int((np.array(smallest) <= 1e-3).sum())
+    # Of 2000 with a probability of 1 in 1000 there are more than 8 in 1 case of 4000.
+    assert count <= 8, f"{count} false alarms in 2000 comparisons"
+    assert np.mean(np.array(smallest) <= 0.05) <= 0.06, "nor is 1 in 20 exceeded"
+
+
+def test_one_that_is_exact_raises_no_more_alarms() -> None:
+    rng = np.random.default_rng(6)
+    truth = np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(1, *SHAPE)
+    count = 0
+    for _ in range(2000):
+        families = value_families(
+            "", Batches(truth), Batches(rng.binomial(PATHS, truth[0], (BATCHES, *SHAPE)) / PATHS), 0.0
+        )
+        count += any(found.any() for found in alarms(families))
+    assert count <= 8, f"{count} false alarms in 2000 comparisons"
+
+
+def test_the_normal_law_in_place_of_students_would_raise_many() -> None:
+    """Why the tests are not z-tests: 160 pixels of 16 batches."""
+    rng = np.random.default_rng(7)
+    count = 0
+    for _ in range(500):
+        found = difference(Batches(rng.normal(0, 1, (BATCHES, 160))), Batches(np.zeros((1, 160))))
+        z = np.abs(found.value / found.standard_error).max()
+        count += 160 * 2 * NormalDist().cdf(-z) <= 1e-3
+    assert count > 20
+
+
+@pytest.mark.parametrize("bias", [0.02, -0.02])
+def test_a_bias_too_small_for_any_pixel_is_found_in_the_mean(bias: float) -> None:
+    rng = np.random.default_rng(8)
+    left, right = rng.normal(1, 0.1, (BATCHES, *SHAPE)), rng.normal(1 + bias, 0.1, (BATCHES, *SHAPE))
+    families = value_families("", Batches(left), Batches(right), 1e-3)
+    found = {tests.name: alarm.any() for tests, alarm in zip(families, alarms(families), strict=True)}
+    assert found["means"] and not found["pixels"]
+
+
+def test_a_single_wrong_pixel_is_found_and_named() -> None:
+    rng = np.random.default_rng(9)
+    left, right = rng.normal(1, 0.1, (BATCHES, *SHAPE)), rng.normal(1, 0.1, (BATCHES, *SHAPE))
+    left[:, 1, 7, 3] += 0.5
+    families = value_families("γ 1", Batches(left), Batches(right), 1e-3, views=["0,0", "90,0"])
+    found = dict(zip([tests.name for tests in families], alarms(families), strict=True))
+    pixels = next(tests for tests in families if tests.name == "pixels")
+    assert [pixels.labels[i] for i in np.flatnonzero(found["pixels"])] == ["γ 1, view 90,0, row 7, column 3"]
