@@ -11,7 +11,7 @@ import pytest
 
 from tnst_mi.compare.bench.batches import Batches, difference
 from tnst_mi.compare.bench.decision import alarms, family, holm
-from tnst_mi.compare.bench.measurement import value_families
+from tnst_mi.compare.bench.hypotheses import value_families
 from tnst_mi.compare.bench.student import quantile, two_sided_tail
 
 

@@ -1,13 +1,13 @@
 """What chance alone does not explain: families of tests, and how many false alarms they can raise together.
 
 By construction, if all means are equal within their allowances and the batches are normal, the probability of any
-alarm at all is at most `FALSE_ALARMS`: it is divided evenly among the families, and within each by Holm's procedure,
-which holds however the tests depend on each other (Holm, A simple sequentially rejective multiple test procedure, 1979).
+alarm at all is at most `FALSE_ALARMS`: it is divided evenly among the families, and within each by Holm's procedure
+(A simple sequentially rejective multiple test procedure, 1979), which holds however the tests depend on each other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,8 +40,8 @@ class Family:
     right: np.ndarray
     left_error: np.ndarray
     right_error: np.ndarray
-    left_degrees: int
-    right_degrees: int
+    left_degrees: np.ndarray
+    right_degrees: np.ndarray
     difference: Difference
     allowance: np.ndarray
     tested: np.ndarray
@@ -73,11 +73,42 @@ def family(name: str, labels: Sequence[str], left: Batches, right: Batches, allo
         right.mean.ravel(),
         left.standard_error.ravel(),
         right.standard_error.ravel(),
-        left.degrees,
-        right.degrees,
+        np.full(left.mean.size, left.degrees),
+        np.full(right.mean.size, right.degrees),
         Difference(found.value.ravel(), found.standard_error.ravel(), found.degrees.ravel()),
         np.broadcast_to(allowance, left.mean.shape).ravel(),
         (left.testable & right.testable).ravel(),
+    )
+
+
+def merged(families: Sequence[Family]) -> list[Family]:
+    """One family for each name, with the tests of all of that name."""
+    by_name: dict[str, list[Family]] = {}
+    for member in families:
+        by_name.setdefault(member.name, []).append(member)
+    return [_joined(name, members) for name, members in by_name.items()]
+
+
+def _joined(name: str, members: Sequence[Family]) -> Family:
+    def together(pick: Callable[[Family], np.ndarray]) -> np.ndarray:
+        return np.concatenate([pick(member) for member in members])
+
+    return Family(
+        name,
+        [label for member in members for label in member.labels],
+        together(lambda member: member.left),
+        together(lambda member: member.right),
+        together(lambda member: member.left_error),
+        together(lambda member: member.right_error),
+        together(lambda member: member.left_degrees),
+        together(lambda member: member.right_degrees),
+        Difference(
+            together(lambda member: member.difference.value),
+            together(lambda member: member.difference.standard_error),
+            together(lambda member: member.difference.degrees),
+        ),
+        together(lambda member: member.allowance),
+        together(lambda member: member.tested),
     )
 
 
