@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tnst_mi.compare.bench.batches import Batches, difference
-from tnst_mi.compare.bench.decision import alarms, family, holm
+from tnst_mi.compare.bench.decision import FALSE_ALARMS, alarms, family, holm
 from tnst_mi.compare.bench.hypotheses import value_families
 from tnst_mi.compare.bench.student import quantile, two_sided_tail
 
@@ -72,51 +72,65 @@ def test_pixels_whose_paths_nearly_all_do_the_same_are_left_to_their_tile() -> N
 # False alarms
 # --------------------------------------------------------------------
 
-SHAPE = (2, 10, 8, 1)
+COMPARISONS = 2000
+SHAPE = (10, 8, 1)
 BATCHES, PATHS = 16, 32
 
+Law = Callable[[np.random.Generator], np.ndarray]
 
-def binomial(rng: np.random.Generator) -> Callable[[], np.ndarray]:
-    """Paths that pass or do not, of all transmittances."""
+
+def binomial(rng: np.random.Generator) -> np.ndarray:
+    """Paths that pass or do not, of all transmittances: (batches, comparisons, H, W, C)."""
     transmittance = np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(SHAPE)
-    return lambda: rng.binomial(PATHS, transmittance, (BATCHES, *SHAPE)) / PATHS
+    return rng.binomial(PATHS, transmittance, (BATCHES, COMPARISONS, *SHAPE)) / PATHS
 
 
-def skewed(rng: np.random.Generator) -> Callable[[], np.ndarray]:
-    """Radiance of long-tailed paths: exponential, the mean of a batch is a gamma variable."""
-    mean = np.geomspace(1e-3, 1.0, math.prod(SHAPE)).reshape(SHAPE)
-    return lambda: rng.gamma(PATHS, mean / PATHS, (BATCHES, *SHAPE))
+def skewed(rng: np.random.Generator) -> np.ndarray:
+    """Radiance of long-tailed paths: exponential, so that the mean of a batch is a gamma variable."""
+    return rng.gamma(
+        PATHS, np.geomspace(1e-3, 1.0, math.prod(SHAPE)).reshape(SHAPE) / PATHS, (BATCHES, COMPARISONS, *SHAPE)
+    )
 
 
-def common(rng: np.random.Generator) -> Callable[[], np.ndarray]:
+def common(rng: np.random.Generator) -> np.ndarray:
     """All pixels of a batch share most of their noise, as neighbours under a wide pixel filter do."""
-    return lambda: 1 + rng.normal(0, 1, (BATCHES, 1, 1, 1, 1)) + 0.1 * rng.normal(0, 1, (BATCHES, *SHAPE))
+    shared = rng.normal(1, 1, (BATCHES, COMPARISONS, 1, 1, 1))
+    return shared + 0.1 * rng.normal(0, 1, (BATCHES, COMPARISONS, *SHAPE))
 
 
-@pytest.mark.parametrize("law", [binomial, skewed, common])
-def test_two_that_agree_raise_an_alarm_once_in_a_thousand_comparisons_at_most(law: Callable) -> None:
-    """2000 comparisons of fake renders of one law, each of means, tiles and pixels."""
-    render = law(np.random.default_rng(5))
-    smallest = []
-    for _ in range(2000):
-        families = value_families("", Batches(render()), Batches(render()), 0.0)
-        smallest.append(min(len(families) * len(tests.labels) * tests.tail.min() for tests in families))
-    count = int((np.array(smallest) <= 1e-3).sum())
-    # Of 2000 with a probability of 1 in 1000 there are more than 8 in 1 case of 4000.
-    assert count <= 8, f"{count} false alarms in 2000 comparisons"
-    assert np.mean(np.array(smallest) <= 0.05) <= 0.06, "nor is 1 in 20 exceeded"
+def exact(rng: np.random.Generator) -> np.ndarray:
+    """The mean of `binomial`, free of noise."""
+    return np.broadcast_to(np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(SHAPE), (1, COMPARISONS, *SHAPE))
 
 
-def test_one_that_is_exact_raises_no_more_alarms() -> None:
-    rng = np.random.default_rng(6)
-    truth = np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(1, *SHAPE)
-    count = 0
-    for _ in range(2000):
-        families = value_families(
-            "", Batches(truth), Batches(rng.binomial(PATHS, truth[0], (BATCHES, *SHAPE)) / PATHS), 0.0
-        )
-        count += any(found.any() for found in alarms(families))
-    assert count <= 8, f"{count} false alarms in 2000 comparisons"
+def false_alarms(left: Law, right: Law, most: float) -> int:
+    """How many of the comparisons find fault, each with a view of its own.
+
+    One does if the smallest tail of any of its families is at most its share of `most`: the first step of Holm's
+    procedure, without which there is no other.
+    """
+    rng = np.random.default_rng(5)
+    families = value_families("", Batches(left(rng)), Batches(right(rng)), 0.0)
+    alarming = np.zeros(COMPARISONS, bool)
+    for tests in families:
+        tails = tests.tail.reshape(COMPARISONS, -1)
+        alarming |= tails.min(1) <= most / len(families) / tails.shape[1]
+    return int(alarming.sum())
+
+
+@pytest.mark.parametrize(
+    ("left", "right"), [(binomial, binomial), (skewed, skewed), (common, common), (exact, binomial)]
+)
+def test_two_that_agree_raise_an_alarm_once_in_a_thousand_comparisons_at_most(left: Law, right: Law) -> None:
+    """2000 comparisons of fake renders, each of its mean, tiles and pixels."""
+    count = false_alarms(left, right, FALSE_ALARMS)
+    # With a probability of 1 in 1000, there are more than 8 in 1 case of 4000.
+    assert count <= 8, f"{count} false alarms in {COMPARISONS} comparisons"
+
+
+def test_the_bound_is_close_where_tests_are_few() -> None:
+    """Of 1 in 20 allowed, 2% to 6% are used: the tests are not safe by being blind."""
+    assert 0.02 <= false_alarms(binomial, binomial, 0.05) / COMPARISONS <= 0.06
 
 
 def test_the_normal_law_in_place_of_students_would_raise_many() -> None:
@@ -130,10 +144,10 @@ def test_the_normal_law_in_place_of_students_would_raise_many() -> None:
     assert count > 20
 
 
-@pytest.mark.parametrize("bias", [0.02, -0.02])
+@pytest.mark.parametrize("bias", [0.03, -0.03])
 def test_a_bias_too_small_for_any_pixel_is_found_in_the_mean(bias: float) -> None:
     rng = np.random.default_rng(8)
-    left, right = rng.normal(1, 0.1, (BATCHES, *SHAPE)), rng.normal(1 + bias, 0.1, (BATCHES, *SHAPE))
+    left, right = rng.normal(1, 0.1, (BATCHES, 2, *SHAPE)), rng.normal(1 + bias, 0.1, (BATCHES, 2, *SHAPE))
     families = value_families("", Batches(left), Batches(right), 1e-3)
     found = {tests.name: alarm.any() for tests, alarm in zip(families, alarms(families), strict=True)}
     assert found["means"] and not found["pixels"]
@@ -141,7 +155,7 @@ def test_a_bias_too_small_for_any_pixel_is_found_in_the_mean(bias: float) -> Non
 
 def test_a_single_wrong_pixel_is_found_and_named() -> None:
     rng = np.random.default_rng(9)
-    left, right = rng.normal(1, 0.1, (BATCHES, *SHAPE)), rng.normal(1, 0.1, (BATCHES, *SHAPE))
+    left, right = rng.normal(1, 0.1, (BATCHES, 2, *SHAPE)), rng.normal(1, 0.1, (BATCHES, 2, *SHAPE))
     left[:, 1, 7, 3] += 0.5
     families = value_families("γ 1", Batches(left), Batches(right), 1e-3, views=["0,0", "90,0"])
     found = dict(zip([tests.name for tests in families], alarms(families), strict=True))

@@ -101,23 +101,25 @@ class Difference:
 
 def difference(left: Batches, right: Batches) -> Difference:
     """Of two estimates of arrays of one shape."""
-    return welch(left.mean, left.standard_error, left.degrees, right.mean, right.standard_error, right.degrees)
+    degrees = [np.full(side.mean.shape, float(side.degrees)) for side in (left, right)]
+    return welch(left.mean, left.standard_error, degrees[0], right.mean, right.standard_error, degrees[1])
 
 
 def welch(
     left: np.ndarray,
     left_error: np.ndarray,
-    left_degrees: int,
+    left_degrees: np.ndarray,
     right: np.ndarray,
     right_error: np.ndarray,
-    right_degrees: int,
+    right_degrees: np.ndarray,
 ) -> Difference:
-    """Left minus right from means, their standard errors and degrees of freedom; 0 degrees: no noise."""
-    squares = [(left_error**2, left_degrees), (right_error**2, right_degrees)]
-    total = squares[0][0] + squares[1][0]
-    weights = sum(square**2 / degrees for square, degrees in squares if degrees > 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        degrees = np.where(total > 0, total**2 / weights, 1.0) if np.any(total > 0) else np.ones_like(total)
+    """Left minus right from means, their standard errors and degrees of freedom (0: no noise), arrays of one shape."""
+    sides = ((left_error**2, left_degrees), (right_error**2, right_degrees))
+    total = left_error**2 + right_error**2
+    weights = sum(square**2 / np.maximum(degrees, 1) for square, degrees in sides)
+    noisy = weights > 0
+    degrees = np.divide(total**2, weights, out=np.ones_like(total), where=noisy)
     # Rounding may leave a hair less than the smaller of both.
-    least = min((d for _, d in squares if d > 0), default=1)
-    return Difference(left - right, np.sqrt(total), np.where(total > 0, np.maximum(degrees, least), 1.0))
+    least = np.min([np.where(degrees > 0, degrees, np.inf) for _, degrees in sides], axis=0)
+    degrees = np.where(noisy & np.isfinite(least), np.maximum(degrees, least), 1.0)
+    return Difference(left - right, np.sqrt(total), degrees)

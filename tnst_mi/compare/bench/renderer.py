@@ -67,7 +67,10 @@ class SideRenderer:
     def derivatives(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
     ) -> Batches:
-        """Of the weighted mean with respect to a parameter, by the integrator's own differentiation: (batches,)."""
+        """Of the weighted mean with respect to a parameter, by the integrator's own differentiation: (batches,).
+
+        One that is the same in all batches, such as 0 where nothing carries it, is taken as free of noise.
+        """
         paths, count = self._divided(spp, count)
         weights = ramp(self.shape)
         sensor = self.scene.sensors()[0]
@@ -84,7 +87,8 @@ class SideRenderer:
                     total += part / paths * parameters.gradient(name)
             batches.append(total)
             traced(paths)
-        return Batches(np.array(batches))
+        same = len(set(batches)) == 1
+        return Batches(np.array(batches[:1] if same else batches))
 
     def differences(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
