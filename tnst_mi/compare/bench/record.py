@@ -80,7 +80,7 @@ def verdict(settings: BenchSettings, families: Sequence[Family], found: Sequence
     tests, alarm = next((tests, alarm) for tests, alarm in zip(families, found, strict=True) if alarm.any())
     worst = np.flatnonzero(alarm)[np.argmin(tests.tail[alarm])]
     return (
-        f"DISAGREE: {sides} differ in {total} tests, the clearest of the {tests.name}: {tests.labels[worst]}: "
+        f"DISAGREE: {sides} differ in {total} {'test' if total == 1 else 'tests'}, the clearest of the {tests.name}: {tests.labels[worst]}: "
         f"{tests.left[worst]:.6g} and {tests.right[worst]:.6g}, {_apart(tests, worst)}; {tested}"
     )
 
