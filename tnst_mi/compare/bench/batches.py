@@ -12,15 +12,25 @@ from tnst_mi.compare.bench.student import quantile
 #: paths do the same, a few batches can look free of noise without being so.
 _MOST_EQUAL = 0.5
 
+#: Numbers that differ by less than this part of the largest are the same in float32.
+_ROUNDING = 2.0**-16
+
 _EDGES = 4
 """Tiles along each edge of a view."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batches:
-    """Independent estimates (batches, …) of an array, float64; a single one is free of noise."""
+    """Independent estimates of an array; a single one is free of noise.
+
+    Attributes:
+        values: (batches, …) float64.
+        rare: whether a path that is seldom found may count for much: what is the same in all batches is then no
+            certainty. Not so where rays are marched, and only their places in a pixel are random.
+    """
 
     values: np.ndarray
+    rare: bool = True
 
     @property
     def exact(self) -> bool:
@@ -52,20 +62,22 @@ class Batches:
     @property
     def testable(self) -> np.ndarray:
         """Whether the batches differ enough for their scatter to be trusted; always without noise."""
-        if self.exact:
+        if self.exact or not self.rare:
             return np.ones(self.values.shape[1:], bool)
-        ordered = np.sort(self.values, axis=0)
+        # What differs by the rounding of a film alone is the same.
+        unit = _ROUNDING * float(np.abs(self.values).max(initial=0.0)) or 1.0
+        ordered = np.sort(np.rint(self.values / unit), axis=0)
         half = int(_MOST_EQUAL * len(ordered))
         # More than half are equal if some value is met again that many places further on.
         return ~(ordered[half:] == ordered[: len(ordered) - half]).any(0)
 
     def first(self, count: int) -> Batches:
         """Of the first batches alone."""
-        return Batches(self.values[: 1 if self.exact else count])
+        return self._like(self.values[: 1 if self.exact else count])
 
     def means(self) -> Batches:
         """The mean of each view and channel: from (batches, V, H, W, C) to (batches, V, C)."""
-        return Batches(self.values.mean((2, 3)))
+        return self._like(self.values.mean((2, 3)))
 
     def tiles(self) -> Batches:
         """The mean of each tile: from (batches, V, H, W, C) to (batches, V, rows, columns, C), 4 by 4 at most."""
@@ -74,7 +86,10 @@ class Batches:
             np.stack([self.values[:, :, r[0] : r[-1] + 1, c[0] : c[-1] + 1].mean((2, 3)) for c in columns], 2)
             for r in rows
         ]
-        return Batches(np.stack(split, 2))
+        return self._like(np.stack(split, 2))
+
+    def _like(self, values: np.ndarray) -> Batches:
+        return Batches(values, self.rare)
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,7 +122,7 @@ def derivative_tests(derivative: Derivative, tolerance: float) -> Family:
     tests = []
     for label, one, another in pairs:
         size = max(abs(float(one.mean)), abs(float(another.mean)), derivative.size)
-        one, another = Batches(one.values[:, None]), Batches(another.values[:, None])
+        one, another = (Batches(side.values[:, None], side.rare) for side in (one, another))
         label = f"{prefix}derivative with respect to {derivative.parameter}, {label}"
         tests.append(family("derivatives", [label], one, another, np.array(tolerance * size)))
     return merged(tests)[0] if tests else _no_tests()

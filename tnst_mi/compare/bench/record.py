@@ -79,9 +79,10 @@ def verdict(settings: BenchSettings, families: Sequence[Family], found: Sequence
     # A mean says more than a tile, and that more than a pixel.
     tests, alarm = next((tests, alarm) for tests, alarm in zip(families, found, strict=True) if alarm.any())
     worst = np.flatnonzero(alarm)[np.argmin(tests.tail[alarm])]
+    numbers = f"{tests.left[worst]:.6g} and {tests.right[worst]:.6g}, {_apart(tests, worst)}"
     return (
-        f"DISAGREE: {sides} differ in {total} {'test' if total == 1 else 'tests'}, the clearest of the {tests.name}: {tests.labels[worst]}: "
-        f"{tests.left[worst]:.6g} and {tests.right[worst]:.6g}, {_apart(tests, worst)}; {tested}"
+        f"DISAGREE: {sides} differ in {total} of {sum(len(tests.labels) for tests in families)} tests, the clearest of "
+        f"the {tests.name}: {tests.labels[worst]}: {numbers}; {tested}"
     )
 
 
@@ -131,7 +132,7 @@ def convergence(pair: ImagePair, spp: int) -> list[dict[str, Any]]:
 
 def _whole(images: Batches) -> Batches:
     """The mean of all pixels, (batches, 1)."""
-    return Batches(images.values.reshape(len(images.values), -1).mean(1, keepdims=True))
+    return Batches(images.values.reshape(len(images.values), -1).mean(1, keepdims=True), images.rare)
 
 
 def _arbiters(pair: ImagePair) -> list[dict[str, Any]]:

@@ -33,6 +33,7 @@ class SideRenderer:
         integrator: in place of the scene's own.
         views: V, the number of views that the film shows from top to bottom.
         free_of_noise: whether one path per pixel is all there is.
+        traces_paths: whether paths are random, and not only their places in pixels.
         offset, factor: an image is `offset` + `factor` times what the film holds.
     """
 
@@ -40,6 +41,7 @@ class SideRenderer:
     integrator: mi.Integrator
     views: int
     free_of_noise: bool
+    traces_paths: bool = True
     offset: float = 0.0
     factor: float = 1.0
 
@@ -62,7 +64,7 @@ class SideRenderer:
         for batch in range(count):
             batches.append(self._image(paths, (*seed, batch)))
             traced(paths)
-        return Batches(np.stack(batches))
+        return Batches(np.stack(batches), self.traces_paths)
 
     def derivatives(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
@@ -88,7 +90,7 @@ class SideRenderer:
             batches.append(total)
             traced(paths)
         same = len(set(batches)) == 1
-        return Batches(np.array(batches[:1] if same else batches))
+        return Batches(np.array(batches[:1] if same else batches), self.traces_paths)
 
     def differences(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
@@ -111,7 +113,7 @@ class SideRenderer:
                 slopes.append((values[0] - values[1]) / (2 * steps * step))
             batches.append((4 * slopes[0] - slopes[1]) / 3)
             traced(4 * paths)
-        return Batches(np.array(batches))
+        return Batches(np.array(batches), self.traces_paths)
 
     def _divided(self, spp: int, count: int) -> tuple[int, int]:
         """Paths per pixel of a batch, and the number of batches."""

@@ -38,7 +38,7 @@ def scene_renderer(path: Path, side: Side) -> SideRenderer:
         integrator = mi.load_dict(_replacement(path, side))
     elif integrator is None:
         raise InputError(f"{path}: the scene has no integrator, expected one")
-    renderer = SideRenderer(scene, integrator, 1, False)
+    renderer = SideRenderer(scene, integrator, 1, False, side.kind != OURS)
     if (values := renderer.shape[1] * renderer.shape[2] * renderer.shape[3]) > _MOST_VALUES:
         raise InputError(
             f"{path}: the image has {values} values, expected at most {_MOST_VALUES}; make its film smaller"

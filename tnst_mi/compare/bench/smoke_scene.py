@@ -137,4 +137,4 @@ def _renderer(
 ) -> SideRenderer:
     scene = mi.load_dict(description)
     scene.sensors()[0].set_views(views)
-    return SideRenderer(scene, scene.integrator(), len(views), exact, offset, factor)
+    return SideRenderer(scene, scene.integrator(), len(views), exact, not exact, offset, factor)
