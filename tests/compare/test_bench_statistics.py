@@ -10,7 +10,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from tnst_mi.compare.bench.batches import Batches, difference
+from tnst_mi.compare.bench.batches import Batches, comparable, difference
 from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, family, holm
 from tnst_mi.compare.bench.hypotheses import value_families
 from tnst_mi.compare.bench.student import quantile, two_sided_tail
@@ -61,14 +61,27 @@ def test_without_noise_the_allowance_alone_decides() -> None:
 
 def test_pixels_whose_paths_nearly_all_do_the_same_are_left_to_their_tile() -> None:
     """All paths of 16 batches passed, by chance: the scatter is 0, and would be taken for certainty."""
-    left = np.ones((16, 1, 2, 2, 1))
-    left[:, 0, 0, 0, 0] = np.random.default_rng(2).binomial(32, 0.5, 16) / 32
-    assert Batches(left).testable.sum() == 1
-    assert Batches(left[:1]).testable.all() and Batches(left, rare=False).testable.all(), "nothing is missed by chance"
-    rounded = left + np.random.default_rng(3).normal(0, 1e-7, left.shape)
-    assert Batches(rounded).testable.sum() == 1, "the rounding of a film is no noise of paths"
-    half = np.repeat([0.0, 1.0], 8)[:, None]
-    assert Batches(half).testable.all() and not Batches(np.append(half[:-1], [[0.0]], 0)).testable.any()
+    rng = np.random.default_rng(2)
+    noisy = rng.binomial(32, 0.5, (16, 4)) / 32
+    left = noisy.copy()
+    left[:, 1] = 1.0  # constant
+    left[:, 2] = np.repeat([0.0, 1.0], 8)  # half of them equal
+    left[:, 3] = np.repeat([0.0, 1.0], [7, 9])  # more than half
+    exact = Batches(np.full((1, 4), 0.999))
+    np.testing.assert_array_equal(comparable(Batches(left), exact), [True, False, True, False])
+    np.testing.assert_array_equal(comparable(exact, Batches(left)), [True, False, True, False])
+    assert comparable(Batches(left, rare=False), exact).all(), "nothing is missed by chance"
+    # One that paths never reach, beside one whose paths do: a difference that is seen.
+    np.testing.assert_array_equal(comparable(Batches(left), Batches(noisy)), [True, True, True, False])
+    np.testing.assert_array_equal(comparable(Batches(left), Batches(left)), [True, True, True, False])
+    rounded = left + rng.normal(0, 1e-7, left.shape)
+    np.testing.assert_array_equal(comparable(Batches(rounded), exact), [True, False, True, False])
+
+
+def test_a_side_that_is_black_is_found() -> None:
+    black, lit = np.zeros((BATCHES, 1, 10, 8, 1)), np.random.default_rng(3).gamma(2, 0.1, (BATCHES, 1, 10, 8, 1))
+    families = value_families("", Batches(black), Batches(lit), 1e-3)
+    assert all(alarm.any() for alarm in alarms(families))
 
 
 # --------------------------------------------------------------------

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from tnst_mi.commands.base import checked
 from tnst_mi.commands.compare_arguments import COMPARE_VIEWS, FULL_SPP, CompareArguments
-from tnst_mi.commands.compare_input import read_smoke, views_and_gammas
+from tnst_mi.commands.compare_input import ComparedSmoke, read_smoke, views_and_gammas
 from tnst_mi.compare.bench.baseline import change_verdict, changes, read_baseline, require_same
-from tnst_mi.compare.bench.measurement import BenchSettings, measure
+from tnst_mi.compare.bench.measurement import BenchSettings, measure, prepare
 from tnst_mi.compare.bench.parameters import parameter_names
 from tnst_mi.compare.bench.record import record_of
 from tnst_mi.compare.bench.sides import OURS, side_of
@@ -25,6 +25,7 @@ from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.recipe.keys import Integer, Number
 from tnst_mi.recipe.paths import LIGHTS, shipped_lights
 from tnst_mi.recipe.recipe import KINDS
+from tnst_mi.rendering.cameras.views import text_of
 from tnst_mi.resources import expanded
 
 if TYPE_CHECKING:
@@ -46,9 +47,14 @@ def run_sides(arguments: CompareArguments) -> int:
     baseline = None if flags.baseline is None else read_baseline(flags.baseline)
     remedy = None if arguments.overwrite else "give another folder, or write into this one with --overwrite"
     require_writable(arguments.out, remedy=remedy)
-    subject, described = _subject(arguments, settings)
     variant = activate()
     require_optix("compare")
+    subject, described, smoke = _subject(arguments, settings)
+    prepared = prepare(subject, settings)
+    views = ("0",)
+    if smoke is not None:
+        views = tuple(text_of(view) for view in smoke.views)
+        smoke.note()
     layout = "{desc:24s} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     with progress_bar(total=1.0, bar_format=layout) as bar:
 
@@ -56,7 +62,7 @@ def run_sides(arguments: CompareArguments) -> int:
             bar.set_description_str(name or "images", refresh=False)
             bar.update(min(share, 1.0 - bar.n))  # shares may add up to slightly more than 1
 
-        measured = measure(subject, settings, report)
+        measured = measure(prepared, views, settings, report)
         record = record_of(described, settings, measured)
         passed = bool(record["agree"])
         if flags.baseline is not None and baseline is not None:
@@ -96,14 +102,16 @@ def _settings(arguments: CompareArguments) -> BenchSettings:
     )
 
 
-def _subject(arguments: CompareArguments, settings: BenchSettings) -> tuple[Smoke | Path, dict[str, Any]]:
-    """What both sides render, and its description in the report."""
+def _subject(
+    arguments: CompareArguments, settings: BenchSettings
+) -> tuple[Smoke | Path, dict[str, Any], ComparedSmoke | None]:
+    """What both sides render, its description in the report, and the frame if it is one."""
     flags, path = arguments.sides, expanded(arguments.input)
     if path.suffix.lower() == ".xml":
         _require_no_smoke_flags(arguments)
         if not path.is_file():
             raise InputError(f"{path}: no such file, expected a Mitsuba scene")
-        return path, {"input": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        return path, {"input": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}, None
     views, _ = views_and_gammas(arguments)
     albedo = checked("albedo", flags.albedo or "0", Number(0.0, 1.0))
     anisotropy = checked("anisotropy", flags.anisotropy or "0", Number(-0.99, 0.99))
@@ -114,9 +122,8 @@ def _subject(arguments: CompareArguments, settings: BenchSettings) -> tuple[Smok
     light = flags.light or "environment"
     file = LIGHTS / f"{light}.xml" if light in shipped_lights() else expanded(Path(light))
     found = read_smoke(arguments, views)
-    found.note()
     smoke = Smoke(found.density, found.views, albedo, anisotropy, file if albedo else None)
-    return smoke, {
+    described = {
         "input": found.name,
         "sha256": hashlib.sha256(found.density.tobytes()).hexdigest(),
         "shape": list(found.density.shape),
@@ -127,6 +134,7 @@ def _subject(arguments: CompareArguments, settings: BenchSettings) -> tuple[Smok
         "light": light if albedo else None,
         "density_scale": found.unit.factor,
     }
+    return smoke, described, found
 
 
 def _require_no_smoke_flags(arguments: CompareArguments) -> None:

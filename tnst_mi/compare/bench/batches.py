@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from tnst_mi.compare.bench.student import quantile
 
-#: A noisy number is tested only if no single value is shared by more than this part of its batches: where nearly all
-#: paths do the same, a few batches can look free of noise without being so.
+#: The scatter of batches is trusted if no single value is shared by more than this part of them.
 _MOST_EQUAL = 0.5
 
 #: Numbers that differ by less than this part of the largest are the same in float32.
@@ -60,16 +60,15 @@ class Batches:
         return len(self.values) - 1
 
     @property
-    def testable(self) -> np.ndarray:
-        """Whether the batches differ enough for their scatter to be trusted; always without noise."""
-        if self.exact or not self.rare:
-            return np.ones(self.values.shape[1:], bool)
-        # What differs by the rounding of a film alone is the same.
+    def commonest(self) -> np.ndarray:
+        """Of the batches, the largest part that has one value, up to the rounding of a film."""
         unit = _ROUNDING * float(np.abs(self.values).max(initial=0.0)) or 1.0
         ordered = np.sort(np.rint(self.values / unit), axis=0)
-        half = int(_MOST_EQUAL * len(ordered))
-        # More than half are equal if some value is met again that many places further on.
-        return ~(ordered[half:] == ordered[: len(ordered) - half]).any(0)
+        longest, run = np.ones(ordered.shape[1:], int), np.ones(ordered.shape[1:], int)
+        for before, after in itertools.pairwise(ordered):
+            run = np.where(before == after, run + 1, 1)
+            longest = np.maximum(longest, run)
+        return longest / len(ordered)
 
     def first(self, count: int) -> Batches:
         """Of the first batches alone."""
@@ -90,6 +89,23 @@ class Batches:
 
     def _like(self, values: np.ndarray) -> Batches:
         return Batches(values, self.rare)
+
+
+def comparable(left: Batches, right: Batches) -> np.ndarray:
+    """Which elements of two estimates can be tested.
+
+    Where a path seldom counts, most batches may have the same value: their scatter is then too small by chance, and
+    they are not tested. Nor are those that all have the same value against one free of noise, since such a path may
+    have been missed altogether. But two noisy sides find about as many such paths, so that one on which all batches
+    are the same can be held against one whose batches differ, or are all the same too.
+    """
+    sides = [side for side in (left, right) if not side.exact and side.rare]
+    shares = [side.commonest for side in sides]
+    varying = [share <= _MOST_EQUAL for share in shares]
+    if len(sides) < 2 or left.exact or right.exact:
+        return np.all([np.ones(left.mean.shape, bool), *varying], axis=0)
+    known = [vary | (share == 1) for vary, share in zip(varying, shares, strict=True)]
+    return known[0] & known[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches, Difference, difference
+from tnst_mi.compare.bench.batches import Batches, Difference, comparable, difference
 from tnst_mi.compare.bench.student import two_sided_tail
 
 #: Probability that a comparison of two that agree finds fault.
@@ -31,7 +31,7 @@ class Family:
         left_degrees, right_degrees: degrees of freedom of these; 0 if free of noise.
         difference: left minus right.
         allowance: the difference that does not count.
-        tested: False where the batches do not differ enough, see `Batches.testable`.
+        tested: False where the batches do not differ enough, see `batches.comparable`.
     """
 
     name: str
@@ -77,7 +77,7 @@ def family(name: str, labels: Sequence[str], left: Batches, right: Batches, allo
         np.full(right.mean.size, right.degrees),
         Difference(found.value.ravel(), found.standard_error.ravel(), found.degrees.ravel()),
         np.broadcast_to(allowance, left.mean.shape).ravel(),
-        (left.testable & right.testable).ravel(),
+        comparable(left, right).ravel(),
     )
 
 

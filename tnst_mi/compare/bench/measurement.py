@@ -27,7 +27,6 @@ from tnst_mi.compare.bench.scene_file import scene_renderer
 from tnst_mi.compare.bench.sides import ANSWER, FLOAT64, OURS, Side
 from tnst_mi.compare.bench.smoke_scene import Smoke, float64_images, smoke_renderer
 from tnst_mi.errors import InputError
-from tnst_mi.rendering.cameras.views import text_of
 
 #: Independent estimates into which the paths of a noisy side are divided.
 BATCHES = 32
@@ -90,35 +89,65 @@ class Measured:
         return merged([tests for tests in found if len(tests.labels)])
 
 
-def measure(subject: Smoke | Path, settings: BenchSettings, progress: Progress) -> Measured:
-    """Compare both sides on smoke, at each γ, or on a scene file.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Both sides at one γ, or in a scene file, ready to render.
+
+    Attributes:
+        where: what they show, such as "γ 0.5"; "" for a scene file.
+        sides: left and right.
+        shape: (V, H, W, C) of the images.
+        fixed: by side, images that need no rendering; None for others.
+        arbiters, slack: see `ImagePair`.
+    """
+
+    where: str
+    sides: tuple[_Sided, _Sided]
+    shape: tuple[int, int, int, int]
+    fixed: tuple[Batches | None, Batches | None]
+    arbiters: dict[str, np.ndarray]
+    slack: np.ndarray
+
+
+def prepare(subject: Smoke | Path, settings: BenchSettings) -> list[Prepared]:
+    """Load and check everything, at each γ of smoke, or of a scene file.
 
     Raises:
         InputError: a side cannot show it, or what it needs cannot be read.
     """
-    if isinstance(subject, Smoke):
-        views = tuple(text_of(view) for view in subject.views)
-        places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas]
-    else:
-        views, places = ("0",), [("", 0.0)]
-    images, derivatives = [], []
+    places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, Smoke) else [("", 0.0)]
+    prepared = []
     for number, (where, gamma) in enumerate(places):
-        sides = [
-            _Sided(subject, gamma, side, settings, number, index)
-            for index, side in enumerate((settings.left, settings.right))
-        ]
-        rendered = [side.renderer.shape for side in sides if side.renderer is not None]
+        left = _Sided(subject, gamma, settings.left, settings, (settings.seed, number, 0))
+        right = _Sided(subject, gamma, settings.right, settings, (settings.seed, number, 1))
+        rendered = [side.renderer.shape for side in (left, right) if side.renderer is not None]
         shape = rendered[0] if rendered else _shape(subject)
-        share = 1 / (len(places) * 2 * (1 + len(settings.parameters)))
-        left, right = (side.images(shape, _working(progress, where, share)) for side in sides)
-        arbiters, slack = _arbiters(subject, gamma, sides)
-        pair = ImagePair(where, left, right, slack if slack is not None else np.zeros(left.values.shape[1:]), arbiters)
-        images.append(pair)
-        size = float(np.abs((ramp(shape) * left.mean).sum()))
+        fixed = (left.fixed_images(shape), right.fixed_images(shape))
+        prepared.append(Prepared(where, (left, right), shape, fixed, *_arbiters(subject, gamma, (left, right), shape)))
+    return prepared
+
+
+def measure(
+    prepared: Sequence[Prepared], views: tuple[str, ...], settings: BenchSettings, progress: Progress
+) -> Measured:
+    """Render both sides; `views` are the names of the views."""
+    images, derivatives = [], []
+    share = 1 / (len(prepared) * 2 * (1 + len(settings.parameters)))
+    for place in prepared:
+        working = _working(progress, place.where, share)
+        left, right = (
+            side.images(working) if fixed is None else fixed
+            for side, fixed in zip(place.sides, place.fixed, strict=True)
+        )
+        images.append(ImagePair(place.where, left, right, place.slack, place.arbiters))
+        size = float(np.abs((ramp(place.shape) * left.mean).sum()))
         for name in settings.parameters:
-            found = [side.derivatives(name, _working(progress, f"{where} {name}".strip(), share)) for side in sides]
-            missing = tuple(reason for _, reasons in found for reason in reasons)
-            derivatives.append(Derivative(where, name, found[0][0], found[1][0], missing, size))
+            working = _working(progress, f"{place.where} {name}".strip(), share)
+            (left_found, left_missing), (right_found, right_missing) = (
+                side.derivatives(name, working) for side in place.sides
+            )
+            missing = (*left_missing, *right_missing)
+            derivatives.append(Derivative(place.where, name, left_found, right_found, missing, size))
     return Measured(images, views, derivatives, settings.tolerance)
 
 
@@ -126,10 +155,9 @@ class _Sided:
     """One side at one γ, or in a scene file."""
 
     def __init__(
-        self, subject: Smoke | Path, gamma: float, side: Side, settings: BenchSettings, number: int, index: int
+        self, subject: Smoke | Path, gamma: float, side: Side, settings: BenchSettings, seed: tuple[int, ...]
     ) -> None:
-        self.subject, self.gamma, self.side, self.settings = subject, gamma, side, settings
-        self._seed = (settings.seed, number, index)
+        self.subject, self.gamma, self.side, self.settings, self._seed = subject, gamma, side, settings, seed
         self.renderer = self._renderer()
         self._parameters = None if self.renderer is None else SceneParameters(self.renderer.scene)
         if side.kind == OURS and self._parameters is not None and self._parameters.scatters:
@@ -143,20 +171,23 @@ class _Sided:
         if self.side.kind == "scene":
             return scene_renderer(self.side.path, self.side)
         if isinstance(self.subject, Smoke):
-            return smoke_renderer(self.subject, self.gamma, self.side, self.settings.spp)
+            return smoke_renderer(self.subject, self.gamma, self.side, self.settings.tolerance)
         return scene_renderer(self.subject, self.side)
 
-    def images(self, shape: tuple[int, int, int, int], traced: Callable[[float], None]) -> Batches:
-        """Of its images, which must have such a shape (V, H, W, C)."""
+    def fixed_images(self, shape: tuple[int, int, int, int]) -> Batches | None:
+        """Images of such a shape (V, H, W, C) that need no rendering; None if it renders them.
+
+        Raises:
+            InputError: it has none, or of another shape.
+        """
         if self.renderer is not None:
             if self.renderer.shape != shape:
+                (views, rows, columns, channels), own = shape, self.renderer.shape
                 raise InputError(
-                    f"{self.side.text}: its image is {self.renderer.shape[2]}×{self.renderer.shape[1]} of "
-                    f"{self.renderer.shape[0]} views and {self.renderer.shape[3]} channels, expected "
-                    f"{shape[2]}×{shape[1]} of {shape[0]} and {shape[3]} as on the other side"
+                    f"{self.side.text}: its image has {own[2]}×{own[1]} pixels, {own[0]} views and {own[3]} channels, "
+                    f"expected {columns}×{rows}, {views} and {channels} as on the other side"
                 )
-            spp = self.settings.spp
-            return self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
+            return None
         if self.side.kind == "pictures":
             return pictures(self.side.path, shape)
         if self.side.kind == ANSWER:
@@ -164,6 +195,12 @@ class _Sided:
         if not isinstance(self.subject, Smoke) or self.subject.scatters:
             raise InputError(f"{self.side.text}: is of smoke that emits and absorbs, expected a density and --albedo 0")
         return Batches(float64_images(self.subject, self.gamma, self.side.quadrature)[0][None])
+
+    def images(self, traced: Callable[[float], None]) -> Batches:
+        """Its rendered images."""
+        assert self.renderer is not None, "others are fixed"
+        spp = self.settings.spp
+        return self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
 
     def derivatives(self, name: str, traced: Callable[[float], None]) -> tuple[dict[str, Batches], list[str]]:
         """By how they were taken, and why others were not."""
@@ -213,12 +250,12 @@ def _shape(subject: Smoke | Path) -> tuple[int, int, int, int]:
 
 
 def _arbiters(
-    subject: Smoke | Path, gamma: float, sides: Sequence[_Sided]
-) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Images of smoke that emits and absorbs, in float64, and what rounding may do to "paper" if a side is of it."""
+    subject: Smoke | Path, gamma: float, sides: tuple[_Sided, _Sided], shape: tuple[int, int, int, int]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Images of smoke that emits and absorbs, in float64, and what rounding may do to "paper" if both sides are it."""
     if not isinstance(subject, Smoke) or subject.scatters:
-        return {}, None
+        return {}, np.zeros(shape)
     paper, slack = float64_images(subject, gamma, "paper")
     exact, _ = float64_images(subject, gamma, "exact")
     of_paper = all(side.side.kind in (OURS, FLOAT64) and side.side.quadrature == "paper" for side in sides)
-    return {"float64:exact": exact, "float64:paper": paper}, slack if of_paper else None
+    return {"float64:exact": exact, "float64:paper": paper}, slack if of_paper else np.zeros(shape)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tnst_mi.compare.bench.batches import difference
+from tnst_mi.compare.bench.batches import comparable, difference
 from tnst_mi.compare.bench.decision import FALSE_ALARMS
 from tnst_mi.compare.bench.hypotheses import ImagePair
 from tnst_mi.compare.figures import Sheet
@@ -23,7 +23,7 @@ def pair_figure(pair: ImagePair, views: Sequence[str], names: tuple[str, str]) -
     """A row for each view: both images, their difference and its z-scores, colours averaged."""
     left, right = (side.mean.mean(-1) for side in (pair.left, pair.right))
     found = difference(pair.left, pair.right)
-    tested = (pair.left.testable & pair.right.testable & (found.standard_error > 0))[..., 0]
+    tested = (comparable(pair.left, pair.right) & (found.standard_error > 0))[..., 0]
     error = np.where(tested, found.standard_error[..., 0], 1.0)
     scores = np.where(tested, found.value[..., 0] / error, np.nan)
     rows = min(len(views), _VIEWS)

@@ -94,7 +94,7 @@ def _apart(tests: Family, index: int) -> str:
 def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
     """What the verdict says nothing about, and why."""
     lines = [
-        f"{int((~tests.tested).sum())} {tests.name}, where nearly all paths do the same, or none arrives"
+        f"{int((~tests.tested).sum())} {tests.name}, where most batches have the same value: more --spp"
         for tests in families
         if not tests.tested.all()
     ]
