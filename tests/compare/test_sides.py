@@ -25,7 +25,11 @@ from tnst_mi.resources import DATA, scene_file
 __all__ = ["run"]
 
 SHAPE = (6, 9, 7)
-FLAGS = ("--views", "0,0", "25,-12", "--gamma", "0.4")
+VIEWS = ("--views", "0,0", "25,-12")
+FLAGS = (*VIEWS, "--gamma", "0.4")
+
+#: Where "paper" is a fifth darker than the continuous image.
+THICK = (*VIEWS, "--gamma", "2")
 
 
 def density() -> np.ndarray:
@@ -97,31 +101,32 @@ def test_the_schema_describes_the_report(run: Run, smoke: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize("quadrature", ["exact", "paper"])
 def test_ours_is_the_sum_in_float64(run: Run, smoke: Path, tmp_path: Path, quadrature: str) -> None:
-    sides = ("--left", f"emission_absorption:{quadrature}", "--right", f"float64:{quadrature}", "--spp", 4096)
+    sides = ("--left", f"emission_absorption:{quadrature}", "--right", f"float64:{quadrature}", "--tolerance", 0.005)
+    # Where smoke is cut at a wall of the grid, the step of 1/64 leaves 0.2% in a pixel.
     ran, report = compared(run, smoke, tmp_path / "out", *sides, *FLAGS)
     assert ran.code == 0, report["verdict"]
     distances = {row["arbiter"]: row["left"] for row in report["arbiters"]}
     other = "paper" if quadrature == "exact" else "exact"
-    assert distances[f"float64:{quadrature}"] < 1e-4 and distances[f"float64:{other}"] > 0.02
+    assert distances[f"float64:{quadrature}"] < 1e-3 and distances[f"float64:{other}"] > 0.02
 
 
 def test_another_discretisation_disagrees_and_the_arbiter_says_which_is_which(
     run: Run, smoke: Path, tmp_path: Path
 ) -> None:
-    flags = ("--left", "emission_absorption:paper", "--right", "volpathmis", "--spp", 256, "--gradients", "extinction")
-    ran, report = compared(run, smoke, tmp_path / "out", *FLAGS, *flags)
+    flags = ("--left", "emission_absorption:paper", "--right", "volpathmis", "--spp", 64, "--gradients", "extinction")
+    ran, report = compared(run, smoke, tmp_path / "out", *THICK, *flags)
     assert ran.code == 1 and report["verdict"].startswith(
         "DISAGREE: emission_absorption:paper and volpathmis differ in"
     )
-    assert "clearest of the means: γ 0.4, view" in report["verdict"]
+    assert "clearest of the means: γ 2, view" in report["verdict"]
     exact, paper = report["arbiters"]
     assert paper["left"] < 1e-5 and exact["left"] > 0.05, "it is the sum that it should be"
-    assert exact["right"] < 0.05 < paper["right"]
+    assert exact["right"] < 0.1 < paper["right"]
     assert any(test["alarm"] for test in report["tests"] if test["family"] == "derivatives")
 
 
 def test_a_baseline_finds_what_has_changed_and_nothing_else(run: Run, smoke: Path, tmp_path: Path) -> None:
-    flags = (*FLAGS, "--spp", 64, "--right", "volpath", "--gradients", "extinction")
+    flags = (*THICK, "--spp", 64, "--right", "volpath", "--gradients", "extinction")
     paper, exact = (("--left", f"emission_absorption:{name}") for name in ("paper", "exact"))
     assert compared(run, smoke, tmp_path / "a", *paper, *flags)[0].code == 1
     baseline = tmp_path / "a" / "report.json"
@@ -137,8 +142,10 @@ def test_a_baseline_finds_what_has_changed_and_nothing_else(run: Run, smoke: Pat
     ran, report = compared(run, smoke, tmp_path / "c", *paper, *flags, "--baseline", tmp_path / "moved.json")
     assert ran.code == 1 and re.search("^CHANGED: .*the clearest of the right: ", report["baseline"]["verdict"])
 
-    refused(run, tmp_path, ["compare", smoke, "--out", tmp_path / "d", *exact, *flags, "--baseline", baseline],
-            r'report\.json: its left is "emission_absorption:paper", here it is "emission_absorption:exact"')  # fmt: skip
+    again = ["compare", smoke, "--out", tmp_path / "d", *exact, *flags, "--baseline", baseline]
+    ran = run(*again)
+    message = r'report\.json: its left is "emission_absorption:paper", here it is "emission_absorption:exact"; compare'
+    assert ran.code == 2 and re.search(message, ran.errors[-1]) and not list((tmp_path / "d").glob("*"))
 
 
 @pytest.mark.parametrize(
