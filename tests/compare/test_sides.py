@@ -16,7 +16,7 @@ from fields import smooth_noise
 from tnst_mi.compare.bench.parameters import PARAMETERS, SceneParameters
 from tnst_mi.compare.bench.renderer import ramp
 from tnst_mi.compare.bench.sides import side_of
-from tnst_mi.compare.bench.smoke_scene import Smoke, float64_images, smoke_renderer
+from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.io.pictures.exr import write_exr
@@ -180,7 +180,7 @@ def pictures_of(folder: Path, image: np.ndarray, noise: float, count: int) -> Pa
 
 
 def test_a_folder_of_pictures_stands_for_a_renderer(run: Run, smoke: Path, tmp_path: Path) -> None:
-    image = float64_images(Smoke(density(), ((0.0, 0.0), (25.0, -12.0))), 0.4, "exact")[0][..., 0]
+    image = float64_images(SmokeScene(density(), ((0.0, 0.0), (25.0, -12.0))), 0.4, "exact")[0][..., 0]
     flags = (*FLAGS, "--spp", 4096, "--left", "emission_absorption")
     good = pictures_of(tmp_path / "good", image, 0.05, 24)
     assert compared(run, smoke, tmp_path / "a", *flags, "--right", good)[0].code == 0
@@ -244,7 +244,7 @@ def test_what_is_refused(run: Run, smoke: Path, tmp_path: Path) -> None:
 def test_derivatives_by_both_ways_are_one_and_leave_the_scene_as_it_was() -> None:
     """Ours has no noise: what differs is the error of the step, of its fourth order."""
     z, y, x = np.meshgrid(*(np.linspace(-3, 3, n) for n in (12, 14, 10)), indexing="ij")
-    smoke = Smoke(np.exp(-(x**2) - y**2 - z**2).astype(np.float32), ((25.0, -12.0),))
+    smoke = SmokeScene(np.exp(-(x**2) - y**2 - z**2).astype(np.float32), ((25.0, -12.0),))
     renderer = smoke_renderer(smoke, 0.4, side_of("left", "emission_absorption"), 1e-3)
     parameters = SceneParameters(renderer.scene)
     before = renderer.images(1, 1, (0,), lambda paths: None).values
@@ -266,7 +266,7 @@ def test_derivatives_by_both_ways_are_one_and_leave_the_scene_as_it_was() -> Non
 
 def test_rays_go_through_the_centres_of_pixels_where_path_tracers_are_compared_with_ours() -> None:
     """Each path passes or is absorbed; without smoke's noise two seeds differ, and their mean is the closed form."""
-    smoke = Smoke(density(), ((25.0, -12.0),))
+    smoke = SmokeScene(density(), ((25.0, -12.0),))
     film = {"type": "hdrfilm", "width": 4, "height": 3, "rfilter": {"type": "box"}}
     sensor = mi.load_dict({"type": "camera_views", "film": film, "through_centres": True})
     free = mi.load_dict({"type": "camera_views", "film": film})

@@ -14,7 +14,7 @@ from tnst_mi.compare.bench.measurement import BenchSettings, measure, prepare
 from tnst_mi.compare.bench.parameters import parameter_names
 from tnst_mi.compare.bench.record import record_of
 from tnst_mi.compare.bench.sides import OURS, side_of
-from tnst_mi.compare.bench.smoke_scene import Smoke
+from tnst_mi.compare.bench.smoke_scene import SmokeScene
 from tnst_mi.errors import InputError
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable
@@ -104,7 +104,7 @@ def _settings(arguments: CompareArguments) -> BenchSettings:
 
 def _subject(
     arguments: CompareArguments, settings: BenchSettings
-) -> tuple[Smoke | Path, dict[str, Any], ComparedSmoke | None]:
+) -> tuple[SmokeScene | Path, dict[str, Any], ComparedSmoke | None]:
     """What both sides render, its description in the report, and the frame if it is one."""
     flags, path = arguments.sides, expanded(arguments.input)
     if path.suffix.lower() == ".xml":
@@ -122,7 +122,7 @@ def _subject(
     light = flags.light or "environment"
     file = LIGHTS / f"{light}.xml" if light in shipped_lights() else expanded(Path(light))
     found = read_smoke(arguments, views)
-    smoke = Smoke(found.density, found.views, albedo, anisotropy, file if albedo else None)
+    smoke = SmokeScene(found.density, found.views, albedo, anisotropy, file if albedo else None)
     described = {
         "input": found.name,
         "sha256": hashlib.sha256(found.density.tobytes()).hexdigest(),

@@ -25,7 +25,7 @@ from tnst_mi.compare.bench.pictures import pictures
 from tnst_mi.compare.bench.renderer import SideRenderer, ramp
 from tnst_mi.compare.bench.scene_file import scene_renderer
 from tnst_mi.compare.bench.sides import ANSWER, FLOAT64, OURS, Side
-from tnst_mi.compare.bench.smoke_scene import Smoke, float64_images, smoke_renderer
+from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
 from tnst_mi.errors import InputError
 
 #: Independent estimates into which the paths of a noisy side are divided.
@@ -90,7 +90,7 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class ReadySides:
     """Both sides at one γ, or in a scene file, ready to render.
 
     Attributes:
@@ -109,13 +109,13 @@ class Prepared:
     slack: np.ndarray
 
 
-def prepare(subject: Smoke | Path, settings: BenchSettings) -> list[Prepared]:
+def prepare(subject: SmokeScene | Path, settings: BenchSettings) -> list[ReadySides]:
     """Load and check everything, at each γ of smoke, or of a scene file.
 
     Raises:
         InputError: a side cannot show it, or what it needs cannot be read.
     """
-    places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, Smoke) else [("", 0.0)]
+    places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, SmokeScene) else [("", 0.0)]
     prepared = []
     for number, (where, gamma) in enumerate(places):
         left = _Sided(subject, gamma, settings.left, settings, (settings.seed, number, 0))
@@ -123,12 +123,14 @@ def prepare(subject: Smoke | Path, settings: BenchSettings) -> list[Prepared]:
         rendered = [side.renderer.shape for side in (left, right) if side.renderer is not None]
         shape = rendered[0] if rendered else _shape(subject)
         fixed = (left.fixed_images(shape), right.fixed_images(shape))
-        prepared.append(Prepared(where, (left, right), shape, fixed, *_arbiters(subject, gamma, (left, right), shape)))
+        prepared.append(
+            ReadySides(where, (left, right), shape, fixed, *_arbiters(subject, gamma, (left, right), shape))
+        )
     return prepared
 
 
 def measure(
-    prepared: Sequence[Prepared], views: tuple[str, ...], settings: BenchSettings, progress: Progress
+    prepared: Sequence[ReadySides], views: tuple[str, ...], settings: BenchSettings, progress: Progress
 ) -> Measured:
     """Render both sides; `views` are the names of the views."""
     images, derivatives = [], []
@@ -155,7 +157,7 @@ class _Sided:
     """One side at one γ, or in a scene file."""
 
     def __init__(
-        self, subject: Smoke | Path, gamma: float, side: Side, settings: BenchSettings, seed: tuple[int, ...]
+        self, subject: SmokeScene | Path, gamma: float, side: Side, settings: BenchSettings, seed: tuple[int, ...]
     ) -> None:
         self.subject, self.gamma, self.side, self.settings, self._seed = subject, gamma, side, settings, seed
         self.renderer = self._renderer()
@@ -170,7 +172,7 @@ class _Sided:
             return None
         if self.side.kind == "scene":
             return scene_renderer(self.side.path, self.side)
-        if isinstance(self.subject, Smoke):
+        if isinstance(self.subject, SmokeScene):
             return smoke_renderer(self.subject, self.gamma, self.side, self.settings.tolerance)
         return scene_renderer(self.subject, self.side)
 
@@ -192,7 +194,7 @@ class _Sided:
             return pictures(self.side.path, shape)
         if self.side.kind == ANSWER:
             return Batches(np.full((1, *shape), self._answer().radiance))
-        if not isinstance(self.subject, Smoke) or self.subject.scatters:
+        if not isinstance(self.subject, SmokeScene) or self.subject.scatters:
             raise InputError(f"{self.side.text}: is of smoke that emits and absorbs, expected a density and --albedo 0")
         return Batches(float64_images(self.subject, self.gamma, self.side.quadrature)[0][None])
 
@@ -232,7 +234,7 @@ class _Sided:
         return found, []
 
     def _answer(self) -> Answer:
-        if isinstance(self.subject, Smoke):
+        if isinstance(self.subject, SmokeScene):
             raise InputError(f"{ANSWER}: is known of scenes such as scenes/known/slab.xml, not of a density")
         return answer_of(self.subject)
 
@@ -242,18 +244,18 @@ def _working(progress: Progress, name: str, share: float) -> Callable[[float], N
     return lambda part: progress(name, share * part)
 
 
-def _shape(subject: Smoke | Path) -> tuple[int, int, int, int]:
+def _shape(subject: SmokeScene | Path) -> tuple[int, int, int, int]:
     """Of images that neither side renders."""
-    if isinstance(subject, Smoke):
+    if isinstance(subject, SmokeScene):
         return (len(subject.views), *subject.density.shape[1:], 1)
     raise InputError(f"{subject}: neither side renders it; give an integrator as --left or --right")
 
 
 def _arbiters(
-    subject: Smoke | Path, gamma: float, sides: tuple[_Sided, _Sided], shape: tuple[int, int, int, int]
+    subject: SmokeScene | Path, gamma: float, sides: tuple[_Sided, _Sided], shape: tuple[int, int, int, int]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Images of smoke that emits and absorbs, in float64, and what rounding may do to "paper" if both sides are it."""
-    if not isinstance(subject, Smoke) or subject.scatters:
+    if not isinstance(subject, SmokeScene) or subject.scatters:
         return {}, np.zeros(shape)
     paper, slack = float64_images(subject, gamma, "paper")
     exact, _ = float64_images(subject, gamma, "exact")

@@ -1,7 +1,7 @@
 """One frame of smoke for either side: the same grid, rays and units, whoever renders it.
 
-Smoke that does not scatter is shown as emission and absorption, I = (1 − T)/γ, of which path tracers find the
-transmittance T in front of a white sky; see docs/physics.md. Smoke that scatters is shown in the light of emitters,
+SmokeScene that does not scatter is shown as emission and absorption, I = (1 − T)/γ, of which path tracers find the
+transmittance T in front of a white sky; see docs/physics.md. SmokeScene that scatters is shown in the light of emitters,
 which path tracers alone can do.
 """
 
@@ -38,7 +38,7 @@ _DEPTH = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Smoke:
+class SmokeScene:
     """What is rendered.
 
     Attributes:
@@ -61,7 +61,7 @@ class Smoke:
         return self.albedo > 0
 
 
-def smoke_renderer(smoke: Smoke, gamma: float, side: Side, tolerance: float) -> SideRenderer:
+def smoke_renderer(smoke: SmokeScene, gamma: float, side: Side, tolerance: float) -> SideRenderer:
     """The renderer of an integrator's side, at extinction γ per unit of density and cell.
 
     Args:
@@ -88,7 +88,7 @@ def smoke_renderer(smoke: Smoke, gamma: float, side: Side, tolerance: float) -> 
     return _renderer(description, smoke.views, False)
 
 
-def float64_images(smoke: Smoke, gamma: float, quadrature: str) -> tuple[np.ndarray, np.ndarray]:
+def float64_images(smoke: SmokeScene, gamma: float, quadrature: str) -> tuple[np.ndarray, np.ndarray]:
     """The images (V, H, W, 1) by float64 references apart from all renderers, and by how much float32 may differ.
 
     "exact" is the closed form of the continuous integral, "paper" the inclusive sum on the samples of the conventions.
@@ -102,7 +102,7 @@ def float64_images(smoke: Smoke, gamma: float, quadrature: str) -> tuple[np.ndar
     return middle[..., None], slack[..., None]
 
 
-def _ours(smoke: Smoke, gamma: float, side: Side, tolerance: float) -> SideRenderer:
+def _ours(smoke: SmokeScene, gamma: float, side: Side, tolerance: float) -> SideRenderer:
     if smoke.scatters:
         raise InputError(
             f"{side.text} with --albedo {smoke.albedo:g}: it does not scatter, expected --albedo 0 or path tracers"
@@ -113,7 +113,7 @@ def _ours(smoke: Smoke, gamma: float, side: Side, tolerance: float) -> SideRende
     return _renderer(_description(smoke, gamma, side.quadrature, step), smoke.views, True, factor=factor)
 
 
-def _refined_step(smoke: Smoke, gamma: float, tolerance: float) -> float:
+def _refined_step(smoke: SmokeScene, gamma: float, tolerance: float) -> float:
     """Halved from one cell until no pixel changes by a quarter of what does not count."""
     step, images = 1.0, our_images(smoke.density, smoke.views, gamma, "exact")
     while step > _SMALLEST_STEP:
@@ -125,7 +125,7 @@ def _refined_step(smoke: Smoke, gamma: float, tolerance: float) -> float:
     return step
 
 
-def _description(smoke: Smoke, gamma: float, quadrature: str, step: float) -> dict[str, Any]:
+def _description(smoke: SmokeScene, gamma: float, quadrature: str, step: float) -> dict[str, Any]:
     """A scene without emitters, whose integrator is ours; its medium ends two cells outside the smoke."""
     shape = smoke.density.shape
     region = smoke_region(smoke.density)
