@@ -43,10 +43,9 @@ def smoke(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def without_figures(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take longer than the rest for so small a frame."""
-    if "figures" not in request.keywords:
-        monkeypatch.setattr("tnst_mi.compare.bench.bench_report.write_figure", lambda path, figure: _empty(path))
+    monkeypatch.setattr("tnst_mi.compare.bench.bench_report.write_figure", lambda path, figure: _empty(path))
 
 
 def _empty(path: Path) -> None:

@@ -1,7 +1,7 @@
 """One frame of smoke for either side: the same grid, rays and units, whoever renders it.
 
-SmokeScene that does not scatter is shown as emission and absorption, I = (1 − T)/γ, of which path tracers find the
-transmittance T in front of a white sky; see docs/physics.md. SmokeScene that scatters is shown in the light of emitters,
+Smoke that does not scatter is shown as emission and absorption, I = (1 − T)/γ, of which path tracers find the
+transmittance T in front of a white sky; see docs/physics.md. Smoke that scatters is shown in the light of emitters,
 which path tracers alone can do.
 """
 
