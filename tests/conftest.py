@@ -34,6 +34,7 @@ SLOW = (
     "commands/test_show.py::test_blender_shows_the_same_panels",
     "compare/test_compare.py::test_a_broken_integrator_is_found[samples",
     "compare/test_compare.py::test_a_fault_of_the_quadrature_that_drives_a_stylization_is_found[steps",
+    "compare/test_sides.py::test_two_path_tracers_agree_on_smoke_that_scatters",
     "integrations/blender/test_addon_environment.py::test_a_real_installation",
     "integrations/blender/test_addon_in_blender.py::test_a_volume_is_stylized_in_its_place",
     "integrations/blender/test_addon_in_blender.py::test_cancel_leaves_no_process_and_can_be_resumed",

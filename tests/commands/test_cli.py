@@ -147,8 +147,8 @@ def test_help_loads_no_torch_and_starts_no_variant() -> None:
         ("styliz a --out b", "no command 'styliz'; did you mean stylize?"),
         (
             "frobnicate",
-            "expected one of demo, stylize, train, batch, reconstruct, render, show, diff, compare, convert, atlas, studio, "
-            "info, weights, doctor",
+            "expected one of demo, stylize, train, batch, reconstruct, render, show, diff, compare, convert, atlas, "
+            "studio, info, weights, doctor",
         ),
         ("stylize", "Missing from tnst-mi stylize: --out FOLDER"),
         ("stylize a", "Missing from tnst-mi stylize: --out FOLDER"),

@@ -13,6 +13,7 @@ import tyro
 
 from tnst_mi.choices import LOOKS
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
+from tnst_mi.commands.compare_arguments import CompareArguments
 from tnst_mi.commands.reconstruct_arguments import ReconstructArguments
 from tnst_mi.commands.run_arguments import (
     BatchArguments,
@@ -29,11 +30,8 @@ from tnst_mi.recipe.sections import Reading
 #: What renders the pictures of `render`, and how dense smoke appears in the studio.
 INTEGRATOR, LOOK = Choice(("emission_absorption", "prbvolpath", "volpath")), Choice(LOOKS)
 
-#: Views of `render` and of `compare`, unless others or a camera are given.
-RENDER_VIEWS, COMPARE_VIEWS = ("0,0",), ("0,0", "35,12", "-80,-25")
-
-#: Defaults of `compare` without --quick.
-FULL_SPP, FULL_DIRECTIONS = 256, 64
+#: Views of `render`, unless others or a camera are given.
+RENDER_VIEWS = ("0,0",)
 
 ATLAS_FOLDER, STUDIO_FOLDER = "tnst_mi-atlas", "tnst_mi-studio"
 
@@ -41,7 +39,6 @@ ATLAS_FOLDER, STUDIO_FOLDER = "tnst_mi-atlas", "tnst_mi-studio"
 _ReadingFlags = recipe_flags(("frames", *Reading.__annotations__, "fps"))
 _RendererFlags = recipe_flags(("gamma", "quadrature", "variant"), keyframes=False)
 
-_DensityScale = Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")]
 _NetworkFlags = recipe_flags(("weights", "variant"))
 _VariantFlag = recipe_flags(("variant",))
 
@@ -142,44 +139,6 @@ class ShowArguments(Arguments):
     """Replace the file if it is there."""
     studio: StudioFlags = field(default_factory=StudioFlags)
     """How each picture is rendered."""
-
-
-@dataclass(kw_only=True)
-class CompareArguments(Arguments):
-    """Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.
-
-    That is the quadrature exact. The quadrature paper, which drives a stylization by default, is another one: it is
-    compared with its own sum in float64, and its distance from the continuous integral is stated for each γ.
-    Writes report.html, report.json, figures and EXR images, and ends with a verdict: exit code 0 if all checks pass, 1
-    if not. Of a folder of numbered files, the first is compared.
-    """
-
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Density file, folder of numbered ones, or pattern such as 'smoke_####.vdb'."""
-    out: Folder
-    """New or empty folder for the report."""
-    views: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AZIMUTH,ELEVATION…")] = COMPARE_VIEWS
-    """Views in degrees, one or more; 0,0 is the front, + is to the right and upwards."""
-    camera: Annotated[str | None, tyro.conf.arg(metavar="FILE[#NAME]", help_behavior_hint="(default: --views)")] = None
-    """Camera of the shot (docs/cameras.md): the view is the one from where it stands, as a stylization has it."""
-    gamma: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NUMBER…")] = ("0.05", "0.5", "2")
-    """Extinction γ per cell at density 1, one or more."""
-    spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_SPP})")] = None
-    """Paths per pixel, 32 or more; a quarter of them for gradients."""
-    directions: Annotated[
-        str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_DIRECTIONS})")
-    ] = None
-    """Number of random smooth directions for derivatives, 3 or more."""
-    quick: bool = False
-    """Fewer paths and directions, and gradients only at the middle γ."""
-    seed: Annotated[str, tyro.conf.arg(metavar="INTEGER")] = "0"
-    """Seed of the paths and directions."""
-    density_scale: _DensityScale = "1"
-    """Factor of the density; auto is 1 over the 99th percentile of the smoky cells, as stylize takes it."""
-    overwrite: bool = False
-    """Write into a folder that is not empty, replacing files of the same names."""
-    reading: Annotated[Any, tyro.conf.arg(constructor=_ReadingFlags)] = field(default_factory=_ReadingFlags)
-    """How to read the input."""
 
 
 @dataclass(kw_only=True)

@@ -33,7 +33,7 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 def image_figure(values: Sequence[Comparison]) -> Figure:
     """A row for each view: the four images, the signed difference and the z-scores, with one scale for all rows."""
-    sheet = _Sheet(values[0].exact.shape, len(values), (4, 1, 1))
+    sheet = Sheet(values[0].exact.shape, len(values), (4, 1, 1))
     brightest = max(float(compared.closed.max()) for compared in values)
     differences = [compared.traced - compared.exact for compared in values]
     largest = _largest(differences)
@@ -108,7 +108,7 @@ def directional_figure(directional: Sequence[Directional]) -> Figure:
 def field_figure(fields: GradientFields) -> Figure:
     """The gradient of every voxel, as the value largest in magnitude along z, and the differences."""
     ours = _projected(fields.ours)
-    sheet = _Sheet(ours.shape, 1, (3, 1, 1))
+    sheet = Sheet(ours.shape, 1, (3, 1, 1))
     limit = _largest([ours])
     sheet.show(0, 0, ours, "ours", _DIFFERENCES, -limit, limit)
     sheet.show(0, 1, _projected(fields.traced), f"prbvolpath, {fields.spp} spp", _DIFFERENCES, -limit, limit)
@@ -124,7 +124,7 @@ def field_figure(fields: GradientFields) -> Figure:
 
 def paper_figure(images: Sequence[PaperImages], gradients: Sequence[PaperGradient]) -> Figure:
     """A row for each γ: the first view and the gradient, by us and by the sum in float64, and the differences."""
-    sheet = _Sheet(images[0].ours[0].shape, len(images), (2, 1, 2, 1))
+    sheet = Sheet(images[0].ours[0].shape, len(images), (2, 1, 2, 1))
     gradient_of = {gradient.gamma: gradient for gradient in gradients}
     for row, compared in enumerate(images):
         brightest, error = float(compared.sums[0].upper.max()), compared.errors[0]
@@ -174,7 +174,7 @@ def departure_figure(studies: Sequence[QuadratureStudy]) -> Figure:
     return figure
 
 
-class _Sheet:
+class Sheet:
     """A grid of pictures in groups of columns, each group with one colour bar.
 
     Positions are computed here: matplotlib's automatic layout takes seconds for so many axes.

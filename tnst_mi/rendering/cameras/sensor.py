@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.rendering.cameras.camera import Viewpoint
@@ -31,6 +32,10 @@ class CameraViews(mi.Sensor):
        - |float|
        - Distance from the centre at which rays start, in world units, unless they start at an eye nearer than that; it
          must lie outside the scene. (Default: 1000)
+     * - through_centres
+       - |bool|
+       - Whether rays go through the centres of pixels, whatever the sampler says: images of path tracers are then
+         of the same rays as ours, instead of averages over the areas of pixels. (Default: |false|)
 
     Views look at the origin, which is the centre of their images; :py:class:`tnst_mi.Camera` may be anywhere. Rendering
     them in one launch costs one kernel instead of V, and moving them needs no new kernel, but for a second one when not
@@ -42,6 +47,9 @@ class CameraViews(mi.Sensor):
         self.view_count = int(props.get("view_count", 1))
         self.spacing = float(props.get("spacing", 1.0))
         self.distance = float(props.get("distance", 1000.0))
+        self.through_centres = bool(props.get("through_centres", False))
+        #: By how much all rays are displaced, in world units; None: not at all.
+        self.displacement: mi.Vector3f | None = None
         width, height = self.film().size()
         if self.view_count < 1 or height % self.view_count:
             raise ValueError(
@@ -65,7 +73,12 @@ class CameraViews(mi.Sensor):
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """Ray through a position `sample2` of the film, in [0, 1]²."""
+        if self.through_centres:
+            size = mi.Vector2f(self._width, self._height * self.view_count)
+            sample2 = mi.Point2f((dr.floor(sample2 * size) + 0.5) / size)
         ray = self.rays.through(sample2, active)
+        if self.displacement is not None:
+            ray.o += self.displacement
         ray.time = time
         return ray, mi.Spectrum(1)
 

@@ -1,0 +1,60 @@
+"""The output of a comparison of any two renderers.
+
+report.html   everything, with pictures       report.json   every number, see `record`
+figures/*.png                                 images/*.exr  mean images of either side, and their difference
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+
+from tnst_mi.compare.bench import plots
+from tnst_mi.compare.bench.measurement import BenchSettings, Measured
+from tnst_mi.compare.figures import write_figure
+from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.pictures.exr import write_exr
+from tnst_mi.resources import DATA
+
+_TEMPLATE = DATA / "compare_sides.html"
+
+
+def write_bench(out: Path, settings: BenchSettings, measured: Measured, record: dict[str, Any]) -> None:
+    """Write everything into a folder; report.json last, so that it vouches for the rest."""
+    names = (settings.left.text, settings.right.text)
+    figures = {}
+    for number, pair in enumerate(measured.images):
+        figures[f"images_{number}"] = plots.pair_figure(pair, measured.views, names)
+        for view in range(len(measured.views)):
+            for side, image in (("left", pair.left.mean), ("right", pair.right.mean)):
+                _write_image(out / "images" / f"{number}_view_{view}_{side}.exr", image[view], pair.where)
+    if record["convergence"]:
+        figures["convergence"] = plots.convergence_figure(record["convergence"])
+    figures["tails"] = plots.tail_figure(measured.families())
+    taken = [row for row in record["derivatives"] if row["left"] or row["right"]]
+    if taken:
+        figures["derivatives"] = plots.derivative_figure(taken)
+    encoded = {}
+    for name, figure in figures.items():
+        path = out / "figures" / f"{name}.png"
+        write_figure(path, figure)
+        encoded[name] = base64.b64encode(path.read_bytes()).decode("ascii")
+    templates = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    page = templates.from_string(_TEMPLATE.read_text("utf-8")).render(record=record, figures=encoded)
+    _write_text(out / "report.html", page)
+    _write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+
+def _write_image(path: Path, image: Any, where: str) -> None:
+    attributes = {"what": re.sub(r"\W+", " ", where, flags=re.ASCII).strip() or "scene"}
+    write_exr(path, image[..., 0] if image.shape[-1] == 1 else image, attributes)
+
+
+def _write_text(path: Path, text: str) -> None:
+    with written_whole(path) as temporary:
+        temporary.write_text(text, "utf-8")

@@ -1,0 +1,191 @@
+"""The numbers of a comparison as report.json, whose schema is `tnst_mi/data/compare.schema.json`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tnst_mi.compare.bench.batches import Batches, difference
+from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms
+from tnst_mi.compare.bench.hypotheses import ImagePair
+from tnst_mi.compare.bench.measurement import BATCHES, BenchSettings, Measured
+from tnst_mi.compare.values import relative_rms
+
+FORMAT = "tnst_mi.compare/1"
+
+#: The family that is too large to be written test by test, and how many of its alarms are named.
+_LARGE, _NAMED = "pixels", 20
+
+METHOD = (
+    "difference of the means of independent batches, less what does not count, in standard errors, against Student's t "
+    "with Welch's degrees of freedom; the probability is divided evenly among the families, in each by Holm's procedure"
+)
+
+
+def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measured) -> dict[str, Any]:
+    """All numbers; `subject` says what was rendered."""
+    families = measured.families()
+    found = alarms(families)
+    record = {
+        "format": FORMAT,
+        "subject": subject,
+        "left": settings.left.text,
+        "right": settings.right.text,
+        "settings": {
+            "spp": settings.spp,
+            "gradient_spp": settings.gradient_spp,
+            "batches": BATCHES,
+            "tolerance": settings.tolerance,
+            "seed": settings.seed,
+            "parameters": list(settings.parameters),
+        },
+        "agree": not any(alarm.any() for alarm in found),
+        "verdict": verdict(settings, families, found),
+        "not_tested": not_tested(measured, families),
+        "false_alarms": {"probability": FALSE_ALARMS, "method": METHOD},
+        "families": [_summary(tests, alarm) for tests, alarm in zip(families, found, strict=True)],
+        "tests": [
+            test
+            for tests, alarm in zip(families, found, strict=True)
+            if tests.name != _LARGE
+            for test in _tests(tests, alarm)
+        ],
+        "convergence": [row for pair in measured.images for row in convergence(pair, settings.spp)],
+        "arbiters": [row for pair in measured.images for row in _arbiters(pair)],
+        "derivatives": [
+            {
+                "where": derivative.where,
+                "parameter": derivative.parameter,
+                "left": _estimates(derivative.left),
+                "right": _estimates(derivative.right),
+                "missing": list(derivative.missing),
+            }
+            for derivative in measured.derivatives
+        ],
+    }
+    return record
+
+
+def verdict(settings: BenchSettings, families: Sequence[Family], found: Sequence[np.ndarray]) -> str:
+    """One line: whether the sides agree, otherwise the clearest difference, and what was tested."""
+    sides = f"{settings.left.text} and {settings.right.text}"
+    counts = ", ".join(f"{int(tests.tested.sum())} of {len(tests.labels)} {tests.name}" for tests in families)
+    tested = f"tested: {counts}; differences up to {settings.tolerance:g} of the RMS do not count"
+    total = sum(int(alarm.sum()) for alarm in found)
+    if not total:
+        return f"agree: {sides} do not differ by more than chance explains; {tested}"
+    # A mean says more than a tile, and that more than a pixel.
+    tests, alarm = next((tests, alarm) for tests, alarm in zip(families, found, strict=True) if alarm.any())
+    worst = np.flatnonzero(alarm)[np.argmin(tests.tail[alarm])]
+    numbers = f"{tests.left[worst]:.6g} and {tests.right[worst]:.6g}, {_apart(tests, worst)}"
+    return (
+        f"DISAGREE: {sides} differ in {total} of {sum(len(tests.labels) for tests in families)} tests, the clearest of "
+        f"the {tests.name}: {tests.labels[worst]}: {numbers}; {tested}"
+    )
+
+
+def _apart(tests: Family, index: int) -> str:
+    value, error = tests.difference.value[index], tests.difference.standard_error[index]
+    return f"{abs(value) / error:.1f} standard errors apart" if error > 0 else "without noise"
+
+
+def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
+    """What the verdict says nothing about, and why."""
+    lines = [
+        f"{int((~tests.tested).sum())} {tests.name}, where most batches have the same value: more --spp"
+        for tests in families
+        if not tests.tested.all()
+    ]
+    lines += list(dict.fromkeys(reason for derivative in measured.derivatives for reason in derivative.missing))
+    if not measured.derivatives:
+        lines.append("derivatives: none were asked for (--gradients)")
+    return lines
+
+
+def convergence(pair: ImagePair, spp: int) -> list[dict[str, Any]]:
+    """Differences against the number of paths: of the first batches, each time twice as many.
+
+    Without bias the RMS of the pixels' differences is what their noise lets one expect, and the mean's interval
+    contains 0, however many paths there are.
+    """
+    count = max(len(pair.left.values), len(pair.right.values))
+    rows, used = [], 2
+    while used <= count:
+        left, right = pair.left.first(used), pair.right.first(used)
+        pixels = difference(left, right)
+        mean = difference(_whole(left), _whole(right))
+        rows.append(
+            {
+                "where": pair.where,
+                "spp": max(1, spp // count) * used,
+                "rms": float(np.sqrt(np.mean(pixels.value**2))),
+                "expected_rms": float(np.sqrt(np.mean(pixels.standard_error**2))),
+                "bias": float(mean.value[0]),
+                "bias_half_width": float(mean.half_width[0]),
+            }
+        )
+        used *= 2
+    return rows
+
+
+def _whole(images: Batches) -> Batches:
+    """The mean of all pixels, (batches, 1)."""
+    return Batches(images.values.reshape(len(images.values), -1).mean(1, keepdims=True), images.rare)
+
+
+def _arbiters(pair: ImagePair) -> list[dict[str, Any]]:
+    return [
+        {
+            "where": pair.where,
+            "arbiter": name,
+            "left": relative_rms(pair.left.mean, image),
+            "right": relative_rms(pair.right.mean, image),
+        }
+        for name, image in pair.arbiters.items()
+    ]
+
+
+def _estimates(found: dict[str, Batches]) -> dict[str, Any]:
+    return {
+        way: {"value": float(estimate.mean), "half_width": float(estimate.half_width)}
+        for way, estimate in found.items()
+    }
+
+
+def _summary(tests: Family, alarm: np.ndarray) -> dict[str, Any]:
+    scores = tests.scores[np.isfinite(tests.scores)]
+    return {
+        "name": tests.name,
+        "tests": len(tests.labels),
+        "tested": int(tests.tested.sum()),
+        "alarms": int(alarm.sum()),
+        "named": [tests.labels[i] for i in np.flatnonzero(alarm)[np.argsort(tests.tail[alarm])][:_NAMED]],
+        "smallest_tail": float(tests.tail.min()),
+        "z_mean": float(scores.mean()) if len(scores) else None,
+        "z_rms": float(np.sqrt(np.mean(scores**2))) if len(scores) else None,
+    }
+
+
+def _tests(tests: Family, alarm: np.ndarray) -> list[dict[str, Any]]:
+    width = tests.difference.half_width
+    return [
+        {
+            "family": tests.name,
+            "label": label,
+            "left": float(tests.left[i]),
+            "left_error": float(tests.left_error[i]),
+            "left_degrees": int(tests.left_degrees[i]),
+            "right": float(tests.right[i]),
+            "right_error": float(tests.right_error[i]),
+            "right_degrees": int(tests.right_degrees[i]),
+            "difference": float(tests.difference.value[i]),
+            "half_width": float(width[i]),
+            "allowance": float(tests.allowance[i]),
+            "tail": float(tests.tail[i]),
+            "tested": bool(tests.tested[i]),
+            "alarm": bool(alarm[i]),
+        }
+        for i, label in enumerate(tests.labels)
+    ]

@@ -1,0 +1,67 @@
+"""A Mitsuba scene file, rendered by its own integrator or by another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mitsuba as mi
+
+from tnst_mi.compare.bench.renderer import SideRenderer
+from tnst_mi.compare.bench.sides import OURS, PATH_TRACERS, Side
+from tnst_mi.errors import InputError
+from tnst_mi.machine.optix import require_optix
+
+#: γ of ours in scene files: media emit 1e-6 of their extinction, so that the transmittance of what is behind remains.
+SCENE_GAMMA = 1e6
+
+#: What an integrator takes over from the one that it replaces, by the element of the file.
+_TAKEN_OVER = {"integer": ("max_depth", "rr_depth"), "boolean": ("hide_emitters",)}
+
+#: Values of an image, at most: all batches of it are in memory.
+_MOST_VALUES = 1 << 20
+
+
+def scene_renderer(path: Path, side: Side) -> SideRenderer:
+    """The renderer of a scene file: with its own integrator, or with that of a side of ours or of a path tracer.
+
+    Raises:
+        InputError: the file cannot be read, has no sensor, or an image that is too large.
+    """
+    require_optix("compare")
+    scene = _loaded(path)
+    if not scene.sensors():
+        raise InputError(f"{path}: the scene has no sensor, expected one")
+    integrator = scene.integrator()
+    if side.kind in PATH_TRACERS or side.kind == OURS:
+        integrator = mi.load_dict(_replacement(path, side))
+    elif integrator is None:
+        raise InputError(f"{path}: the scene has no integrator, expected one")
+    renderer = SideRenderer(scene, integrator, 1, False, side.kind != OURS)
+    if (values := renderer.shape[1] * renderer.shape[2] * renderer.shape[3]) > _MOST_VALUES:
+        raise InputError(
+            f"{path}: the image has {values} values, expected at most {_MOST_VALUES}; make its film smaller"
+        )
+    return renderer
+
+
+def _loaded(path: Path) -> mi.Scene:
+    try:
+        return mi.load_file(str(path))
+    except Exception as error:  # Mitsuba's parser and plugins raise RuntimeError, TypeError, …, on many lines
+        reason = next((line for line in str(error).splitlines() if line.strip()), repr(error))
+        raise InputError(f"{path}: cannot be read as a Mitsuba scene ({reason.strip()})") from None
+
+
+def _replacement(path: Path, side: Side) -> dict[str, Any]:
+    """The description of an integrator with the depths of the one that the file has."""
+    if side.kind == OURS:
+        return {"type": OURS, "gamma": SCENE_GAMMA, "quadrature": side.quadrature}
+    description: dict[str, Any] = {"type": side.kind}
+    own = ElementTree.parse(path).find("integrator")
+    for element in own if own is not None else ():
+        name, value = element.get("name", ""), element.get("value", "")
+        if name in _TAKEN_OVER.get(element.tag, ()) and not value.startswith("$"):
+            description[name] = value == "true" if element.tag == "boolean" else int(value)
+    return description
