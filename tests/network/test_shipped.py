@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,16 @@ def test_the_demo_needs_no_other_weights(
     ran = run("demo")
     assert ran.code == 0, ran.errors
     assert NOTICE in ran.errors and "picture   tnst_mi-demo/images/frame_0010_comparison.png" in ran.out
+
+
+def test_the_fast_demo_needs_none_either(
+    run: Run, tmp_path: Path, nothing_else: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = run("demo", "--fast")
+    assert ran.code == 0, ran.errors
+    assert NOTICE in ran.errors and "picture   tnst_mi-demo/images/frame_0010_comparison.png" in ran.out
+    assert json.loads((tmp_path / "tnst_mi-demo" / "run.json").read_text())["model"]["file"] == "flames"
 
 
 # ---- what is refused -------------------------------------------------------------------------------------

@@ -31,12 +31,12 @@ def test_they_are_small_and_say_how_they_were_trained(name):
 
 
 def test_a_model_by_name_lowers_the_loss_of_smoke_that_it_has_not_seen(tmp_path):
-    """With the network that ships as the judge."""
+    """The network that ships is the judge, which is another one than it was trained by."""
     out = tmp_path / "out"
-    assert main(["stylize", str(OBSTACLE), "--model", "flower", "--out", str(out)]) == 0
+    assert main(["stylize", str(OBSTACLE), "--model", "flames", "--weights", "patterns", "--out", str(out)]) == 0
     (frame,) = json.loads((out / "run.json").read_text())["frames"]
     before, after = frame["loss_before"], frame["loss_after"]
-    assert after < before - 0.25 * abs(before)
+    assert after < 0.85 * before
     assert abs(frame["mass_after"] / frame["mass_before"] - 1) < 0.06
     density = np.load(out / "density" / "frame_0056.npz")["density"]
     assert density.min() >= 0 and density.max() <= 1.01 * np.load(OBSTACLE)["density"].max()
@@ -45,4 +45,4 @@ def test_a_model_by_name_lowers_the_loss_of_smoke_that_it_has_not_seen(tmp_path)
 def test_unknown_names_are_told_those_that_there_are(tmp_path, capsys):
     assert main(["stylize", str(OBSTACLE), "--model", "flame", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "flame: no such file" in said and "flames, flower" in said and said.count("\n") == 1
+    assert "flame: no such file" in said and "ships with the package: flames, flower" in said and said.count("\n") == 1

@@ -28,7 +28,7 @@ class DemoArguments(Arguments):
     out: Folder = Path("tnst_mi-demo")
     """Folder for the results; those of an earlier demo in it are replaced."""
     fast: bool = False
-    """In one pass by the network of `--model flower`, in seconds, rather than by an optimisation."""
+    """In one pass by the network of `--model flames`, in seconds, rather than by an optimisation."""
 
 
 @dataclass(kw_only=True)
