@@ -27,8 +27,9 @@ from tnst_mi.optimisation.runner import SequenceOptimisation
 from tnst_mi.optimisation.single_frame import optimise
 from tnst_mi.realtime.model import Model, read_model
 from tnst_mi.realtime.prediction import predicted_fields
-from tnst_mi.run.from_model import FromModel, begun_by
+from tnst_mi.run.from_model import begun_by
 from tnst_mi.run.prepare import load_network
+from tnst_mi.run.request import FromModel
 from tnst_mi.training.footage import Footage
 
 

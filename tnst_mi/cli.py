@@ -43,7 +43,7 @@ COMMANDS = {
     "render": "Render a density file, or each file of a folder, as PNG and EXR, or as a turntable video.",
     "show": "Show runs as they will be seen: lit, side by side, before and after, as a picture or a film.",
     "diff": "Compare two runs, finished or not, or two densities: recipes, numbers, and pictures side by side.",
-    "compare": "Compare our images and gradients of a density file with those of Mitsuba's path tracer, prbvolpath.",
+    "compare": "Compare our images and gradients of smoke with those of Mitsuba's path tracer, or any two renderers.",
     "convert": "Convert a density file, or a folder of numbered ones, to npz, .vol, .uni, .vdb, or a stage of USD.",
     "atlas": "Show every channel of a layer: the picture that excites it, and what it makes of a ball of smoke.",
     "studio": "Open a page in the browser: look at smoke and runs from all sides, choose motifs, try them, and render.",

@@ -58,7 +58,7 @@ class SideFlags:
 
 @dataclass(kw_only=True)
 class CompareArguments(Arguments):
-    """Compare our images and gradients of a density file with those of Mitsuba's path tracer, or any two renderers.
+    """Compare our images and gradients of smoke with those of Mitsuba's path tracer, or any two renderers.
 
     Without --left and --right: the quadrature exact against prbvolpath. The quadrature paper, which drives a
     stylization by default, is another one: it is compared with its own sum in float64, and its distance from the

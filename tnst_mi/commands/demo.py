@@ -9,7 +9,7 @@ from tnst_mi.io import open_frames
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.resources import scene_file
 from tnst_mi.run.folder import frame_names, holds_run
-from tnst_mi.run.request import requested_frames
+from tnst_mi.run.request import model_to_begin_with, requested_frames
 
 #: What `--fast` takes in place of an optimisation.
 _MODEL = "flames"
@@ -19,7 +19,7 @@ def run(arguments: DemoArguments) -> int:
     """Stylize the scene suzanne and say where the pictures are."""
     out = arguments.out
     scene = scene_file("suzanne/recipe.toml").parent
-    model = from_model.model_to_begin_with(_MODEL, 0, None) if arguments.fast else None
+    model = model_to_begin_with(_MODEL, 0, None) if arguments.fast else None
     recipe = Recipe.from_toml(scene / "recipe.toml") if model is None else from_model.recipe_of_model(model.path)
     earlier = holds_run(out)
     if earlier and set(frame_names(out)) != {file.stem for file in open_frames(scene).files}:

@@ -17,7 +17,7 @@ from tnst_mi.recipe.quality import following
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.folder import input_of_run
-from tnst_mi.run.request import requested_frames
+from tnst_mi.run.request import model_to_begin_with, requested_frames
 from tnst_mi.run.resuming import recipe_of_run, require_begun, require_run
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def run(arguments: StylizeArguments) -> int:
         require_reachable(cluster)
         # Its processes may have begun in other folders.
         source, out = source.absolute(), out.absolute()
-    model = from_model.model_to_begin_with(arguments.model, arguments.refine, begin)
+    model = model_to_begin_with(arguments.model, arguments.refine, begin)
     try:
         requested_frames(source, recipe, out, resume=resume, overwrite=overwrite, start_from=begin)
         prepared = prepare.prepare(

@@ -20,11 +20,11 @@ from tnst_mi.resources import expanded
 from tnst_mi.run.carry import carried
 from tnst_mi.run.cluster_address import Cluster, cluster_of, processes_of, require_reachable
 from tnst_mi.run.colour_record import colour_flicker
-from tnst_mi.run.from_model import FromModel, model_to_begin_with
 from tnst_mi.run.inputs import Frames
 from tnst_mi.run.job import Run, StylizedFrame
 from tnst_mi.run.prepare import prepare
 from tnst_mi.run.record import sequence_record
+from tnst_mi.run.request import FromModel, model_to_begin_with
 from tnst_mi.run.stored_arrays import StoredArrays, StoredGrids
 
 #: An optional part, which builds on what is here: loaded where it is asked for.

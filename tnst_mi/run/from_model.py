@@ -28,32 +28,7 @@ from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.recipe.region_keys import GOALS
 from tnst_mi.regions.octave_masks import border_of, octave_mask, union_of
 from tnst_mi.resources import expanded
-
-
-@dataclass(frozen=True)
-class FromModel:
-    """A trained network, and how many iterations refine what it finds.
-
-    Attributes:
-        path: of the file of the network, or the name of one that ships with the package.
-        refine: iterations in the finest octave, 0 or more.
-    """
-
-    path: Path
-    refine: int = 0
-
-
-def model_to_begin_with(path: str | Path | None, refine: int, start_from: str | Path | None) -> FromModel | None:
-    """What a run begins with that was asked for a model or not.
-
-    Raises:
-        InputError: it was asked for more than one thing to begin with, or to refine nothing.
-    """
-    if path is None and refine:
-        raise InputError(f"refine = {refine}: goes on from what a model gives; give a model too")
-    if path is not None and start_from is not None:
-        raise InputError(f"model = {path}, from = {start_from}: expected only one of them to begin with")
-    return None if path is None else FromModel(expanded(Path(path)), refine)
+from tnst_mi.run.request import FromModel
 
 
 def recipe_of_model(path: str | Path) -> Recipe:

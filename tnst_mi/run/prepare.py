@@ -36,7 +36,7 @@ from tnst_mi.rendering.levels import by_frame, levels_of, levels_seen
 from tnst_mi.resources import expanded
 from tnst_mi.run.carry import require_there
 from tnst_mi.run.colour import colour_grids
-from tnst_mi.run.from_model import FromModel, begun_by, model_of_run
+from tnst_mi.run.from_model import begun_by, model_of_run
 from tnst_mi.run.going_on import going_on
 from tnst_mi.run.inputs import Frames, UnchangedFrames
 from tnst_mi.run.measure import (
@@ -53,7 +53,7 @@ from tnst_mi.run.measure import (
 from tnst_mi.run.memory import Need, cache_bytes, free_bytes, require_memory, working_bytes
 from tnst_mi.run.readable import Readable, watched
 from tnst_mi.run.record import target_record
-from tnst_mi.run.request import requested_frames
+from tnst_mi.run.request import FromModel, requested_frames
 from tnst_mi.run.resuming import record_in, resumable_run
 from tnst_mi.run.work import Work
 from tnst_mi.run.written import recipe_digest

@@ -6,6 +6,7 @@ They take a moment, so mistakes are answered before anything large is imported o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from tnst_mi.errors import InputError
@@ -19,8 +20,35 @@ from tnst_mi.recipe.combinations import (
     require_weight,
 )
 from tnst_mi.recipe.recipe import Recipe
+from tnst_mi.resources import expanded
 from tnst_mi.run.folder import frame_names, holds_run
 from tnst_mi.run.inputs import Frames, sequence_of
+
+
+@dataclass(frozen=True)
+class FromModel:
+    """A trained network, and how many iterations refine what it finds.
+
+    Attributes:
+        path: of the file of the network, or the name of one that ships with the package.
+        refine: iterations in the finest octave, 0 or more.
+    """
+
+    path: Path
+    refine: int = 0
+
+
+def model_to_begin_with(path: str | Path | None, refine: int, start_from: str | Path | None) -> FromModel | None:
+    """What a run begins with that was asked for a model or not.
+
+    Raises:
+        InputError: it was asked for more than one thing to begin with, or to refine nothing.
+    """
+    if path is None and refine:
+        raise InputError(f"refine = {refine}: goes on from what a model gives; give a model too")
+    if path is not None and start_from is not None:
+        raise InputError(f"model = {path}, from = {start_from}: expected only one of them to begin with")
+    return None if path is None else FromModel(expanded(Path(path)), refine)
 
 
 def requested_frames(
