@@ -98,7 +98,7 @@ def draw(found: Mapping[str, tuple[float, Sequence[Row]]], path: Path) -> None:
         for kind, start in (("optimised", [(0.0, before)]), ("network", [])):
             points = [*start, *((way.seconds, way.loss) for way in ways if way.kind == kind)]
             axis.plot(*zip(*points, strict=True), marker="o", label=kind)
-        axis.set(title=name, xlabel="seconds", ylabel="mean loss in the fixed views")
+        axis.set(title=Path(name).name, xlabel="seconds", ylabel="mean loss in the fixed views")
         axis.legend()
     figure.tight_layout()
     figure.savefig(path, dpi=90)
