@@ -32,7 +32,7 @@ _ZOOM, _THICKER = 1.4, 2.0
 #: In how many updates λ is any, and not that of the recipe.
 _OTHER_LAM = 0.2
 
-#: How strongly potentials are drawn towards those of neighbouring frames at the end of a training; in its course that
+#: How strongly potentials are turned towards those of neighbouring frames at the end of a training; in its course that
 #: rises from 0 by its square. A network that is held steady before it has learned to draw learns to leave smoke alone.
 STEADINESS = 0.5
 
