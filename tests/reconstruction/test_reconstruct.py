@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import tnst_mi
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
+from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
@@ -100,19 +100,25 @@ def test_more_pixels_than_cells_are_averaged(cloud, tmp_path):
     assert distance(found, cloud) < 0.2
 
 
-def test_what_was_stopped_goes_on_to_the_same_bits(views, tmp_path):
+def test_what_was_stopped_goes_on_to_the_same_bits(views, tmp_path, monkeypatch):
     keys = {"iterations": 30, "levels": 2, "batch": 3, "gamma": "auto"}
     whole = reconstruct(views, tmp_path / "whole", keys, progress=False)
-    for attempt in range(1, 20):
-        timer = threading.Timer(0.6 * attempt, lambda: signal.raise_signal(signal.SIGINT))
-        timer.start()
-        found = reconstruct(views, tmp_path / "parts", keys, progress=False, resume=attempt > 1)
-        timer.cancel()
-        timer.join()
-        if not found.interrupted:
-            break
+    step, taken = Descent.step, []
+
+    def stopped_now_and_then(descent):
+        loss = step(descent)
+        taken.append(descent.done)
+        if len(taken) in (5, 30, 45):  # on both grids
+            signal.raise_signal(signal.SIGINT)
+        return loss
+
+    monkeypatch.setattr(Descent, "step", stopped_now_and_then)
+    for attempt in range(3):
+        found = reconstruct(views, tmp_path / "parts", keys, progress=False, resume=attempt > 0)
+        assert found.interrupted
         assert found.records[-1]["finished"] is False and found.densities[-1].is_file()
-    assert not found.interrupted and attempt > 1
+    found = reconstruct(views, tmp_path / "parts", keys, progress=False, resume=True)
+    assert not found.interrupted
     with np.load(whole.densities[0]) as a, np.load(found.densities[0]) as b:
         assert np.array_equal(a["density"], b["density"])
     assert found.records[0]["gamma"] == whole.records[0]["gamma"]
