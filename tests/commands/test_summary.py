@@ -21,7 +21,7 @@ from tnst_mi.run.record import sequence_record
         (
             {"transport": "flow", "lam": 0.0},
             80.0,
-            "lost 20.0% of its smoke; a lower eta, or more room around the smoke,",
+            "lost 20.0% of its smoke; a lower eta or strength, or more room around the smoke,",
         ),
         ({}, float("nan"), None),
         ({}, 96.0, None),

@@ -159,7 +159,7 @@ def mass_remark(recipe: Recipe, records: list[dict[str, Any]]) -> str | None:
     keys += [] if recipe.steps == 1 else ["steps = 1"]
     keys += ["lam = 0"] if any(recipe.at(record["number"]).lam > 0 for record in changed) else []
     # Along a flow without divergence, smoke can still leave the grid, or be folded more finely than its cells.
-    remedy = " and ".join(keys) if keys else "a lower eta, or more room around the smoke,"
+    remedy = " and ".join(keys) if keys else "a lower eta or strength, or more room around the smoke,"
     return f"{worst['name']} {happened}; {remedy} would keep more of it (docs/transport.md)"
 
 
