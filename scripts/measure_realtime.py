@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import mitsuba as mi
 import numpy as np
 
 import tnst_mi
@@ -52,12 +51,9 @@ class Measured:
 
     def in_one_pass(self) -> np.ndarray:
         """By the network: its potentials, and the transport by these."""
-        plan, octave, take = self.footage.plan, self.footage.problem.octave, self.footage.take(0)
-        fields = predicted_fields(self.model.network, take.plan, octave, take.density)
-        fields = take.plan.parameterisation.carried(fields, octave, plan.full)
-        full = mi.TensorXf(scaled(self.frame.density, plan.density_scale))
-        moved = take.plan.parameterisation.density(fields, full, plan.full.cell_size)
-        return moved.numpy() / np.float32(plan.density_scale)
+        take = self.footage.take(0)
+        fields = predicted_fields(self.model.network, take.plan, self.footage.problem.octave, take.density)
+        return self.footage.moved(0, fields) / np.float32(self.footage.plan.density_scale)
 
     def refined(self, iterations: int) -> np.ndarray:
         """By the network, and iterations that go on from there."""

@@ -24,6 +24,9 @@ OPSET = 18
 #: Multiples of the least size in the grid that is traced; the file takes any.
 _TRACED = (2, 3, 2)
 
+#: The axes of a grid.
+_AXES = tuple(enumerate(("depth", "height", "width")))
+
 #: What torch's exporter is made of.
 _PACKAGES = ("onnx", "onnxscript")
 
@@ -80,6 +83,3 @@ def _errors_alone(name: str) -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
-
-
-_AXES = tuple(enumerate(("depth", "height", "width")))

@@ -142,13 +142,16 @@ class Footage:
         u = resample_velocity(u, 1.0, octave.shape, octave.cell_size / showing.zoom)
         return other, u * opaque(-direction * showing.zoom * step)
 
-    def judged(self, position: int, fields: Fields) -> float:
-        """The loss of a frame that is transported by fields, in the fixed views."""
+    def moved(self, position: int, fields: Fields) -> np.ndarray:
+        """A frame, transported by fields of the finest octave: (D, H, W) in the run's unit, on its own grid."""
         plan, full = self._plan.alive[position], self._plan.full
         with dr.suspend_grad():
             fields = plan.parameterisation.carried(fields, self.problem.octave, full)
-            moved = plan.parameterisation.density(fields, self._full(plan), full.cell_size)
-        return self.problem.judge(plan, moved.numpy())[0]
+            return plan.parameterisation.density(fields, self._full(plan), full.cell_size).numpy()
+
+    def judged(self, position: int, fields: Fields) -> float:
+        """The loss of a frame that is transported by fields, in the fixed views."""
+        return self.problem.judge(self._plan.alive[position], self.moved(position, fields))[0]
 
     def zeros(self) -> Fields:
         """The fields that leave smoke as it is."""

@@ -19,7 +19,7 @@ from tnst_mi.fields.grid import Octave
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.optimisation.parameterisation import limited
 from tnst_mi.realtime.potential_network import CHANNELS, PotentialNetwork
-from tnst_mi.realtime.prediction import Example, channels_of, fields_of, predicted
+from tnst_mi.realtime.prediction import Example, channels_of, fields_of
 from tnst_mi.training.footage import Footage, Take
 
 #: How strongly potentials are drawn towards 0, relative to what the loss asks for: without that, those where no smoke
@@ -92,9 +92,12 @@ def _unsteady(network: PotentialNetwork, now: Tensor, take: Take, neighbour: Nei
     The difference is 1 − cos of the angle between them: potentials turn towards each other, and are not weakened as
     their distance would weaken them. Its derivative by the direction of the potentials is at most of size 1.
     """
-    recipe, density = take.plan.recipe, neighbour.take.density.numpy()
-    with _half_precision(Example(density, recipe.extinction * octave.cell_size, recipe.lam, network)):
-        before = predicted(network, density, recipe.extinction * octave.cell_size, recipe.lam)
+    recipe = take.plan.recipe
+    example = Example(neighbour.take.density.numpy(), recipe.extinction * octave.cell_size, recipe.lam, network)
+    if example.box is None:
+        return torch.zeros_like(now)
+    with _half_precision(example):
+        before = example.potentials(network).cpu().numpy()
     channels = [mi.TensorXf(np.ascontiguousarray(channel)) for channel in np.moveaxis(before, -1, 0)]
     carried = [step(one, neighbour.displacement, "semi_lagrangian", octave.cell_size).numpy() for one in channels]
     smoke = torch.from_numpy(take.density.numpy()).clamp(max=1.0)[..., None].to(now)
