@@ -13,21 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tnst_mi.compare import figures
 from tnst_mi.compare.comparison import Results, Settings
 from tnst_mi.compare.gradients import Directional
+from tnst_mi.compare.page import page, write_text
 from tnst_mi.compare.paper_quadrature import PaperGradient, PaperImages
 from tnst_mi.compare.quadrature_study import STEPS, QuadratureStudy
 from tnst_mi.compare.values import Comparison, relative_rms
 from tnst_mi.compare.verdict import Check
-from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.rendering.cameras.views import text_of
-from tnst_mi.resources import DATA
-
-_TEMPLATE = DATA / "compare.html"
 
 
 def write_report(out: Path, name: str, settings: Settings, results: Results, environment: dict[str, Any]) -> bool:
@@ -46,8 +42,8 @@ def write_report(out: Path, name: str, settings: Settings, results: Results, env
         **_numbers(results),
         **environment,
     }
-    _write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False, default=str) + "\n")
-    _write_text(out / "report.html", _page(name, settings, results, pictures))
+    write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False, default=str) + "\n")
+    write_text(out / "report.html", _page(name, settings, results, pictures))
     return passed
 
 
@@ -173,8 +169,8 @@ def _study_numbers(study: QuadratureStudy) -> dict[str, Any]:
 
 def _page(name: str, settings: Settings, results: Results, pictures: dict[str, Path]) -> str:
     checks = results.checks()
-    templates = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    return templates.from_string(_TEMPLATE.read_text("utf-8")).render(
+    return page(
+        "compare.html",
         name=name,
         settings=settings,
         results=results,
@@ -186,8 +182,3 @@ def _page(name: str, settings: Settings, results: Results, pictures: dict[str, P
         gammas=sorted({values.gamma for values in results.values}),
         encoded=lambda key: base64.b64encode(pictures[key].read_bytes()).decode("ascii"),
     )
-
-
-def _write_text(path: Path, text: str) -> None:
-    with written_whole(path) as temporary:
-        temporary.write_text(text, "utf-8")

@@ -12,16 +12,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-
 from tnst_mi.compare.bench import plots
 from tnst_mi.compare.bench.measurement import BenchSettings, Measured
 from tnst_mi.compare.figures import write_figure
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.compare.page import page, write_text
 from tnst_mi.io.pictures.exr import write_exr
-from tnst_mi.resources import DATA
-
-_TEMPLATE = DATA / "compare_sides.html"
 
 
 def write_bench(out: Path, settings: BenchSettings, measured: Measured, record: dict[str, Any]) -> None:
@@ -44,17 +39,10 @@ def write_bench(out: Path, settings: BenchSettings, measured: Measured, record: 
         path = out / "figures" / f"{name}.png"
         write_figure(path, figure)
         encoded[name] = base64.b64encode(path.read_bytes()).decode("ascii")
-    templates = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    page = templates.from_string(_TEMPLATE.read_text("utf-8")).render(record=record, figures=encoded)
-    _write_text(out / "report.html", page)
-    _write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+    write_text(out / "report.html", page("compare_sides.html", record=record, figures=encoded))
+    write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
 def _write_image(path: Path, image: Any, where: str) -> None:
     attributes = {"what": re.sub(r"\W+", " ", where, flags=re.ASCII).strip() or "scene"}
     write_exr(path, image[..., 0] if image.shape[-1] == 1 else image, attributes)
-
-
-def _write_text(path: Path, text: str) -> None:
-    with written_whole(path) as temporary:
-        temporary.write_text(text, "utf-8")
