@@ -16,6 +16,10 @@ import mitsuba as mi
 
 _common = mi.ad.integrators.common
 
+#: With a floor, collisions in smoke with a smaller share than this are never real: what a path has yet to find is known
+#: up to its rounding, which the derivative divides by the extinction.
+_LEAST_SHARE = 1e-5
+
 
 class ScatteredLight(_common.RBIntegrator):
     r"""
@@ -60,6 +64,7 @@ class ScatteredLight(_common.RBIntegrator):
         if mode == dr.ADMode.Forward:
             raise RuntimeError("scattered_light: there are no forward-mode derivatives")
         adjoint = mode == dr.ADMode.Backward
+        least_share = _LEAST_SHARE if self.floor else 0.0
         medium = scene.shapes()[0].interior_medium()
         phase, context = medium.phase_function(), mi.PhaseFunctionContext(sampler)
 
@@ -68,12 +73,16 @@ class ScatteredLight(_common.RBIntegrator):
         L = mi.Spectrum(state_in if adjoint else 0)
         δL = mi.Spectrum(δL if adjoint else 0)
         throughput, order = mi.Float(1), mi.UInt32(0)
+        # What the throughput would be without a floor. Were paths ended for being faint after a collision in thin
+        # smoke, the few that survive would have a derivative there as large as they are rare.
+        unforced = mi.Float(1)
         last, last_pdf = dr.zeros(mi.Interaction3f), mi.Float(1)
 
         while active:
-            survival = dr.select(order > self.rr_depth, dr.minimum(throughput, 0.99), 1)
+            survival = dr.select(order > self.rr_depth, dr.minimum(unforced, 0.99), 1)
             active &= sampler.next_1d(active) < survival
             throughput *= dr.rcp(survival)
+            unforced *= dr.rcp(survival)
 
             with dr.resume_grad(when=adjoint):
                 event = medium.sample_interaction(ray, sampler.next_1d(active), 0, active)
@@ -81,7 +90,7 @@ class ScatteredLight(_common.RBIntegrator):
                 collides = active & event.is_valid()
                 majorant = dr.detach(event.combined_extinction.x)
                 share = dr.detach(event.sigma_t.x) / majorant
-                probability = dr.select(share > 0, dr.maximum(share, self.floor), 0)
+                probability = dr.select(share > least_share, dr.maximum(share, self.floor), 0)
                 scatters = collides & (sampler.next_1d(active) < probability)
                 weight = (
                     dr.select(scatters, event.sigma_s.x / probability, event.sigma_n.x / (1 - probability)) / majorant
@@ -93,6 +102,7 @@ class ScatteredLight(_common.RBIntegrator):
             throughput *= weight
             escapes = active & ~collides & (order >= self.first_order)
             order[scatters] += 1
+            unforced[scatters] *= event.sigma_s.x / event.sigma_t.x
             active &= collides & (order < self.max_depth) & (throughput > 0)
             scatters &= active
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -40,11 +40,14 @@ _LEAST_SLACK = 1.5
 """Smallest ratio of the majorant to the largest extinction. At 1 the derivatives of `prbvolpath` are wrong: they rely
 on null collisions, of which there are none where the smoke is densest."""
 
+_LEAST_MAJORANT = 1 / 16
+"""Proposed collisions per full-resolution cell, at least."""
+
 _FORCED_COLLISIONS = 2.0
 """How many collisions a path through a grid of thin smoke has on average for the sake of the derivative alone. With
 more, there is less noise in thin smoke; but weights grow like the exponential of it."""
 
-_FAINTEST = 1e-4
+_FAINTEST = 1e-3
 """In parts of the largest density, that of cells beside smoke in the derivative's paths. Where there is none at all, no
 path is scattered, and what more smoke would scatter there would be left out of the derivative."""
 
@@ -135,9 +138,7 @@ class ScatteringRenderer(Renderer):
         rows, columns = self.size
         seeds = _seeds(seed)
         with dr.resume_grad():
-            faintest = _FAINTEST * dr.max(dr.detach(density).array)
-            beside = dr.select(beside_smoke(dr.detach(density).array, self.shape), faintest, 0)
-            σ_t = mi.TensorXf(dr.maximum(dr.detach(density).array, beside), self.shape)
+            σ_t = self._scattering_everywhere(dr.detach(density))
             dr.enable_grad(σ_t)
             loaded = self._show(σ_t, views)
             of_film = mi.TensorXf(image_gradient.array, (len(views) * rows, columns, 1))
@@ -160,7 +161,7 @@ class ScatteringRenderer(Renderer):
         """A scene with this density and these views, and a majorant above the largest extinction."""
         largest = self.gamma * float(dr.max(dr.detach(density), axis=None).array[0])
         # It follows from the density alone, and so do the paths. Powers of two: a scene serves many densities.
-        majorant = 2.0 ** math.ceil(math.log2(max(_LEAST_SLACK * largest, 1.0)))
+        majorant = 2.0 ** math.ceil(math.log2(max(_LEAST_SLACK * largest, _LEAST_MAJORANT)))
         count = len(views)
         loaded = self._scenes.get(count)
         if loaded is None or loaded.majorant != majorant:
@@ -176,15 +177,7 @@ class ScatteringRenderer(Renderer):
         lighting = self.lighting
         description = scene_description(self.shape, self.gamma, "exact", self.h, view_count, size=self.size)
         description["sensor"] |= {"spacing": self.pixel, "through_centres": True}
-        integrator = {
-            "type": "scattered_light",
-            "max_depth": _MAX_DEPTH,
-            "rr_depth": _RUSSIAN_ROULETTE_DEPTH,
-            "first_order": 1 if self._once is None else 2,
-        }
-        description["integrator"] = integrator
-        longest = view_distance(self.shape, self.h)
-        floor = min(_FORCED_COLLISIONS / (majorant * longest), 0.5)
+        description["integrator"], differentiated = self._integrators(majorant)
         description["sensor"]["sampler"] = {"type": "independent"}
         medium = description["smoke"]["interior"]
         medium["albedo"] = lighting.albedo
@@ -193,8 +186,23 @@ class ScatteringRenderer(Renderer):
         medium["sigma_t"]["max_value"] = majorant / self.gamma
         emitters = {f"light_{index}": emitter for index, emitter in enumerate(self._light.emitters())}
         scene = mi.load_dict(description | emitters)
-        differentiated = mi.load_dict(integrator | {"floor": floor})
-        return _LoadedScene(scene, mi.traverse(scene), scene.sensors()[0], differentiated, majorant)
+        return _LoadedScene(scene, mi.traverse(scene), scene.sensors()[0], mi.load_dict(differentiated), majorant)
+
+    def _integrators(self, majorant: float) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What traces the paths of images and of derivatives."""
+        traced = {
+            "type": "scattered_light",
+            "max_depth": _MAX_DEPTH,
+            "rr_depth": _RUSSIAN_ROULETTE_DEPTH,
+            "first_order": 1 if self._once is None else 2,
+        }
+        through_all = majorant * view_distance(self.shape, self.h)
+        return traced, traced | {"floor": min(_FORCED_COLLISIONS / through_all, 0.5)}
+
+    def _scattering_everywhere(self, density: mi.TensorXf) -> mi.TensorXf:
+        """The density (D, H, W) in whose smoke the paths of derivatives collide: a little more beside smoke."""
+        faintest = dr.select(beside_smoke(density.array, self.shape), _FAINTEST * dr.max(density.array), 0)
+        return mi.TensorXf(dr.maximum(density.array, faintest), self.shape)
 
 
 @dataclass(frozen=True)
