@@ -33,7 +33,7 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.recipe.paths import LIGHTS
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
-from tnst_mi.rendering.single_scattering import beside_smoke
+from tnst_mi.rendering.shadows import beside_smoke
 
 FRAME = Path(__file__).resolve().parents[1] / "scenes" / "suzanne" / "frame_0010.npz"
 VIEW = [(0.0, 0.0)]

@@ -61,7 +61,7 @@ class ScatteredLight(_common.RBIntegrator):
         **_: object,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], mi.Spectrum]:
         """See `RBIntegrator`: the scattered radiance, or its derivative, along rays from outside of the smoke."""
-        if mode == dr.ADMode.Forward:
+        if dr.hint(mode == dr.ADMode.Forward, mode="scalar"):
             raise RuntimeError("scattered_light: there are no forward-mode derivatives")
         adjoint = mode == dr.ADMode.Backward
         least_share = _LEAST_SHARE if self.floor else 0.0

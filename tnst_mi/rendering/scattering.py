@@ -28,7 +28,8 @@ from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.cameras.perspective import require_outside
 from tnst_mi.rendering.renderer import Renderer
 from tnst_mi.rendering.scene import scene_description, view_distance
-from tnst_mi.rendering.single_scattering import SingleScattering, beside_smoke, draw_lights
+from tnst_mi.rendering.shadows import beside_smoke, draw_lights
+from tnst_mi.rendering.single_scattering import SingleScattering
 
 _DENSITY = "smoke.interior_medium.sigma_t.data"
 _SCALE = "smoke.interior_medium.scale"
