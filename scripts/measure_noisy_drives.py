@@ -1,6 +1,6 @@
 """What the noise of a renderer's gradient does to a stylization: one frame and style, at equal processor time.
 
-    python scripts/measure_noisy_drives.py [FRAME] --out FOLDER [--budgets 6 12 24] [--draw FILE.png]
+    python scripts/measure_noisy_drives.py [FRAME] --out FOLDER [--budgets 6 18] [--draw FILE.png]
 
 Runs by emission and absorption, by `prbvolpath` as it is, and by ours, with several paths per pixel, each as long as
 its budget of processor seconds lasts. All results are judged alike, by emission and absorption and by path tracing with
@@ -43,7 +43,6 @@ METHOD |= {"gamma": 0.3, "albedo": 0.3, "integrator": "prbvolpath"}
 #: By name, the recipe's keys of a drive, and whether `prbvolpath` renders it as it is.
 DRIVES: dict[str, tuple[dict[str, Any], bool]] = {
     "emission–absorption": ({"integrator": "emission_absorption"}, False),
-    "prbvolpath, 1 path": ({"spp": 1}, True),
     "prbvolpath, 4 paths": ({"spp": 4}, True),
     "prbvolpath, 16 paths": ({"spp": 16}, True),
     "ours, 1 path": ({"spp": 1}, False),
@@ -103,7 +102,7 @@ def run_all(folder: Path, frame: Frame, budgets: list[int]) -> list[dict]:
             with path_tracer(plain):
                 speed = kept.get(f"speed of {drive}")
                 if speed is None:
-                    _, speed = stylized(frame, recipe.updated({"iterations": 4}, "", Path.cwd()), network, exposure)
+                    _, speed = stylized(frame, recipe.updated({"iterations": 3}, "", Path.cwd()), network, exposure)
                     keep(f"speed of {drive}", speed)
                 iterations = round(budget / speed)
                 if iterations < 2:
@@ -153,7 +152,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("frame", type=Path, nargs="?", default=FRAME)
     parser.add_argument("--out", type=Path, required=True, help="a folder, also of an earlier run")
-    parser.add_argument("--budgets", type=int, nargs="+", default=[6, 12, 24], help="processor seconds of a run")
+    parser.add_argument("--budgets", type=int, nargs="+", default=[6, 18], help="processor seconds of a run")
     parser.add_argument("--draw", type=Path, help="a PNG to draw")
     arguments = parser.parse_args()
     tnst_mi.activate()
