@@ -22,7 +22,8 @@ from tnst_mi.rendering.single_scattering import SingleScattering
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 SHAPE = (10, 14, 12)
-VIEWS = [(0.0, 0.0), (30.0, 10.0)]
+#: One orthographic, one in perspective.
+VIEWS = [(0.0, 0.0), (30.0, 10.0, 40.0)]
 GAMMA = 0.3
 
 #: Standard errors that a mean may be off by; with 15 degrees of freedom, once in 800 times.
