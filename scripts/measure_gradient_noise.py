@@ -40,6 +40,9 @@ VIEW = [(0.0, 0.0)]
 GAMMA = 0.3
 SPP = (1, 4, 16, 64)
 
+#: Densities above this count as thick smoke.
+THICK = 0.05
+
 #: Single cells whose derivative is taken by finite differences, and the step in density to either side.
 CELLS, CELL_STEP = 6, 0.1
 
@@ -98,8 +101,8 @@ class Bench:
         self.weights = smooth((1, *density.shape[1:]), 4.0, 1)
         self.near = beside_smoke(self.smoke.array, density.shape).numpy().reshape(density.shape)
         random = np.random.default_rng(2)
-        thick = np.argwhere(density > 0.05)
-        self.cells = thick[random.choice(len(thick), CELLS, replace=False)]
+        filled = np.argwhere(density > THICK)
+        self.cells = filled[random.choice(len(filled), CELLS, replace=False)]
 
     def by_adjoint(self, renderer: Renderer) -> Gradient:
         """All of an iteration's rendering: the images, and the derivative of the objective."""
@@ -218,9 +221,12 @@ def table(bench: Bench, albedo: float) -> list[dict]:
     truth = bench.sums(f"{albedo:g} " + ("ours 64" if albedo else "emission–absorption"))
     reference = truth.mean
     smoke, beside = bench.density > 0, bench.near & (bench.density == 0)
-    signal = rms(reference[bench.near])
-    if albedo:  # what noise adds to the RMS of the mean
-        signal = float(np.sqrt(signal**2 - truth.variance[bench.near].mean() / len(truth.seconds)))
+    thick = bench.density > THICK
+    # Less what noise adds to the RMS of the mean.
+    signal, in_thick = (
+        float(np.sqrt(np.square(reference[where]).mean() - truth.variance[where].mean() / len(truth.seconds)))
+        for where in (bench.near, thick)
+    )
     rows = []
     for name, (_, shape) in estimators(bench, albedo).items():
         sums = bench.sums(f"{albedo:g} {name}", shape)
@@ -236,6 +242,7 @@ def table(bench: Bench, albedo: float) -> list[dict]:
         else:
             noise = float(np.sqrt(sums.variance[bench.near].mean())) / signal
             row = {
+                "noise in thick smoke": float(np.sqrt(sums.variance[thick].mean())) / in_thick,
                 "bias in smoke": bias(sums, truth, smoke, albedo),
                 "bias beside": bias(sums, truth, beside, albedo),
             }
@@ -278,7 +285,9 @@ def draw(rows: list[dict]) -> Figure:
     """Noise against seconds, a panel for each albedo."""
     albedos = sorted({row["albedo"] for row in rows})
     figure = Figure(figsize=(3.4 * len(albedos), 3.6), layout="constrained")
-    for axes, albedo in zip(np.atleast_1d(figure.subplots(1, len(albedos), sharey=True)), albedos, strict=True):
+    for axes, albedo in zip(
+        np.atleast_1d(figure.subplots(1, len(albedos), sharex=True, sharey=True)), albedos, strict=True
+    ):
         series = (
             ("prbvolpath", "C3", "o", lambda name: name.startswith("prbvolpath") and "diff" not in name),
             ("ours, path traced", "C0", "s", lambda name: name.startswith("ours")),
@@ -296,7 +305,7 @@ def draw(rows: list[dict]) -> Figure:
         title = "albedo 0: absorption alone" if albedo == 0 else f"albedo {albedo:g}, key light"
         axes.set(xscale="log", yscale="log", title=title, xlabel="processor seconds per gradient")
         axes.axhline(1.0, color="0.8", lw=0.8, zorder=0)
-        axes.legend(fontsize=7, loc="best")
+    figure.axes[-1 if len(albedos) < 2 else 1].legend(fontsize=7, loc="upper right")
     figure.axes[0].set_ylabel("noise over signal")
     return figure
 
