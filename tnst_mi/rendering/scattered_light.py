@@ -1,4 +1,4 @@
-"""The `scattered_light` integrator plugin: a grid of smoke in light from far away, with little noise in its derivative.
+"""The `scattered_light` integrator plugin: light that smoke in a grid scatters, with little noise in its derivative.
 
 Importing this module registers the plugin for the active variant; `rendering.plugins` does so for every variant.
 
@@ -39,7 +39,7 @@ class ScatteredLight(_common.RBIntegrator):
        - |int|
        - Light that was scattered less often than this is left out. (Default: 1)
 
-    The scene has one shape, the box of its medium, and emitters that surround it. The medium's extinction is grey.
+    The scene has one shape, the box of its medium, and emitters that belong to none. The medium's extinction is grey.
     Derivatives are those with respect to the extinction and the albedo.
     """
 
@@ -119,6 +119,7 @@ class ScatteredLight(_common.RBIntegrator):
             value, phase_pdf = phase.eval_pdf(context, event, light.d, scatters)
             lit = scatters & (light.pdf > 0) & (order >= self.first_order)
             shadow, replayed = mi.Ray3f(event.p, light.d), sampler.clone()
+            shadow.maxt = light.dist
             visible = self._transmittance(medium, shadow, sampler, lit)
             weight = throughput * value * _common.mis_weight(light.pdf, dr.select(light.delta, 0, phase_pdf))
             direct = weight * visible * emitted
@@ -138,13 +139,14 @@ class ScatteredLight(_common.RBIntegrator):
 
     @dr.syntax
     def _transmittance(self, medium: mi.Medium, ray: mi.Ray3f, sampler: mi.Sampler, active: mi.Bool) -> mi.Float:
-        """An estimate of the transmittance along rays that leave the smoke, by ratio tracking."""
+        """An estimate of the transmittance along rays, by ratio tracking."""
         ray, active, T = mi.Ray3f(ray), mi.Bool(active), mi.Float(1)
         while active:
             event = medium.sample_interaction(ray, sampler.next_1d(active), 0, active)
             active &= event.is_valid()
             T[active] *= event.sigma_n.x / event.combined_extinction.x
             ray.o[active] = event.p
+            ray.maxt[active] = ray.maxt - event.t
         return T
 
     @dr.syntax
@@ -160,6 +162,7 @@ class ScatteredLight(_common.RBIntegrator):
                 null = event.sigma_n.x
                 dr.backward(gradient * dr.select(active, null / dr.detach(null), 0))
             ray.o[active] = dr.detach(event.p)
+            ray.maxt[active] = ray.maxt - dr.detach(event.t)
 
     def to_string(self) -> str:
         """One line for Mitsuba's log."""

@@ -5,8 +5,9 @@ World units, views and the smoke's box are as in `scene`, and rays go through th
 renderers; pixels are black where no light is scattered into the view.
 
 The pictures are those of Mitsuba's `prbvolpath`, but only a part of them is left to random paths: light that is
-scattered once is summed up (`single_scattering`), if the smoke scatters evenly, and the derivative of the rest is that
-of paths which do not avoid thin smoke (`scattered_light`). docs/physics.md says what that does to the noise.
+scattered once is summed up (`single_scattering`), if it comes from far away and is scattered evenly, and the derivative
+of the rest is that of paths which do not avoid thin smoke (`scattered_light`). docs/physics.md says what that does to
+the noise.
 """
 
 from __future__ import annotations
@@ -99,9 +100,10 @@ class ScatteringRenderer(Renderer):
         self.shape, self.gamma, self.h, self.lighting = shape, gamma, h, lighting
         # Kept alive: emitters refer to the scene that they were loaded with.
         self._light = load_light(lighting.light)
-        #: Light that is scattered once, which only smoke that scatters evenly sends equally to all views.
+        #: Light that is scattered once, where it comes from far away and is scattered evenly.
         self._once: SingleScattering | None = None
-        if not lighting.anisotropy:
+        near = any(mi.has_flag(light.flags(), mi.EmitterFlags.DeltaPosition) for light in self._light.emitters())
+        if not near and not lighting.anisotropy:
             self._once = SingleScattering(shape, gamma, h, lighting.albedo, self.size, self.pixel)
         #: Loaded scenes by number of views.
         self._scenes: dict[int, _LoadedScene] = {}
