@@ -134,10 +134,12 @@ def draw(records: list[dict], folder: Path) -> Figure:
             points = sorted((r["seconds"], r["losses"][judge]) for r in runs if r["drive"] == drive)
             axes.plot(*zip(*points, strict=True), marker="o", color=f"C{number}", label=drive)
         axes.axhline(before["losses"][judge], color="0.6", ls=":", label="before")
-        axes.set(xscale="log", title=title, xlabel="processor seconds", ylabel="style distance")
-    axes.legend(fontsize=7)
+        axes.set(title=title, xlabel="processor seconds", ylabel="style distance", xlim=0)
+    above.axes[0].legend(fontsize=7, loc="lower left")
     shown = [before, *(longest[drive] for drive in DRIVES)]
     rows = below.subplots(2, len(shown))
+    for axes, title in zip(rows[:, 0], JUDGES.values(), strict=True):
+        axes.set_ylabel(title)
     for column, record in enumerate(shown):
         for axes, picture, judge in zip(rows[:, column], np.load(folder / record["pictures"]), JUDGES, strict=True):
             axes.imshow(np.clip(picture, 0, 1), cmap="gray", vmin=0, vmax=1)
