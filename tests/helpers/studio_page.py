@@ -40,6 +40,7 @@ SIZES = ((1280, 720), (1920, 1080))
 
 #: Milliseconds that anything on the page may take, such as a run on a busy machine.
 PATIENCE = 60_000
+expect.set_options(timeout=PATIENCE)
 
 
 @dataclass

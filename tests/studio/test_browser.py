@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from studio_page import (
-    PATIENCE,
     SIZES,
     Page,
     address,
@@ -350,7 +349,7 @@ def test_tries_are_gone_on_from_and_deleted(
         shown.troubles.clear()  # the browser's own words of the refusal
         page.locator("#cluster").fill("local:2")
         page.locator("#cluster").blur()
-        expect(other.page.locator("#cluster")).to_have_value("local:2", timeout=PATIENCE)
+        expect(other.page.locator("#cluster")).to_have_value("local:2")
         assert page.locator("#cluster-error").is_hidden()
         shown.photographed("7_going_on")
         for key, value in (("iterations", 60), ("views", 8)):
