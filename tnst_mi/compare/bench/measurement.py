@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from tnst_mi.compare.bench.renderer import SideRenderer, ramp
 from tnst_mi.compare.bench.scene_file import scene_renderer
 from tnst_mi.compare.bench.sides import ANSWER, FLOAT64, OURS, Side
 from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
+from tnst_mi.compare.bench.variants import variant_of, within
 from tnst_mi.errors import InputError
 
 #: Independent estimates into which the paths of a noisy side are divided.
@@ -71,12 +72,16 @@ class Measured:
         views: names of the views.
         derivatives: of each γ and parameter.
         tolerance: difference that does not count.
+        variants: of Mitsuba, of the left and the right; None of what it does not render.
+        untested: what images do not show, or not certainly.
     """
 
     images: list[ImagePair]
     views: tuple[str, ...]
     derivatives: list[Derivative]
     tolerance: float
+    variants: tuple[str | None, str | None] = (None, None)
+    untested: tuple[str, ...] = ()
 
     def families(self) -> list[Family]:
         """All tests."""
@@ -120,8 +125,11 @@ def prepare(subject: SmokeScene | Path, settings: BenchSettings) -> list[ReadySi
     for number, (where, gamma) in enumerate(places):
         left = _Sided(subject, gamma, settings.left, settings, (settings.seed, number, 0))
         right = _Sided(subject, gamma, settings.right, settings, (settings.seed, number, 1))
-        rendered = [side.renderer.shape for side in (left, right) if side.renderer is not None]
-        shape = rendered[0] if rendered else _shape(subject)
+        rendered = [side.shape for side in (left, right) if side.shape is not None]
+        if {shape[-1] for shape in rendered} == {1, 3}:
+            left.show_luminance(right)
+            right.show_luminance(left)
+        shape = next((side.shape for side in (left, right) if side.shape is not None), None) or _shape(subject)
         fixed = (left.fixed_images(shape), right.fixed_images(shape))
         prepared.append(
             ReadySides(where, (left, right), shape, fixed, *_arbiters(subject, gamma, (left, right), shape))
@@ -150,7 +158,9 @@ def measure(
             )
             missing = (*left_missing, *right_missing)
             derivatives.append(Derivative(place.where, name, left_found, right_found, missing, size))
-    return Measured(images, views, derivatives, settings.tolerance)
+    left, right = prepared[0].sides
+    untested = dict.fromkeys(line for place in prepared for side in place.sides for line in side.untested)
+    return Measured(images, views, derivatives, settings.tolerance, (left.variant, right.variant), tuple(untested))
 
 
 class _Sided:
@@ -160,21 +170,56 @@ class _Sided:
         self, subject: SmokeScene | Path, gamma: float, side: Side, settings: BenchSettings, seed: tuple[int, ...]
     ) -> None:
         self.subject, self.gamma, self.side, self.settings, self._seed = subject, gamma, side, settings, seed
-        self.renderer = self._renderer()
-        self._parameters = None if self.renderer is None else SceneParameters(self.renderer.scene)
-        if side.kind == OURS and self._parameters is not None and self._parameters.scatters:
-            raise InputError(
-                f"{side.text}: it emits and absorbs, but a medium of the scene scatters; compare path tracers"
-            )
+        #: That it is rendered in; None if it is not rendered.
+        self.variant: str | None = None
+        #: (V, H, W, C) of what is rendered.
+        self.shape: tuple[int, int, int, int] | None = None
+        #: What its images do not show, or not certainly.
+        self.untested: list[str] = []
+        self.renderer: SideRenderer | None = None
+        if side.kind in (FLOAT64, ANSWER, "pictures"):
+            return
+        self.variant = variant_of(side, side.kind != "scene" and isinstance(subject, SmokeScene))
+        with within(self.variant):
+            self.renderer = self._rendering()
+            self._parameters = SceneParameters(self.renderer.scene)
+            if side.kind == OURS and self._parameters.scatters:
+                raise InputError(
+                    f"{side.text}: it emits and absorbs, but a medium of the scene scatters; compare path tracers"
+                )
+            self.shape = self._first_shape()
 
-    def _renderer(self) -> SideRenderer | None:
-        if self.side.kind in (FLOAT64, ANSWER, "pictures"):
-            return None
+    def _rendering(self) -> SideRenderer:
         if self.side.kind == "scene":
             return scene_renderer(self.side.path, self.side)
         if isinstance(self.subject, SmokeScene):
             return smoke_renderer(self.subject, self.gamma, self.side, self.settings.tolerance)
         return scene_renderer(self.subject, self.side)
+
+    def _first_shape(self) -> tuple[int, int, int, int]:
+        """The shape of the images, from a first one.
+
+        Raises:
+            InputError: the integrator cannot render the scene.
+        """
+        assert self.renderer is not None, "others are fixed"
+        try:
+            return self.renderer.shape
+        except (RuntimeError, TypeError) as error:
+            cause: BaseException = error
+            while cause.__cause__ is not None:  # Dr.Jit puts its own around what an integrator raises
+                cause = cause.__cause__
+            reason = next((line for line in str(cause).splitlines() if line.strip()), repr(cause))
+            raise InputError(f"{self.side.text}: cannot render it in {self.variant} ({reason.strip()})") from None
+
+    def show_luminance(self, other: _Sided) -> None:
+        """Show the luminance of red, green and blue, where the other side has no colours."""
+        if self.renderer is None or self.variant is None or self.renderer.shape[-1] == 1:
+            return
+        self.renderer = replace(self.renderer, of_luminance=True)
+        with within(self.variant):
+            self.shape = self.renderer.shape
+        self.untested.append(f"colours: {other.side.text} has luminance alone")
 
     def fixed_images(self, shape: tuple[int, int, int, int]) -> Batches | None:
         """Images of such a shape (V, H, W, C) that need no rendering; None if it renders them.
@@ -183,7 +228,7 @@ class _Sided:
             InputError: it has none, or of another shape.
         """
         if self.renderer is not None:
-            if self.renderer.shape != shape:
+            if self.shape != shape:
                 (views, rows, columns, channels), own = shape, self.renderer.shape
                 raise InputError(
                     f"{self.side.text}: its image has {own[2]}×{own[1]} pixels, {own[0]} views and {own[3]} channels, "
@@ -191,7 +236,10 @@ class _Sided:
                 )
             return None
         if self.side.kind == "pictures":
-            return pictures(self.side.path, shape)
+            found = pictures(self.side.path, shape)
+            if found.exact:
+                self.untested.append(f"noise of {self.side.text}: it has one picture of each view, taken as exact")
+            return found
         if self.side.kind == ANSWER:
             return Batches(np.full((1, *shape), self._answer().radiance))
         if not isinstance(self.subject, SmokeScene) or self.subject.scatters:
@@ -200,9 +248,18 @@ class _Sided:
 
     def images(self, traced: Callable[[float], None]) -> Batches:
         """Its rendered images."""
-        assert self.renderer is not None, "others are fixed"
+        assert self.renderer is not None and self.variant is not None, "others are fixed"
         spp = self.settings.spp
-        return self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
+        with within(self.variant):
+            found = self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
+        if not np.isfinite(found.values).all():
+            _, view, row, column, _ = np.argwhere(~np.isfinite(found.values))[0]
+            count = int((~np.isfinite(found.values)).any((0, -1)).sum())
+            raise InputError(
+                f"{self.side.text}: {count} pixels are not finite, the first in row {row}, column {column} of view "
+                f"{view}: nothing can be compared with them; see what the integrator does there"
+            )
+        return found
 
     def derivatives(self, name: str, traced: Callable[[float], None]) -> tuple[dict[str, Batches], list[str]]:
         """By how they were taken, and why others were not."""
@@ -211,8 +268,18 @@ class _Sided:
             if known is None:
                 return {}, [f"{self.side.text}: no derivative with respect to {name} is known"]
             return {KNOWN: Batches(np.array([known]))}, []
-        if self.renderer is None or self._parameters is None:
+        if self.renderer is None or self.variant is None:
             return {}, [f"{self.side.text}: has images alone"]
+        with within(self.variant):
+            found, missing = self._taken(self.renderer, name, traced)
+        for way, estimate in found.items():
+            if not np.isfinite(estimate.values).all():
+                raise InputError(f"{self.side.text}: the derivative with respect to {name} by {way} is not finite")
+        return found, missing
+
+    def _taken(
+        self, renderer: SideRenderer, name: str, traced: Callable[[float], None]
+    ) -> tuple[dict[str, Batches], list[str]]:
         if reason := self._parameters.missing(name):
             return {}, [f"{self.side.text}: {reason}"]
         spp = self.settings.gradient_spp
@@ -220,15 +287,13 @@ class _Sided:
         part = 1 / (spp * (_IMAGES + 1))
         arguments = (self._parameters, name, spp, BATCHES)
         found: dict[str, Batches] = {
-            DIFFERENCED: self.renderer.differences(
-                *arguments, (*self._seed, number, 0), lambda paths: traced(part * paths)
-            )
+            DIFFERENCED: renderer.differences(*arguments, (*self._seed, number, 0), lambda paths: traced(part * paths))
         }
         if name == "sensor":
             return found, [f"{self.side.text}: integrators of media do not differentiate with respect to the sensor"]
-        if not self.renderer.differentiates:
+        if not renderer.differentiates:
             return found, [f"{self.side.text}: does not differentiate"]
-        found[DIFFERENTIATED] = self.renderer.derivatives(
+        found[DIFFERENTIATED] = renderer.derivatives(
             *arguments, (*self._seed, number, 1), lambda paths: traced(part * paths)
         )
         return found, []

@@ -33,6 +33,7 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
         "subject": subject,
         "left": settings.left.text,
         "right": settings.right.text,
+        "variants": dict(zip(("left", "right"), measured.variants, strict=True)),
         "settings": {
             "spp": settings.spp,
             "gradient_spp": settings.gradient_spp,
@@ -98,6 +99,7 @@ def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
         for tests in families
         if not tests.tested.all()
     ]
+    lines += measured.untested
     lines += list(dict.fromkeys(reason for derivative in measured.derivatives for reason in derivative.missing))
     if not measured.derivatives:
         lines.append("derivatives: none were asked for (--gradients)")

@@ -33,6 +33,8 @@ def scene_renderer(path: Path, side: Side) -> SideRenderer:
     scene = _loaded(path)
     if not scene.sensors():
         raise InputError(f"{path}: the scene has no sensor, expected one")
+    if scene.sensors()[0].film().class_name() == "SpecFilm":
+        raise InputError(f"{path}: the film of its sensor has bands of wavelengths, expected an hdrfilm")
     integrator = scene.integrator()
     if side.kind in PATH_TRACERS or side.kind == OURS:
         integrator = mi.load_dict(_replacement(path, side))

@@ -17,6 +17,7 @@ import numpy as np
 
 from tnst_mi.compare.bench.renderer import SideRenderer
 from tnst_mi.compare.bench.sides import OURS, Side
+from tnst_mi.compare.bench.variants import SPECTRAL_WHITE
 from tnst_mi.compare.closed_form import closed_form, column_density
 from tnst_mi.compare.inclusive_sum import inclusive_sums
 from tnst_mi.compare.path_tracing import smoke_region
@@ -80,7 +81,8 @@ def smoke_renderer(smoke: SmokeScene, gamma: float, side: Side, tolerance: float
     description = _description(smoke, gamma, "exact", 1.0)
     description["integrator"] = {"type": side.kind, "max_depth": _DEPTH, "hide_emitters": smoke.scatters}
     if smoke.light is None:
-        description["environment"] = {"type": "constant", "radiance": 1.0}
+        # The spectrum that ours emits: a plain number would be daylight in spectral variants.
+        description["environment"] = {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}
         return _renderer(description, smoke.views, False, 1 / gamma, -1 / gamma)
     # The scene keeps the emitters alive, of which some refer to the one that they were loaded with.
     emitters = load_light(smoke.light).emitters()
@@ -153,4 +155,7 @@ def _renderer(
 ) -> SideRenderer:
     scene = mi.load_dict(description)
     scene.sensors()[0].set_views(views)
-    return SideRenderer(scene, scene.integrator(), len(views), exact, not exact, offset, factor)
+    # Wavelengths are random, even where paths are not.
+    free_of_noise = exact and not mi.is_spectral
+    white = SPECTRAL_WHITE if mi.is_spectral else 1.0
+    return SideRenderer(scene, scene.integrator(), len(views), free_of_noise, not exact, offset, factor / white)
