@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import tnst_mi
+from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.hypotheses import DIFFERENCED, DIFFERENTIATED
 from tnst_mi.compare.bench.known_answers import Answer, known_scenes
-from tnst_mi.compare.bench.measurement import BenchSettings, measure, prepare
+from tnst_mi.compare.bench.measurement import measure, prepare
 from tnst_mi.compare.bench.sides import ANSWER, OURS, PATH_TRACERS, side_of
 from tnst_mi.io.atomic import written_whole
 

@@ -2,5 +2,6 @@
 
 sides, variants  what can be compared    smoke_scene, scene_file, pictures, known_answers  what shows it
 renderer, parameters  images in independent batches, and their derivatives    batches, student, decision  the statistics
-hypotheses, measurement  all of it    record, baseline, bench_report  what is written, and what an earlier run wrote
+hypotheses, prepared_side, measurement  all of it, as bench_settings say
+record, baseline, bench_report  what is written, and what an earlier run wrote
 """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mitsuba as mi
 
@@ -16,8 +15,8 @@ from tnst_mi.machine.optix import require_optix
 #: γ of ours in scene files: media emit 1e-6 of their extinction, so that the transmittance of what is behind remains.
 SCENE_GAMMA = 1e6
 
-#: What an integrator takes over from the one that it replaces, by the element of the file.
-_TAKEN_OVER = {"integer": ("max_depth", "rr_depth"), "boolean": ("hide_emitters",)}
+#: What an integrator takes over from the one that it replaces.
+_TAKEN_OVER = ("max_depth", "rr_depth", "hide_emitters")
 
 #: Values of an image, at most: all batches of it are in memory.
 _MOST_VALUES = 1 << 20
@@ -60,10 +59,8 @@ def _replacement(path: Path, side: Side) -> dict[str, Any]:
     """The description of an integrator with the depths of the one that the file has."""
     if side.kind == OURS:
         return {"type": OURS, "gamma": SCENE_GAMMA, "quadrature": side.quadrature}
-    description: dict[str, Any] = {"type": side.kind}
-    own = ElementTree.parse(path).find("integrator")
-    for element in own if own is not None else ():
-        name, value = element.get("name", ""), element.get("value", "")
-        if name in _TAKEN_OVER.get(element.tag, ()) and not value.startswith("$"):
-            description[name] = value == "true" if element.tag == "boolean" else int(value)
-    return description
+    nodes = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path)).nodes
+    # The outermost comes first.
+    integrators = [node.props for node in nodes if node.type == mi.ObjectType.Integrator]
+    found = {name: next((own[name] for own in integrators if name in own), None) for name in _TAKEN_OVER}
+    return {"type": side.kind} | {name: value for name, value in found.items() if value is not None}
