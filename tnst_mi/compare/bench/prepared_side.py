@@ -50,6 +50,8 @@ class PreparedSide:
                     f"{side.text}: it emits and absorbs, but a medium of the scene scatters; compare path tracers"
                 )
             self.shape = self._first_shape()
+            if self.renderer.remark:
+                self.untested.append(self.renderer.remark)
 
     def _rendering(self) -> SideRenderer:
         if self.side.kind == "scene":

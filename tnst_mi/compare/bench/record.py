@@ -100,6 +100,11 @@ def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
         for tests in families
         if not tests.tested.all()
     ]
+    lines += [
+        f"{pair.where} anything: both sides are black".strip()
+        for pair in measured.images
+        if not pair.left.values.any() and not pair.right.values.any()
+    ]
     lines += measured.untested
     lines += list(dict.fromkeys(reason for derivative in measured.derivatives for reason in derivative.missing))
     if not measured.derivatives:

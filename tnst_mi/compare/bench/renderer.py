@@ -37,6 +37,7 @@ class SideRenderer:
         traces_paths: whether paths are random, and not only their places in pixels.
         offset, factor: an image is `offset` + `factor` times what the film holds.
         of_luminance: whether a film of red, green and blue is shown by its luminance.
+        remark: what its images do not show precisely; "" if there is nothing to say.
     """
 
     scene: mi.Scene
@@ -47,6 +48,7 @@ class SideRenderer:
     offset: float = 0.0
     factor: float = 1.0
     of_luminance: bool = False
+    remark: str = ""
 
     @functools.cached_property
     def shape(self) -> tuple[int, int, int, int]:

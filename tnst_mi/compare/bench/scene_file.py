@@ -18,8 +18,8 @@ SCENE_GAMMA = 1e6
 #: What an integrator takes over from the one that it replaces.
 _TAKEN_OVER = ("max_depth", "rr_depth", "hide_emitters")
 
-#: Values of an image, at most: all batches of it are in memory.
-_MOST_VALUES = 1 << 20
+#: Pixels of an image, at most: all batches of it are in memory.
+_MOST_PIXELS = 1 << 18
 
 
 def scene_renderer(path: Path, side: Side) -> SideRenderer:
@@ -32,19 +32,20 @@ def scene_renderer(path: Path, side: Side) -> SideRenderer:
     scene = _loaded(path)
     if not scene.sensors():
         raise InputError(f"{path}: the scene has no sensor, expected one")
-    if scene.sensors()[0].film().class_name() == "SpecFilm":
+    film = scene.sensors()[0].film()
+    if film.class_name() == "SpecFilm":
         raise InputError(f"{path}: the film of its sensor has bands of wavelengths, expected an hdrfilm")
+    columns, rows = (int(edge) for edge in film.crop_size())
+    if columns * rows > _MOST_PIXELS:
+        raise InputError(
+            f"{path}: the image has {columns}×{rows} pixels, expected at most {_MOST_PIXELS}; make its film smaller"
+        )
     integrator = scene.integrator()
     if side.kind in PATH_TRACERS or side.kind == OURS:
         integrator = mi.load_dict(_replacement(path, side))
     elif integrator is None:
         raise InputError(f"{path}: the scene has no integrator, expected one")
-    renderer = SideRenderer(scene, integrator, 1, False, side.kind != OURS)
-    if (values := renderer.shape[1] * renderer.shape[2] * renderer.shape[3]) > _MOST_VALUES:
-        raise InputError(
-            f"{path}: the image has {values} values, expected at most {_MOST_VALUES}; make its film smaller"
-        )
-    return renderer
+    return SideRenderer(scene, integrator, 1, False, side.kind != OURS)
 
 
 def _loaded(path: Path) -> mi.Scene:
