@@ -58,7 +58,8 @@ class SideRenderer:
 
     @functools.cached_property
     def _film_shape(self) -> tuple[int, int, int]:
-        rows, columns, channels = self._film(1, 0).shape
+        # Not a single path: polarized variants cannot record the loop of one.
+        rows, columns, channels = self._film(2, 0).shape
         return rows, columns, channels
 
     @property
