@@ -10,6 +10,7 @@ import OpenEXR
 import pytest
 from command_line import Run, refused, run
 
+from tnst_mi.compare.bench.batches import Batches, certain_beside, comparable
 from tnst_mi.compare.bench.pictures import pictures
 from tnst_mi.compare.bench.scene_file import scene_renderer
 from tnst_mi.compare.bench.sides import side_of
@@ -154,3 +155,12 @@ def test_smoke_that_is_cut_at_a_wall_is_said_to_be_less_precise() -> None:
     assert cut.remark.startswith("emission_absorption at γ 0.4 more precisely than 0.0")
     inside = np.pad(np.ones((4, 5, 3), np.float32), 2)
     assert smoke_renderer(SmokeScene(inside, ((30.0, 10.0),)), 0.4, side, 1e-3).remark == ""
+
+
+def test_a_derivative_that_no_path_carries_is_certain_only_where_paths_are_found() -> None:
+    """With a tight majorant it is 0 whatever the paths; in thin haze 8 batches may well have missed all that count."""
+    zero, answer = Batches(np.zeros(8)), Batches(np.array([-1e-6]))
+    varying, missed = Batches(np.random.default_rng(1).normal(-0.2, 0.05, 8)), Batches(np.eye(8)[0])
+    assert comparable(certain_beside(zero, varying), answer)
+    assert not comparable(certain_beside(zero, missed), answer)
+    assert not comparable(certain_beside(missed, varying), answer), "a few batches have found some"

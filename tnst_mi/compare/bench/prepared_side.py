@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches
+from tnst_mi.compare.bench.batches import Batches, certain_beside
 from tnst_mi.compare.bench.bench_settings import BATCHES, BenchSettings
 from tnst_mi.compare.bench.hypotheses import DIFFERENCED, DIFFERENTIATED, KNOWN
 from tnst_mi.compare.bench.known_answers import Answer, answer_of
@@ -157,9 +157,8 @@ class PreparedSide:
             return found, [f"{self.side.text}: integrators of media do not differentiate with respect to the sensor"]
         if not renderer.differentiates:
             return found, [f"{self.side.text}: does not differentiate"]
-        found[DIFFERENTIATED] = renderer.derivatives(
-            *arguments, (*self._seed, number, 1), lambda paths: traced(part * paths)
-        )
+        derivatives = renderer.derivatives(*arguments, (*self._seed, number, 1), lambda paths: traced(part * paths))
+        found[DIFFERENTIATED] = certain_beside(derivatives, found[DIFFERENCED])
         return found, []
 
     def _answer(self) -> Answer:

@@ -82,7 +82,7 @@ class SideRenderer:
     ) -> Batches:
         """Of the weighted mean with respect to a parameter, by the integrator's own differentiation: (batches,).
 
-        One that is the same in all batches, such as 0 where nothing carries it, is taken as free of noise.
+        One that is 0 in all batches may have been missed by chance: see `batches.comparable`.
         """
         paths, count = self._divided(spp, count)
         sensor = self.scene.sensors()[0]
@@ -98,8 +98,7 @@ class SideRenderer:
                     total += part / paths * parameters.gradient(name)
             batches.append(total)
             traced(paths)
-        same = len(set(batches)) == 1
-        return Batches(np.array(batches[:1] if same else batches), self.traces_paths)
+        return Batches(np.array(batches), self.traces_paths)
 
     def differences(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
