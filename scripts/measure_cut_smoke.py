@@ -5,6 +5,8 @@ python scripts/measure_cut_smoke.py
 
 from __future__ import annotations
 
+import argparse
+
 import numpy as np
 
 import tnst_mi
@@ -42,6 +44,7 @@ def errors(density: np.ndarray, gamma: float) -> list[str]:
 
 def main() -> None:
     """Print the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     tnst_mi.activate()
     (frame,) = tnst_mi.load_frames(scene_file("suzanne/frame_0010.npz"))
     small = noise(6, 9, 7)
