@@ -44,8 +44,8 @@ class Measured:
     views: tuple[str, ...]
     derivatives: list[Derivative]
     tolerance: float
-    variants: tuple[str | None, str | None] = (None, None)
-    untested: tuple[str, ...] = ()
+    variants: tuple[str | None, str | None]
+    untested: tuple[str, ...]
 
     def families(self) -> list[Family]:
         """All tests."""
