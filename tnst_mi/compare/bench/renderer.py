@@ -14,6 +14,7 @@ from tnst_mi.compare.bench.batches import Batches
 from tnst_mi.compare.bench.parameters import SceneParameters
 from tnst_mi.compare.bench.variants import LUMINANCE
 from tnst_mi.compare.values import seed_of
+from tnst_mi.machine.garbage import collection_paused
 
 #: Paths per pixel of one launch: a film adds them up in float32, which loses 1e-4 of the sum of 65 536.
 _DEEPEST_LAUNCH = 4096
@@ -93,7 +94,7 @@ class SideRenderer:
             for launch, part in enumerate(self._launches(paths)):
                 number = seed_of(*seed, batch, launch)
                 with parameters.differentiated(name) as tracked:
-                    with dr.suspend_grad():
+                    with dr.suspend_grad(), collection_paused():
                         self.integrator.render_backward(self.scene, tracked, adjoint, sensor, seed=number, spp=part)
                     total += part / paths * parameters.gradient(name)
             batches.append(total)
@@ -150,8 +151,9 @@ class SideRenderer:
 
     def _film(self, spp: int, seed: int) -> np.ndarray:
         sensor = self.scene.sensors()[0]
-        image = mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=seed)
-        return image.numpy().astype(np.float64)
+        with collection_paused():
+            image = mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=seed)
+            return image.numpy().astype(np.float64)
 
 
 def ramp(shape: tuple[int, int, int, int]) -> np.ndarray:
