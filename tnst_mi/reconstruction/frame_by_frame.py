@@ -62,6 +62,7 @@ class FrameByFrame:
         """The next frame."""
         prepared, number = self._prepared, self._prepared.frames[index]
         begun = time.perf_counter() - self.progress.seconds
+        self.progress.note(prepared.sources(index))
         frame = FrameReconstruction(
             prepared.settings,
             prepared.levels,
@@ -87,7 +88,7 @@ class FrameByFrame:
         seconds = time.perf_counter() - begun
         record = write_frame_results(self._out, self._format, prepared, number, frame, descent, seconds, finished)
         if finished:
-            self.progress = ReconstructionState(self.progress.identity, [*self.progress.records, record])
+            self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
         else:
             self.progress.seconds = seconds

@@ -53,9 +53,28 @@ class Preparation:
     @property
     def identity(self) -> str:
         """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
-        cameras = [(view.name, str(view.image), view.held_out, _numbers(view)) for view in self.views]
+        cameras = [(view.name, *_files(view), view.held_out, _numbers(view)) for view in self.views]
         told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames)], default=str)
         return hashlib.sha256(told.encode("utf-8")).hexdigest()
+
+    def sources(self, index: int) -> list[Path]:
+        """The files that a frame is made from, by its place among the frames; those of its cameras are known already.
+
+        Raises:
+            InputError: the name of a picture has no place for the number of the frame.
+        """
+        number = self.frames[index]
+        found = [file_of_frame(view.image, number) for view in self.views]
+        found += [_of_frame(view.mask, number) for view in self.views if view.mask is not None]
+        found += [view.background for view in self.views if view.background is not None]
+        before = self.frames[index - 1] if index else None
+        if self.velocities is not None and before in self.velocities.numbers:
+            found += self.velocities.sources(self.velocities.numbers.index(before))
+        if self.settings.integrator == "prbvolpath":
+            found.append(Path(self.settings.light))
+        # Of a frame's velocity, some files need not exist; a light may be a name; a picture that is missing is told of
+        # by whoever reads it.
+        return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def photographs(self, number: int | None) -> list[Photograph]:
         """The pictures of a frame.
@@ -191,6 +210,10 @@ def _cells(shape: Sequence[int]) -> str:
     return " × ".join(map(str, shape))
 
 
+def _files(view: PosedView) -> list[str | None]:
+    return [None if file is None else str(file.absolute()) for file in (view.image, view.mask, view.background)]
+
+
 def _numbers(view: PosedView) -> list[Any]:
     camera = view.camera((1, 1))
-    return [camera.to_scene.round(9).tolist(), camera.perspective, camera.field, camera.shift]
+    return [camera.to_scene.round(9).tolist(), camera.perspective, camera.field, camera.aspect, camera.shift]
