@@ -16,7 +16,8 @@ from tnst_mi.machine.interrupt import Interrupt
 from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.results import write_frame_results, write_report
+from tnst_mi.reconstruction.report import write_report
+from tnst_mi.reconstruction.results import write_frame_results
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
 
@@ -87,6 +88,7 @@ class FrameByFrame:
         finished = self.progress.level == last and descent.done == descent.steps
         seconds = time.perf_counter() - begun
         record = write_frame_results(self._out, self._format, prepared, number, frame, descent, seconds, finished)
+        record["convergence"] = self.progress.convergence
         if finished:
             self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
@@ -101,6 +103,7 @@ class FrameByFrame:
         grid = "×".join(map(str, descent.octave.shape))
         while descent.done < descent.steps and not interrupt.requested:
             loss = descent.step()
+            self.progress.add_error(level, loss)
             bar.advance(f"grid {grid}, step {descent.done}/{descent.steps}, RMS {loss**0.5:.2%}")
             if time.monotonic() - self._saved > _WRITTEN_AFTER:
                 self.progress.seconds = time.perf_counter() - begun

@@ -1,26 +1,21 @@
-"""What is written of a reconstruction: densities, pictures of the views that were held out, and report.json."""
+"""What is written of a frame: its density, and pictures of it and of the views that were held out."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
-from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.formats import write_frame
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
-from tnst_mi.machine import environment
 from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction, HeldOutView, mean_psnr
 from tnst_mi.reconstruction.preparation import Preparation
+from tnst_mi.reconstruction.sides import three_sides
 
 #: By how much the third part of a picture, the difference, is brighter than the others.
 _TIMES = 10
@@ -48,6 +43,7 @@ def write_frame_results(
     density = extinction / np.float32(gamma)
     file = Path("density") / f"{name}.{format}"
     write_frame(out / file, density, placement=prepared.place.placement)
+    write_png(out / "images" / f"{name}_sides.png", srgb(three_sides(extinction)))
     for view in views:
         _write_pictures(out / "images" / f"{name}_{view.name}", view, frame.peak)
     value = mean_psnr(views)
@@ -67,31 +63,6 @@ def write_frame_results(
         "largest_density": float(density.max()),
         "seconds": round(seconds, 1),
     }
-
-
-def write_report(out: Path, prepared: Preparation, records: Sequence[Mapping[str, Any]], finished: bool) -> None:
-    """Write report.json: how it was reconstructed, and how well.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    told = {
-        "cameras": str(prepared.cameras.file),
-        "finished": finished and len(records) == len(prepared.frames),
-        "settings": asdict(prepared.settings),
-        "shape": list(prepared.place.shape),
-        "voxel_size": prepared.place.placement.voxel_size,
-        "corner": list(prepared.place.placement.corner),
-        "up": prepared.place.placement.up,
-        "views": [view.name for view in prepared.views if not view.held_out],
-        "held_out": [view.name for view in prepared.views if view.held_out],
-        "assumed": list(prepared.remarks),
-        "frames": list(records),
-        "versions": environment.versions(),
-        "device": environment.device(mi.variant()),
-    }
-    with written_whole(out / "report.json") as temporary:
-        temporary.write_text(json.dumps(told, indent=1, allow_nan=False, default=str) + "\n", "utf-8")
 
 
 def _write_pictures(path: Path, view: HeldOutView, peak: float) -> None:

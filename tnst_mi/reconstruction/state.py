@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -20,7 +21,10 @@ from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.sources import digest, require_unchanged
 
 #: What is written beside the tensors.
-_TOLD = ("identity", "records", "level", "seconds", "sources")
+_TOLD = ("identity", "records", "level", "seconds", "sources", "errors")
+
+#: Numbers that a record keeps of the errors on a grid, at most.
+_KEPT_ERRORS = 50
 
 #: Adam's moments by torch's names of them.
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -36,6 +40,7 @@ class ReconstructionState:
         level: the grid of the frame that is not, from 0.
         seconds: that this frame has taken.
         sources: the digests of all files that have been read, by absolute path.
+        errors: the root mean square difference of each of its steps, grid by grid, in parts of the peak.
         tensors: of its descent, by name; empty before its first step.
     """
 
@@ -44,6 +49,7 @@ class ReconstructionState:
     level: int = 0
     seconds: float = 0.0
     sources: dict[str, str] = field(default_factory=dict)
+    errors: list[list[float]] = field(default_factory=list)
     tensors: Mapping[str, Tensor] = field(default_factory=dict)
 
     def note(self, files: Iterable[Path]) -> None:
@@ -55,6 +61,22 @@ class ReconstructionState:
         for file in files:
             with opening(file, "a picture"):
                 self.sources.setdefault(str(file.absolute()), digest(file))
+
+    def add_error(self, level: int, mean_square: float) -> None:
+        """Take note of the error of one more step on a grid."""
+        self.errors += [[] for _ in range(level + 1 - len(self.errors))]
+        self.errors[level].append(mean_square**0.5)
+
+    @property
+    def convergence(self) -> list[dict[str, Any]]:
+        """The steps of the frame on each grid, and how their errors fell: means over equally many steps each."""
+        return [
+            {
+                "steps": len(errors),
+                "rms": [float(part.mean()) for part in np.array_split(errors, _KEPT_ERRORS) if len(part)],
+            }
+            for errors in self.errors
+        ]
 
     def after(self, record: dict[str, Any]) -> ReconstructionState:
         """How far it is when one more frame is done."""
@@ -115,7 +137,8 @@ def _require_sound(progress: ReconstructionState) -> None:
     Raises:
         ValueError: one is another.
     """
-    numbers = isinstance(progress.level, int) and isinstance(progress.seconds, int | float)
+    levels = [error for errors in progress.errors for error in errors]
+    numbers = isinstance(progress.level, int) and all(isinstance(n, int | float) for n in [progress.seconds, *levels])
     texts = [progress.identity, *(record["density"] for record in progress.records), *progress.sources.values()]
     if not numbers or not all(isinstance(text, str) and text for text in texts):
         raise ValueError("another type")
