@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
 from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
 from tnst_mi.reconstruction.rendering import RendererChoice
 from tnst_mi.reconstruction.settings import ReconstructionSettings
+from tnst_mi.reconstruction.smoke_colours import coloured_images, smoke_colours
 
 #: The share of pixels that count as those of the thickest smoke.
 _THICKEST = 0.005
@@ -134,10 +135,25 @@ class FrameReconstruction:
         """The value of a pixel without smoke, likewise."""
         return self._model.background * self.peak
 
-    def judged(self, extinction: np.ndarray) -> list[HeldOutView]:
-        """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak."""
+    def colours(self, extinction: np.ndarray, goes_on: Callable[[], bool]) -> np.ndarray | None:
+        """The colours (D, H, W, 3) of an extinction on the full grid, see `smoke_colours`; None if it did not go on."""
+        s = self._settings
+        return smoke_colours(extinction, self._levels, self._used, self._model, s.quadrature, s.batch, goes_on)
+
+    def judged(self, extinction: np.ndarray, colours: np.ndarray | None) -> list[HeldOutView]:
+        """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak.
+
+        With `colours` (D, H, W, 3), pictures and renderings are (rows, columns, 3).
+        """
         octave = self._levels[-1]
         pictures = [photograph.averaged(octave.cell_size) for photograph in self._judges]
+        if colours is not None:
+            seen = coloured_images(extinction, colours, octave, pictures, self._model, self._settings.quadrature)
+            return [
+                HeldOutView(one.name, one.colours, image, psnr(image, one.colours, one.weights[..., None]))
+                for one, image in zip(pictures, seen, strict=True)
+                if one.colours is not None
+            ]
         seen = rendered(extinction, octave, pictures, self._renderers, self._model)
         return [
             HeldOutView(picture.name, picture.values, image, psnr(image, picture.values, picture.weights))
@@ -166,6 +182,7 @@ class FrameReconstruction:
 
 def psnr(image: np.ndarray, picture: np.ndarray, weights: np.ndarray) -> float:
     """Peak signal-to-noise ratio in dB of an image whose peak is 1, over the pixels that count."""
+    weights = np.broadcast_to(weights, picture.shape)
     error = float((weights * (image - picture) ** 2).sum(dtype=np.float64) / max(float(weights.sum()), 1e-12))
     return math.inf if error == 0 else -10 * math.log10(error)
 
