@@ -17,7 +17,7 @@ from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.preparation import Preparation
 from tnst_mi.reconstruction.report import write_report
-from tnst_mi.reconstruction.results import found_colours, write_frame_results
+from tnst_mi.reconstruction.results import in_colour, write_frame_results
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
 
@@ -89,8 +89,9 @@ class FrameByFrame:
         finished = self.progress.level == last and descent.done == descent.steps
         colours = None
         if finished and prepared.settings.channel == "rgb":
-            colours = found_colours(frame, extinction, len(prepared.levels), interrupt, self._shown)
-            finished = colours is not None
+            found = in_colour(frame, extinction, len(prepared.levels), interrupt, self._shown)
+            finished = found is not None
+            extinction, colours = found or (extinction, None)
         seconds = time.perf_counter() - begun
         record = write_frame_results(
             self._out, self._format, prepared, number, frame, extinction, colours, seconds, finished

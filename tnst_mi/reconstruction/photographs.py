@@ -20,7 +20,7 @@ from tnst_mi.rendering.cameras.camera import Camera
 _MOST_PIXELS = 1 << 26
 
 #: Weights of linear red, green and blue in the luminance (ITU-R BT.709).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 #: Pixels to either side of one, whose mean says which colour it has.
 _AROUND = 2
@@ -126,10 +126,10 @@ def strength(colours: np.ndarray) -> np.ndarray:
     over theirs: it has the noise of the luminance, with a mean of 0. Grey pixels keep their value.
     """
     around = _box_means(colours)
-    luminance = around @ _LUMINANCE
+    luminance = around @ LUMINANCE
     floor = _FAINT * max(float(luminance.max()), 1e-30)
     ratio = (np.maximum(around.max(axis=2), 0) + floor) / (np.maximum(luminance, 0) + floor)
-    return (colours @ _LUMINANCE) * ratio
+    return (colours @ LUMINANCE) * ratio
 
 
 def _box_means(colours: np.ndarray) -> np.ndarray:
@@ -169,7 +169,7 @@ def read_values(path: Path, channel: str, transfer: str) -> np.ndarray:
         colours = colours * alpha[..., None]
     if channel == "rgb":
         return np.ascontiguousarray(colours)
-    grey = colours @ _LUMINANCE if channel == "luminance" else colours[..., ("red", "green", "blue").index(channel)]
+    grey = colours @ LUMINANCE if channel == "luminance" else colours[..., ("red", "green", "blue").index(channel)]
     return np.ascontiguousarray(grey)
 
 

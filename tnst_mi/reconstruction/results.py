@@ -19,7 +19,7 @@ from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.reconstruction.one_frame import FrameReconstruction, HeldOutView, mean_psnr
 from tnst_mi.reconstruction.preparation import Preparation
 from tnst_mi.reconstruction.sides import three_sides
-from tnst_mi.reconstruction.smoke_colours import STEPS
+from tnst_mi.reconstruction.smoke_colours import colour_steps
 
 #: The grid of the smoke's colours, by the name that Houdini has for it.
 COLOUR = "Cd"
@@ -28,17 +28,17 @@ COLOUR = "Cd"
 _TIMES = 10
 
 
-def found_colours(
+def in_colour(
     frame: FrameReconstruction, extinction: np.ndarray, levels: int, interrupt: Interrupt, shown: bool
-) -> np.ndarray | None:
-    """The colours of an extinction on the full grid, with a progress bar; None if Ctrl-C was pressed."""
-    with closing(progress_bar(total=STEPS * levels, desc="colours", disable=not shown)) as bar:
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The extinction of a frame and its colours, with a progress bar; None if Ctrl-C was pressed."""
+    with closing(progress_bar(total=colour_steps(levels), desc="colours", disable=not shown)) as bar:
 
         def goes_on() -> bool:
             bar.update(1)
             return not interrupt.requested
 
-        return frame.colours(extinction, goes_on)
+        return frame.in_colour(extinction, goes_on)
 
 
 def write_frame_results(

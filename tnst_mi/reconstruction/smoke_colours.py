@@ -17,6 +17,7 @@ takes some views for all of them (ordered subsets).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import mitsuba as mi
@@ -25,17 +26,28 @@ import numpy as np
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density, resample_velocity
 from tnst_mi.reconstruction.image_model import ImageModel
-from tnst_mi.reconstruction.photographs import Photograph
+from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 
 #: Steps on each grid.
-STEPS = 40
+_STEPS = 40
+
+#: How often the extinction is found anew with the colours, by how many steps, before the colours are.
+COLOUR_ROUNDS, REFINING_STEPS = 3, 50
 
 #: λ, in parts of the mean curvature of cells with smoke.
 _SMOOTHNESS = 0.02
 
+#: Opacity below which a pixel counts more and more as one of white smoke.
+_FAINT = 0.01
+
 #: Cells with less than this share of the largest extinction count as empty when that mean is taken.
 _EMPTY = 0.02
+
+
+def colour_steps(levels: int) -> int:
+    """Steps of finding colours and refining the extinction, with so many grids."""
+    return _STEPS * levels + COLOUR_ROUNDS * (REFINING_STEPS + _STEPS)
 
 
 def smoke_colours(
@@ -45,6 +57,7 @@ def smoke_colours(
     model: ImageModel,
     quadrature: str,
     batch: int,
+    start: np.ndarray | None,
     goes_on: Callable[[], bool],
 ) -> np.ndarray | None:
     """Find the colours of an extinction; None if it did not go on.
@@ -56,13 +69,13 @@ def smoke_colours(
         model: the light of white smoke, and what is behind it, alike in all channels.
         quadrature: of emission and absorption.
         batch: views of a step.
-        goes_on: asked before each step, of which there are STEPS on each grid.
+        start: (D, H, W, 3) on the first of the grids to begin with; None for one colour everywhere.
+        goes_on: asked before each step.
 
     Returns:
         (D, H, W, 3) float32, 0 or more; white where there is no smoke at all.
     """
-    colours: np.ndarray | None = None
-    before = levels[0]
+    colours, before = start, levels[0]
     for octave in levels:
         shape, h = octave.shape, octave.cell_size
         smoke = np.array(resample_density(extinction, 1.0, shape, h), np.float32)
@@ -72,12 +85,38 @@ def smoke_colours(
             colours = np.broadcast_to(problem.mean_colour, (*shape, 3)).astype(np.float32)
         else:
             colours = np.array(resample_velocity(colours, before.cell_size, shape, h), np.float32)
-        for step in range(STEPS):
+        for step in range(_STEPS):
             if not goes_on():
                 return None
             colours = problem.improved(colours, step)
         before = octave
     return colours
+
+
+def as_if_white(
+    extinction: np.ndarray,
+    colours: np.ndarray,
+    octave: Octave,
+    photographs: Sequence[Photograph],
+    model: ImageModel,
+    quadrature: str,
+) -> list[Photograph]:
+    """Photographs with the values that they would have if the smoke were white, its strongest channel being 1.
+
+    What a pixel shows of smoke has the luminance of the colours along its ray, which makes it that much darker.
+    """
+    strongest = colours.max(axis=3, keepdims=True)
+    bright = np.divide(colours, strongest, out=np.ones_like(colours), where=strongest > 0)
+    found = []
+    for photograph in photographs:
+        view = _ViewGroup(extinction, _renderer(octave, quadrature, _size(photograph)), [photograph])
+        white, luminance = view.opacity[0, ..., 0], view.shown(bright)[0] @ LUMINANCE
+        ratio = (white + _FAINT) / (luminance + _FAINT)
+        light = model.brightness * view.wanted(model)[0] @ LUMINANCE
+        behind = model.background if photograph.background is None else photograph.background
+        values = light * ratio + behind * (1 - white)
+        found.append(replace(photograph, values=values.astype(np.float32)))
+    return found
 
 
 def coloured_images(
