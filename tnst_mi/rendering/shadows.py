@@ -33,7 +33,7 @@ class Lights(NamedTuple):
 
     Attributes:
         towards: (N, 3), unit vectors towards the light.
-        irradiance: (N,), the luminance that a surface facing it receives.
+        irradiance: (N,), the luminance that a surface facing each receives.
     """
 
     towards: np.ndarray
