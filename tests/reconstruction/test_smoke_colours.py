@@ -38,11 +38,17 @@ def coloured_views(cloud, colours, tmp_path_factory):
     return write_views(out, [tnst_mi.Frame(cloud, grids={"Cd": colours})], renderer, (12, 3), 0.0, GAMMA)
 
 
+def shorten(patch: pytest.MonkeyPatch) -> None:
+    """Once, and with fewer steps, is enough for so little smoke."""
+    patch.setattr(one_frame, "COLOUR_ROUNDS", 1)
+    patch.setattr(one_frame, "REFINING_STEPS", 30)
+
+
 @pytest.fixture(scope="module")
 def found(coloured_views, tmp_path_factory) -> tnst_mi.Reconstruction:
-    """What is found of them; once is enough for so little smoke."""
+    """What is found of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(one_frame, "COLOUR_ROUNDS", 1)
+        shorten(patch)
         return reconstruct(coloured_views, tmp_path_factory.mktemp("found"), KEYS, progress=False)
 
 
@@ -79,7 +85,7 @@ def test_grey_pictures_give_grey(views, tmp_path, monkeypatch):
 
 
 def test_stopped_among_its_colours_it_goes_on_to_the_same_bits(found, coloured_views, tmp_path, monkeypatch):
-    monkeypatch.setattr(one_frame, "COLOUR_ROUNDS", 1)
+    shorten(monkeypatch)
     improved, taken = smoke_colours._ColourProblem.improved, []
 
     def stopped_once(problem, *given):

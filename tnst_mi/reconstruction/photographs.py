@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.grids.npz import read_arrays
 from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import read_radiance
 from tnst_mi.io.pictures.srgb import linear_of
@@ -141,19 +143,20 @@ def _box_means(colours: np.ndarray) -> np.ndarray:
     return colours
 
 
-def read_values(path: Path, channel: str, transfer: str) -> np.ndarray:
+def read_values(path: Path, channel: str, transfer: str, layer: int | None = None) -> np.ndarray:
     """One linear channel of a picture, (rows, columns) float32, or with "rgb" all of them, (rows, columns, 3).
 
     Args:
         path: the file.
         channel: "luminance", of what is seen before black, "rgb", "red", "green", "blue" or "alpha".
-        transfer: "linear", "srgb", or "auto": EXR and HDR are linear, other formats have the curve of sRGB.
+        transfer: "linear", "srgb", or "auto": EXR, HDR and npz are linear, other formats have the curve of sRGB.
+        layer: which of the pictures of an npz file; None for files of one.
 
     Raises:
         InputError: it cannot be read, has no alpha, or values that are not finite.
     """
     with opening(path, "a picture"), silenced():
-        pixels, linear = _decoded(path)
+        pixels, linear = _decoded(path, layer)
     if not np.isfinite(pixels).all():
         raise InputError(f"{path}: {int((~np.isfinite(pixels)).sum())} values are not finite; mend the picture")
     planes = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
@@ -180,7 +183,7 @@ def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
         InputError: it cannot be read, or has another size than (rows, columns).
     """
     with opening(path, "a mask"), silenced():
-        pixels, _ = _decoded(path)
+        pixels, _ = _decoded(path, None)
     if pixels.ndim == 3:
         pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(axis=2)
     require_size(path, pixels, size)
@@ -214,8 +217,12 @@ def estimated_noise(photographs: Sequence[Photograph]) -> float:
     return _NORMAL * float(np.median(np.concatenate(found)))
 
 
-def _decoded(path: Path) -> tuple[np.ndarray, bool]:
+def _decoded(path: Path, layer: int | None) -> tuple[np.ndarray, bool]:
     """The pixels in parts of full scale, (H, W), (H, W, 3) or (H, W, 4), and whether they are linear."""
+    if path.suffix.lower() == ".npz":
+        return _layer(path, layer), True
+    if layer is not None:
+        raise InputError(f"{path}: is one picture, and layer = {layer} is of .npz files with several; leave it out")
     with path.open("rb") as file:
         start = file.read(64)
     if path.suffix.lower() == ".exr":
@@ -224,3 +231,14 @@ def _decoded(path: Path) -> tuple[np.ndarray, bool]:
         return read_radiance(path, _MOST_PIXELS), True
     pixels, full_scale = decoded_by_pillow(path, start)
     return pixels.astype(np.float32) / full_scale, False
+
+
+def _layer(path: Path, layer: int | None) -> np.ndarray:
+    """One of the grey pictures of an npz file of the ScalarFlow data set: `data` (V, rows, columns, 1), row 0 below."""
+    data = read_arrays(path, ["data"]).get("data")
+    if data is None or data.ndim != 4 or data.shape[3] != 1 or math.prod(data.shape[1:]) > _MOST_PIXELS:
+        found = "none" if data is None else f"one of shape {data.shape}"
+        raise InputError(f"{path}: has {found}, expected an array data of grey pictures, (views, rows, columns, 1)")
+    if layer is None or layer >= len(data):
+        raise InputError(f"{path}: holds {len(data)} pictures, say which is the view's by layer, from 0")
+    return np.ascontiguousarray(data[layer, ::-1, :, 0], np.float32)

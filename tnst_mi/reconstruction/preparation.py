@@ -25,6 +25,9 @@ from tnst_mi.rendering.cameras.shots import camera_in_cells
 #: (Mildenhall et al. 2019); of fewer views, none.
 _EVERY = 8
 
+#: By how much pixels may be wider than high or the other way round: pictures that were made smaller to whole pixels.
+_UNEVEN = 0.01
+
 #: What is said where colours are found.
 _COLOUR_SAID = (
     "colour: smoke of a colour is taken to be as bright in its strongest channel as white smoke (--channel luminance "
@@ -59,7 +62,7 @@ class Preparation:
     @property
     def identity(self) -> str:
         """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
-        cameras = [(view.name, *_files(view), view.held_out, _numbers(view)) for view in self.views]
+        cameras = [(view.name, *_files(view), view.layer, view.held_out, _numbers(view)) for view in self.views]
         told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames)], default=str)
         return hashlib.sha256(told.encode("utf-8")).hexdigest()
 
@@ -111,7 +114,7 @@ class Preparation:
 
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        values, colours = _split(read_values(file, s.channel, s.transfer))
+        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer))
         rows, columns = values.shape
         weights = np.ones_like(values)
         if view.mask is not None:
@@ -123,7 +126,7 @@ class Preparation:
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
-            if abs(camera.aspect * rows / columns - 1) > 0.5 / min(rows, columns) + 1e-6:
+            if abs(camera.aspect * rows / columns - 1) > max(0.5 / min(rows, columns), _UNEVEN):
                 raise InputError(
                     f"its camera has an aspect of {camera.aspect:.4g}, and {file.name} {columns} × {rows} pixels; "
                     "expected the same proportions"

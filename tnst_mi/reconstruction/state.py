@@ -59,7 +59,7 @@ class ReconstructionState:
             InputError: one cannot be read.
         """
         for file in files:
-            with opening(file, "a picture"):
+            with opening(file, "an input"):
                 self.sources.setdefault(str(file.absolute()), digest(file))
 
     def add_error(self, level: int, mean_square: float) -> None:
