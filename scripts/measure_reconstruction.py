@@ -42,7 +42,11 @@ DARKEST = 5e-3
 
 
 def sart(
-    images: np.ndarray, cameras: list[tnst_mi.Camera], renderer: EmissionAbsorptionRenderer, relaxation: float
+    images: np.ndarray,
+    cameras: list[tnst_mi.Camera],
+    renderer: EmissionAbsorptionRenderer,
+    gamma: float,
+    relaxation: float,
 ) -> Iterator[np.ndarray]:
     """Densities after each sweep over all views.
 
@@ -50,6 +54,7 @@ def sart(
         images: (V, rows, columns) of emission and absorption.
         cameras: V.
         renderer: of an empty grid with γ = 1, whose derivatives are the line integrals and their adjoint.
+        gamma: of the images.
         relaxation: above 0, at most 1.
     """
     nothing = mi.TensorXf(np.zeros(renderer.shape, np.float32))
@@ -65,7 +70,7 @@ def sart(
     ones, density = np.ones(renderer.shape, np.float32), np.zeros(renderer.shape, np.float32)
     lengths = [integrals(ones, camera) for camera in cameras]
     weights = [spread(np.ones(renderer.size, np.float32), camera) for camera in cameras]
-    depths = -np.log(np.maximum(1 - GAMMA * images, DARKEST)) / GAMMA
+    depths = -np.log(np.maximum(1 - gamma * images, DARKEST)) / gamma
     order = np.random.default_rng(0).permutation(len(cameras))
     for _ in range(SWEEPS):
         for view in order:
@@ -130,7 +135,7 @@ class Bench:
         noisy = np.stack([with_noise(images[n], deviations[n], (0, n)) for n in range(views)])
         linear = EmissionAbsorptionRenderer(self.density.shape, 1.0, "exact", 1.0, size=self.renderer.size)
         begun = time.perf_counter()
-        found = [self.judged(density) for step in RELAXATIONS for density in sart(noisy, cameras, linear, step)]
+        found = [self.judged(density) for step in RELAXATIONS for density in sart(noisy, cameras, linear, GAMMA, step)]
         return min(found, key=lambda one: one["distance"]) | {"seconds": time.perf_counter() - begun}
 
     def _found(self, cameras: Path, out: Path, keys: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:

@@ -1,13 +1,8 @@
 """The extinction of one grid, changed until its renderings are the pictures: stochastic gradient descent by Adam.
 
-What is lowered is the mean square of the difference between pixels and pictures, plus a prior on the extinction σ, its
-total variation: of all densities that fit as well as the noise allows, the one with the fewest and clearest edges. With
-noise ν and pixels in parts of the peak, both are the negative logarithm of a posterior up to a factor:
-
-    mean (pixel − picture)² + ν² · PRIOR · L · mean |∇σ|
-
-L is the longest edge of the grid, which makes the prior one of optical depths: the same smoke in more cells has the
-same prior. After each step, negative extinctions become 0.
+What is lowered is the mean square of the difference between pixels and pictures, in parts of the peak, plus the
+roughness of the extinction (`prior`), by the weight ν² M / N that makes both a posterior: ν is the noise of the
+pictures, M the number of cells and N that of all pixels. After each step, negative extinctions become 0.
 """
 
 from __future__ import annotations
@@ -26,19 +21,14 @@ from tnst_mi.fields.torch_operation import called_from_torch
 from tnst_mi.machine.backend import torch_device
 from tnst_mi.reconstruction.image_model import ImageModel
 from tnst_mi.reconstruction.photographs import Photograph
+from tnst_mi.reconstruction.prior import roughness
 from tnst_mi.reconstruction.rendering import RendererChoice
-
-#: Weight of the prior, chosen for the least error of scenes/obstacle from 36 views with 1% noise.
-PRIOR = 0.75
 
 #: By how much Adam changes the extinction of a cell in a step, at most, in parts of a typical extinction.
 _STEP = 0.1
 
 #: Decay of Adam's moments. Few steps are done, so that the second one has to be quick too.
 _BETAS = (0.9, 0.99)
-
-#: Differences of the extinction below this share of a typical one count as smooth.
-_SMOOTH = 1e-3
 
 
 class Descent:
@@ -52,7 +42,6 @@ class Descent:
         renderers: what renders it.
         model: what a pixel is taken to be.
         noise: ν, of the pictures, in units of the peak.
-        longest: L, of the full grid, in its cells.
         steps: how many will be done.
         batch: views of a step.
         seed: of the order of the views.
@@ -68,7 +57,6 @@ class Descent:
         renderers: RendererChoice,
         model: ImageModel,
         noise: float,
-        longest: int,
         steps: int,
         batch: int,
         seed: Sequence[int],
@@ -78,7 +66,8 @@ class Descent:
         self.octave, self.steps, self.done, self.model = octave, steps, 0, model
         self.extinction = torch.from_numpy(extinction).to(device).requires_grad_()
         self._typical, self._photographs, self._renderers = typical, photographs, renderers
-        self._weight = noise**2 * PRIOR * longest
+        pixels = sum(float(photograph.weights.sum(dtype=np.float64)) for photograph in photographs)
+        self._prior = noise**2 * extinction.size / pixels
         self._batch, self._seed = min(batch, len(photographs)), list(seed)
         self._views = [_OnDevice(photograph, device) for photograph in photographs]
         self._waits = waits
@@ -90,7 +79,7 @@ class Descent:
             group["lr"] = 0.5 * (1 + math.cos(math.pi * self.done / self.steps)) * _STEP * self._typical
         self.adam.zero_grad()
         loss = self._difference(self._chosen())
-        total = loss + self._weight * self._variation() if self._weight else loss
+        total = loss + self._prior * roughness(self.extinction) if self._prior else loss
         total.backward()
         self.adam.step()
         with torch.no_grad():
@@ -148,17 +137,6 @@ class Descent:
     def _fit(self, images: Sequence[tuple[int, Tensor]]) -> None:
         views = [(image, self._views[number]) for number, image in images]
         self.model.fit([(image, view.values, view.weights, view.background) for image, view in views])
-
-    def _variation(self) -> Tensor:
-        """mean |∇σ| in units of full-resolution cells; the extinction repeats its border outside."""
-        σ, h = self.extinction, self.octave.cell_size
-        squares = torch.zeros_like(σ)
-        for axis in range(3):
-            if σ.shape[axis] > 1:
-                # The last one's difference to the outside, which repeats it, is 0.
-                along = (torch.diff(σ, dim=axis) / h) ** 2
-                squares = squares + torch.nn.functional.pad(along, [0, 0] * (2 - axis) + [0, 1])
-        return (squares + (_SMOOTH * self._typical / h) ** 2).sqrt().mean()
 
 
 class _OnDevice:

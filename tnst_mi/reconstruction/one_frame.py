@@ -17,6 +17,10 @@ from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
 from tnst_mi.reconstruction.rendering import RendererChoice
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 
+#: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
+#: and a little of the prior decides what the pictures leave open.
+_LEAST_NOISE = 1e-3
+
 #: The share of pixels that count as those of the thickest smoke.
 _THICKEST = 0.005
 
@@ -80,7 +84,7 @@ class FrameReconstruction:
         self._judges = [one.in_units_of(self.peak) for one in photographs if one.held_out]
         # Of the pixels that are fitted in the end: a mean over several has less noise than each.
         fitted = [photograph.averaged(levels[-1].cell_size) for photograph in self._used]
-        self.noise = estimated_noise(fitted) if settings.noise == "auto" else float(settings.noise)
+        self.noise = max(estimated_noise(fitted), _LEAST_NOISE) if settings.noise == "auto" else float(settings.noise)
         self._renderers = RendererChoice(settings, self.peak)
         border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
         self._model = ImageModel(
@@ -111,7 +115,6 @@ class FrameReconstruction:
             self._renderers,
             self._model,
             self.noise,
-            max(self._levels[-1].shape),
             self._settings.iterations,
             self._settings.batch,
             (self._settings.seed, self._index, level),
