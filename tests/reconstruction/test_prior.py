@@ -42,12 +42,11 @@ def test_neither_units_nor_planes_matter(extinction):
     assert float(roughness(torch.zeros(3, 3, 3))) == 0
 
 
-def test_smoke_does_not_become_smoother_by_becoming_thicker(extinction):
+def test_it_pulls_no_smoke_thinner_or_thicker_as_a_whole(extinction):
     extinction.requires_grad_()
     roughness(extinction).backward()
-    assert extinction.grad is not None
-    # Adding the same everywhere changes no Laplacian.
-    assert float(extinction.grad.sum()) == pytest.approx(0, abs=1e-12)
+    assert extinction.grad is not None and float(extinction.grad.abs().max()) > 1e-3
+    assert float((extinction.grad * extinction.detach()).sum()) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

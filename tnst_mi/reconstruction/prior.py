@@ -28,7 +28,7 @@ _NOTHING = 1e-30
 def roughness(extinction: Tensor) -> Tensor:
     """mean (Δσ)² / s², without a unit; outside, the grid (D, H, W) repeats its border.
 
-    The derivative takes s as given: else smoke would be smoother by being thicker.
+    It is the same for any multiple of σ, so that it says nothing of how bright or thick smoke is on the whole.
     """
     σ = extinction
     padded = torch.nn.functional.pad(σ[None, None], (1,) * 6, mode="replicate")[0, 0]
@@ -41,6 +41,5 @@ def roughness(extinction: Tensor) -> Tensor:
         + padded[inner, inner, 2:]
         + padded[inner, inner, :-2]
     )
-    with torch.no_grad():
-        s = _SHARE * (σ * σ).sum() / σ.sum().clamp(min=_NOTHING)
+    s = _SHARE * (σ * σ).sum() / σ.sum().clamp(min=_NOTHING)
     return ((neighbours - 6 * σ) ** 2).mean() / (s * s).clamp(min=_NOTHING)
