@@ -26,7 +26,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 from matplotlib.figure import Figure
-from render_views import camera_at, places, radius_around, with_noise, write_views
+from render_views import camera_at, places, radius_around, write_views
 
 import tnst_mi
 from tnst_mi.fields.grid import octaves
@@ -110,9 +110,7 @@ class Bench:
 
     def reconstructed(self, name: str, views: int, noise: float, keys: dict[str, Any]) -> dict[str, float]:
         """Of so many views with noise."""
-        folder = self.out / name
-        if not (folder / "cameras.toml").is_file():
-            write_views(folder, [self.frame], self.renderer, (views, HELD_OUT), noise, self.gamma)
+        folder = self._pictures(name, views, noise)
         density, record = self._found(
             folder / "cameras.toml", folder / ("out_" + "_".join(keys) if keys else "out"), keys
         )
@@ -130,18 +128,24 @@ class Bench:
         distance = self.judged(density)["distance"]
         return {"psnr": record["psnr"], "distance": distance, "seconds": record["seconds"]}
 
-    def sart(self, views: int, noise: float) -> dict[str, float]:
+    def sart(self, name: str, views: int, noise: float) -> dict[str, float]:
         """The best of SART, of the same pictures as `reconstructed`."""
+        folder = self._pictures(name, views, noise)
         cameras = [camera_at(place) for place in places(views, radius_around(self.density.shape))]
-        images = self.renderer.render(mi.TensorXf(self.density), cameras).numpy()
-        deviations = [noise * float(image.max()) for image in images]
-        noisy = np.stack([with_noise(images[n], deviations[n], (0, n)) for n in range(views)])
+        images = np.stack([read_exr(folder / f"view_{number:02d}.exr") for number in range(views)])
         linear = EmissionAbsorptionRenderer(self.density.shape, 1.0, "exact", 1.0, size=self.renderer.size)
         begun = time.perf_counter()
         found = [
-            self.judged(density) for step in RELAXATIONS for density in sart(noisy, cameras, linear, self.gamma, step)
+            self.judged(density) for step in RELAXATIONS for density in sart(images, cameras, linear, self.gamma, step)
         ]
         return min(found, key=lambda one: one["distance"]) | {"seconds": time.perf_counter() - begun}
+
+    def _pictures(self, name: str, views: int, noise: float) -> Path:
+        """The folder with so many views with noise, which is written if it is not there."""
+        folder = self.out / name
+        if not (folder / "cameras.toml").is_file():
+            write_views(folder, [self.frame], self.renderer, (views, HELD_OUT), noise, self.gamma)
+        return folder
 
     def _found(self, cameras: Path, out: Path, keys: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
         """The density, and what its record says."""
@@ -167,15 +171,15 @@ def rows(bench: Bench, half: Bench) -> dict[str, Callable[[], dict[str, float]]]
         "18 views": lambda: bench.reconstructed("views_18", 18, 0.0, {}),
         "36 views": lambda: bench.reconstructed("views_36", 36, 0.0, {}),
         "36 views, 1% noise": lambda: bench.reconstructed("noise_36", 36, NOISE, {}),
-        "36 views, 1% noise, SART": lambda: bench.sart(36, NOISE),
-        "36 views, SART": lambda: bench.sart(36, 0.0),
+        "36 views, 1% noise, SART": lambda: bench.sart("noise_36", 36, NOISE),
+        "36 views, SART": lambda: bench.sart("views_36", 36, 0.0),
         "36 views, γ unknown": lambda: bench.reconstructed("views_36", 36, 0.0, {"gamma": "auto"}),
         "half, 18 views, 0.5% noise": lambda: half.reconstructed("noise_05", 18, 0.005, {}),
-        "half, 18 views, 0.5% noise, SART": lambda: half.sart(18, 0.005),
+        "half, 18 views, 0.5% noise, SART": lambda: half.sart("noise_05", 18, 0.005),
         "half, 18 views, 1% noise": lambda: half.reconstructed("noise_1", 18, 0.01, {}),
-        "half, 18 views, 1% noise, SART": lambda: half.sart(18, 0.01),
+        "half, 18 views, 1% noise, SART": lambda: half.sart("noise_1", 18, 0.01),
         "half, 18 views, 3% noise": lambda: half.reconstructed("noise_3", 18, 0.03, {}),
-        "half, 18 views, 3% noise, SART": lambda: half.sart(18, 0.03),
+        "half, 18 views, 3% noise, SART": lambda: half.sart("noise_3", 18, 0.03),
         "scattering, by prbvolpath": lambda: half.scattered("traced", 18, traced),
         "scattering, by emission and absorption": lambda: half.scattered("gap", 18, {"gamma": "auto"}),
     }
@@ -185,8 +189,8 @@ def drawn(bench: Bench, path: Path) -> None:
     """Draw a held-out view and the plane with the most smoke, by 9, 18 and 36 views, as a picture."""
     plane = int(bench.density.sum(axis=(1, 2)).argmax())
     titles = ("picture, held out", "rendering", "ten times the difference", "density in a plane", "density found")
-    figure = Figure(figsize=(10, 7.2), layout="compressed")
-    axes = figure.subplots(3, 5)
+    figure = Figure(figsize=(10, 7), layout="constrained", facecolor="white")
+    axes = figure.subplots(3, 5, width_ratios=(3, 3, 3, 2, 2))
     for row, views in zip(axes, (9, 18, 36), strict=True):
         folder = bench.out / f"views_{views}"
         picture, seen = (
@@ -196,10 +200,10 @@ def drawn(bench: Bench, path: Path) -> None:
         with np.load(folder / "out" / "density" / "smoke.npz") as file:
             found = file["density"][plane]
         shown = (picture, seen, 10 * np.abs(seen - picture), bench.density[plane][::-1], found[::-1])
-        for axis, image, title in zip(row, shown, titles, strict=True):
+        for axis, image, title in zip(row, shown, titles if views == 9 else ("",) * 5, strict=True):
             most = picture.max() if image.shape == picture.shape else bench.density[plane].max()
             axis.imshow(image, cmap="gray", vmin=0, vmax=most, aspect="equal")
-            axis.set(xticks=[], yticks=[], title=title if row is axes[0] else "")
+            axis.set(xticks=[], yticks=[], title=title)
         row[0].set_ylabel(f"{views} views")
     with written_whole(path) as temporary:
         figure.savefig(temporary, format="png", dpi=90)

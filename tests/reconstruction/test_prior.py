@@ -42,11 +42,13 @@ def test_neither_units_nor_planes_matter(extinction):
     assert float(roughness(torch.zeros(3, 3, 3))) == 0
 
 
-def test_it_pulls_no_smoke_thinner_or_thicker_as_a_whole(extinction):
+@pytest.mark.parametrize("scale_free", [False, True])
+def test_smoke_is_drawn_thinner_unless_nothing_else_says_how_thick_it_is(extinction, scale_free):
     extinction.requires_grad_()
-    roughness(extinction).backward()
-    assert extinction.grad is not None and float(extinction.grad.abs().max()) > 1e-3
-    assert float((extinction.grad * extinction.detach()).sum()) == pytest.approx(0, abs=1e-9)
+    value = roughness(extinction, scale_free)
+    value.backward()
+    along = float((extinction.grad * extinction.detach()).sum())
+    assert along == pytest.approx(0 if scale_free else 2 * value.item(), abs=1e-9)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

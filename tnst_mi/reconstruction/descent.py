@@ -97,8 +97,8 @@ class Descent:
             group["lr"] = 0.5 * (1 + math.cos(math.pi * part)) * self._rate
         self.adam.zero_grad()
         loss = self._difference(self._chosen())
-        total = loss + self._prior * roughness(self.extinction) if self._prior else loss
-        total.backward()
+        prior = self._prior * roughness(self.extinction, self.model.find_brightness) if self._prior else 0.0
+        (loss + prior).backward()
         self.adam.step()
         with torch.no_grad():
             self.extinction.clamp_(min=0.0)

@@ -25,10 +25,13 @@ _SHARE = 0.7
 _NOTHING = 1e-30
 
 
-def roughness(extinction: Tensor) -> Tensor:
+def roughness(extinction: Tensor, scale_free: bool = False) -> Tensor:
     """mean (Δσ)² / s², without a unit; outside, the grid (D, H, W) repeats its border.
 
-    It is the same for any multiple of σ, so that it says nothing of how bright or thick smoke is on the whole.
+    Its derivative takes s as given, which draws smoke a little thinner as a whole. Where nothing else says how thick
+    smoke is, since its brightness is not known either, it has to be `scale_free`: that of s counts too, and the
+    derivative along σ itself is 0. It is not so always, since it draws dense smoke denser, which is what pictures of
+    opaque smoke tell least of.
     """
     σ = extinction
     padded = torch.nn.functional.pad(σ[None, None], (1,) * 6, mode="replicate")[0, 0]
@@ -42,4 +45,5 @@ def roughness(extinction: Tensor) -> Tensor:
         + padded[inner, inner, :-2]
     )
     s = _SHARE * (σ * σ).sum() / σ.sum().clamp(min=_NOTHING)
+    s = s if scale_free else s.detach()
     return ((neighbours - 6 * σ) ** 2).mean() / (s * s).clamp(min=_NOTHING)
