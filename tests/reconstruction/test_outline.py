@@ -8,7 +8,9 @@ import pytest
 from render_views import camera_at, places, radius_around, write_views
 
 import tnst_mi
+from tnst_mi.cli import main
 from tnst_mi.fields.grid import Octave
+from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.recipe.paths import LIGHTS
 from tnst_mi.reconstruction.outline import outline
 from tnst_mi.reconstruction.photographs import Photograph
@@ -50,6 +52,19 @@ def test_masked_pixels_and_cells_out_of_sight_may_hide_smoke(cloud, photographs)
     aside = Photograph("", narrow, 0 * first.values, first.weights, None, False)
     seen = ~outline([aside], Octave(cloud.shape, 1.0), 0.0, 1e-4)
     assert 0 < seen.mean() < 0.2
+
+
+def test_views_that_contradict_each_other_are_told_in_one_line(views, tmp_path, capsys):
+    """Smoke at the lower edge of one picture and at the upper edge of another, from the same height."""
+    for number, file in enumerate(sorted(views.parent.glob("*.exr"))):
+        image = np.zeros((20, 20), np.float32)
+        image[:2] = 1
+        write_exr(tmp_path / file.name, image if number % 2 else image[::-1].copy(), {})
+    (tmp_path / "cameras.toml").write_text(views.read_text())
+    flags = ["--integrator", "prbvolpath", "--levels", "1"]
+    assert main(["reconstruct", str(tmp_path / "cameras.toml"), "--out", str(tmp_path / "out"), *flags]) == 2
+    told = capsys.readouterr().err
+    assert "every cell of the box is seen as empty by some view" in told and told.count("\n") == 1
 
 
 def test_scattered_light_is_fitted_inside_the_outline(cloud, tmp_path):

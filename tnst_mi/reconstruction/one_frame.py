@@ -102,12 +102,21 @@ class FrameReconstruction:
         self.first_level = 0 if start is None else len(levels) - 1
 
     def descent(self, level: int, coarser: Descent | None) -> Descent:
-        """The steps on a grid, from what those on the coarser one have found."""
+        """The steps on a grid, from what those on the coarser one have found.
+
+        Raises:
+            InputError: the views do not agree on where smoke is.
+        """
         octave, noise, seen = self._levels[level], self._noise, None
         photographs = [photograph.averaged(octave.cell_size) for photograph in self._used]
         begin = np.zeros(octave.shape, np.float32)
         if self._renderers.noisy:
             seen = outline(photographs, octave, self._model.background, self._estimated)
+            if not seen.any():
+                raise InputError(
+                    "every cell of the box is seen as empty by some view, expected smoke where all views see some; "
+                    "check the cameras and --box, or mask what hides smoke"
+                )
             begin += _BEGINNING * self._typical * seen
             if self._settings.noise == "auto":
                 # That of a step's renderings, which fits the extinction to their noise as to that of pictures.
