@@ -66,7 +66,7 @@ def test_a_background_is_found_or_given_as_a_picture(views, cloud, tmp_path):
 
 
 def test_gamma_is_found(views, cloud, tmp_path):
-    found = reconstruct(views, tmp_path / "out", {"iterations": 100, "levels": 2, "gamma": "auto"}, progress=False)
+    found = reconstruct(views, tmp_path / "out", {"iterations": 60, "levels": 2, "gamma": "auto"}, progress=False)
     assert found.records[0]["gamma"] == pytest.approx(GAMMA, rel=0.04)
     assert distance(found, cloud) < 0.1
 
