@@ -16,7 +16,8 @@ from tnst_mi.machine.interrupt import Interrupt
 from tnst_mi.reconstruction.descent import Descent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.results import write_frame_results, write_report
+from tnst_mi.reconstruction.report import write_report
+from tnst_mi.reconstruction.results import in_colour, write_frame_results
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
 
@@ -62,6 +63,7 @@ class FrameByFrame:
         """The next frame."""
         prepared, number = self._prepared, self._prepared.frames[index]
         begun = time.perf_counter() - self.progress.seconds
+        self.progress.note(prepared.sources(index))
         frame = FrameReconstruction(
             prepared.settings,
             prepared.levels,
@@ -83,11 +85,20 @@ class FrameByFrame:
                 if interrupt.requested:
                     break
         assert descent is not None
+        extinction = frame.full_extinction(descent)
         finished = self.progress.level == last and descent.done == descent.steps
+        colours = None
+        if finished and prepared.settings.channel == "rgb":
+            found = in_colour(frame, extinction, len(prepared.levels), interrupt, self._shown)
+            finished = found is not None
+            extinction, colours = found or (extinction, None)
         seconds = time.perf_counter() - begun
-        record = write_frame_results(self._out, self._format, prepared, number, frame, descent, seconds, finished)
+        record = write_frame_results(
+            self._out, self._format, prepared, number, frame, extinction, colours, seconds, finished
+        )
+        record["convergence"] = self.progress.convergence
         if finished:
-            self.progress = ReconstructionState(self.progress.identity, [*self.progress.records, record])
+            self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
         else:
             self.progress.seconds = seconds
@@ -100,6 +111,7 @@ class FrameByFrame:
         grid = "×".join(map(str, descent.octave.shape))
         while descent.done < descent.steps and not interrupt.requested:
             loss = descent.step()
+            self.progress.add_error(level, loss)
             bar.advance(f"grid {grid}, step {descent.done}/{descent.steps}, RMS {loss**0.5:.2%}")
             if time.monotonic() - self._saved > _WRITTEN_AFTER:
                 self.progress.seconds = time.perf_counter() - begun
