@@ -181,6 +181,9 @@ def rows(bench: Bench, half: Bench) -> dict[str, Callable[[], dict[str, float]]]
         "half, 18 views, 3% noise": lambda: half.reconstructed("noise_3", 18, 0.03, {}),
         "half, 18 views, 3% noise, SART": lambda: half.sart("noise_3", 18, 0.03),
         "scattering, by prbvolpath": lambda: half.scattered("traced", 18, traced),
+        "scattering, by prbvolpath, longer": lambda: half.scattered(
+            "longer", 18, traced | {"spp": 8, "iterations": 150}
+        ),
         "scattering, by emission and absorption": lambda: half.scattered("gap", 18, {"gamma": "auto"}),
     }
 
