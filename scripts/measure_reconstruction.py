@@ -1,14 +1,17 @@
 """How well smoke is reconstructed: by the number of views, with noise beside SART, and by the wrong renderer.
 
-    python scripts/measure_reconstruction.py FRAME --out FOLDER [--only ROW…]
+    python scripts/measure_reconstruction.py FRAME --out FOLDER [--only ROW…] [--figure FILE]
 
 Renders FRAME from known cameras (scripts/render_views.py), reconstructs it, and prints a table in Markdown: the PSNR of
 views that were held out, without noise; that of the pixels alone that show smoke; the relative L2 distance of the
-density; seconds. Each row is kept in FOLDER as it is measured, and one that was stopped goes on.
+density; seconds. Rows with more or less noise, and those of scattered light, are at half the resolution. Each row is
+kept in FOLDER as it is measured, and one that was stopped goes on.
 
 SART (Andersen and Kak 1984) is linear: it fits line integrals, here −log(1 − γ I) / γ, by the same rays and weights,
 with negative values set to 0. Its row is that of the sweep and the relaxation with the least distance from the truth,
 which nobody knows who has pictures alone: a bound on what it can do.
+
+--figure shows a view that was held out, and the density in a plane, for 9, 18 and 36 views.
 """
 
 from __future__ import annotations
@@ -22,12 +25,14 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from render_views import camera_at, places, radius_around, with_noise, write_views
+from matplotlib.figure import Figure
+from render_views import camera_at, places, radius_around, write_views
 
 import tnst_mi
 from tnst_mi.fields.grid import octaves
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.io.pictures.exr import read_exr
 from tnst_mi.recipe.paths import LIGHTS
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
@@ -42,7 +47,11 @@ DARKEST = 5e-3
 
 
 def sart(
-    images: np.ndarray, cameras: list[tnst_mi.Camera], renderer: EmissionAbsorptionRenderer, relaxation: float
+    images: np.ndarray,
+    cameras: list[tnst_mi.Camera],
+    renderer: EmissionAbsorptionRenderer,
+    gamma: float,
+    relaxation: float,
 ) -> Iterator[np.ndarray]:
     """Densities after each sweep over all views.
 
@@ -50,6 +59,7 @@ def sart(
         images: (V, rows, columns) of emission and absorption.
         cameras: V.
         renderer: of an empty grid with γ = 1, whose derivatives are the line integrals and their adjoint.
+        gamma: of the images.
         relaxation: above 0, at most 1.
     """
     nothing = mi.TensorXf(np.zeros(renderer.shape, np.float32))
@@ -65,7 +75,7 @@ def sart(
     ones, density = np.ones(renderer.shape, np.float32), np.zeros(renderer.shape, np.float32)
     lengths = [integrals(ones, camera) for camera in cameras]
     weights = [spread(np.ones(renderer.size, np.float32), camera) for camera in cameras]
-    depths = -np.log(np.maximum(1 - GAMMA * images, DARKEST)) / GAMMA
+    depths = -np.log(np.maximum(1 - gamma * images, DARKEST)) / gamma
     order = np.random.default_rng(0).permutation(len(cameras))
     for _ in range(SWEEPS):
         for view in order:
@@ -80,10 +90,10 @@ def sart(
 class Bench:
     """A frame, its cameras, and what becomes of it."""
 
-    def __init__(self, frame: tnst_mi.Frame, out: Path) -> None:
-        self.density, self.frame, self.out = frame.density, frame, out
+    def __init__(self, frame: tnst_mi.Frame, gamma: float, out: Path) -> None:
+        self.density, self.frame, self.gamma, self.out = frame.density, frame, gamma, out
         side = max(self.density.shape)
-        self.renderer = EmissionAbsorptionRenderer(self.density.shape, GAMMA, "exact", 1.0, size=(side, side))
+        self.renderer = EmissionAbsorptionRenderer(self.density.shape, gamma, "exact", 1.0, size=(side, side))
         radius = radius_around(self.density.shape)
         self.judges = [camera_at(place) for place in places(HELD_OUT, radius, 0.37)]
         self.truth = self.renderer.render(mi.TensorXf(self.density), self.judges).numpy()
@@ -100,38 +110,42 @@ class Bench:
 
     def reconstructed(self, name: str, views: int, noise: float, keys: dict[str, Any]) -> dict[str, float]:
         """Of so many views with noise."""
-        folder = self.out / name
-        if not (folder / "cameras.toml").is_file():
-            write_views(folder, [self.frame], self.renderer, (views, HELD_OUT), noise, GAMMA)
+        folder = self._pictures(name, views, noise)
         density, record = self._found(
             folder / "cameras.toml", folder / ("out_" + "_".join(keys) if keys else "out"), keys
         )
         return self.judged(density) | {"seconds": record["seconds"], "gamma": record["gamma"]}
 
     def scattered(self, name: str, views: int, keys: dict[str, Any]) -> dict[str, float]:
-        """Of path-traced views, in which the smoke scatters what comes from all around, at half the resolution."""
-        folder, shape = self.out / "scattering", octaves(self.density.shape, 2, 2.0)[0].shape
-        coarse = tnst_mi.Frame(resample_density(self.density, 1.0, shape, self.density.shape[1] / shape[1]))
-        gamma = 2 * GAMMA  # per cell, so that it is as thick
+        """Of path-traced views, in which the smoke scatters the key light."""
+        folder = self.out / "scattering"
         if not (folder / "cameras.toml").is_file():
             lighting = Lighting(ALBEDO, 0.0, LIGHTS / "key.xml", 32)
-            renderer = ScatteringRenderer(shape, gamma, 1.0, lighting, (max(shape), max(shape)))
-            write_views(folder, [coarse], renderer, (views, HELD_OUT), 0.0, gamma)
+            renderer = ScatteringRenderer(self.density.shape, self.gamma, 1.0, lighting, self.renderer.size)
+            write_views(folder, [self.frame], renderer, (views, HELD_OUT), 0.0, self.gamma)
         density, record = self._found(folder / "cameras.toml", self.out / name, keys)
         # Views of their own kind judge it: those of emission and absorption show another light.
-        distance = float(np.linalg.norm(density - coarse.density) / np.linalg.norm(coarse.density))
+        distance = self.judged(density)["distance"]
         return {"psnr": record["psnr"], "distance": distance, "seconds": record["seconds"]}
 
-    def sart(self, views: int, noise: float) -> dict[str, float]:
+    def sart(self, name: str, views: int, noise: float) -> dict[str, float]:
         """The best of SART, of the same pictures as `reconstructed`."""
+        folder = self._pictures(name, views, noise)
         cameras = [camera_at(place) for place in places(views, radius_around(self.density.shape))]
-        images = self.renderer.render(mi.TensorXf(self.density), cameras).numpy()
-        deviations = [noise * float(image.max()) for image in images]
-        noisy = np.stack([with_noise(images[n], deviations[n], (0, n)) for n in range(views)])
+        images = np.stack([read_exr(folder / f"view_{number:02d}.exr") for number in range(views)])
         linear = EmissionAbsorptionRenderer(self.density.shape, 1.0, "exact", 1.0, size=self.renderer.size)
         begun = time.perf_counter()
-        found = [self.judged(density) for step in RELAXATIONS for density in sart(noisy, cameras, linear, step)]
+        found = [
+            self.judged(density) for step in RELAXATIONS for density in sart(images, cameras, linear, self.gamma, step)
+        ]
         return min(found, key=lambda one: one["distance"]) | {"seconds": time.perf_counter() - begun}
+
+    def _pictures(self, name: str, views: int, noise: float) -> Path:
+        """The folder with so many views with noise, which is written if it is not there."""
+        folder = self.out / name
+        if not (folder / "cameras.toml").is_file():
+            write_views(folder, [self.frame], self.renderer, (views, HELD_OUT), noise, self.gamma)
+        return folder
 
     def _found(self, cameras: Path, out: Path, keys: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
         """The density, and what its record says."""
@@ -143,20 +157,59 @@ class Bench:
             return file["density"], dict(found.records[0])
 
 
-def rows(bench: Bench) -> dict[str, Callable[[], dict[str, float]]]:
-    """What is measured, by name."""
-    traced = {"integrator": "prbvolpath", "albedo": ALBEDO, "light": "key", "spp": 4, "iterations": 40, "levels": 2}
+def halved(frame: tnst_mi.Frame) -> tnst_mi.Frame:
+    """The same density in cells twice as large."""
+    shape = octaves(frame.density.shape, 2, 2.0)[0].shape
+    return tnst_mi.Frame(resample_density(frame.density, 1.0, shape, frame.density.shape[1] / shape[1]))
+
+
+def rows(bench: Bench, half: Bench) -> dict[str, Callable[[], dict[str, float]]]:
+    """What is measured at the full resolution and at half of it, by name."""
+    traced = {"integrator": "prbvolpath", "albedo": ALBEDO, "light": "key", "spp": 4, "iterations": 80, "levels": 2}
     return {
         "9 views": lambda: bench.reconstructed("views_9", 9, 0.0, {}),
         "18 views": lambda: bench.reconstructed("views_18", 18, 0.0, {}),
         "36 views": lambda: bench.reconstructed("views_36", 36, 0.0, {}),
         "36 views, 1% noise": lambda: bench.reconstructed("noise_36", 36, NOISE, {}),
-        "36 views, 1% noise, SART": lambda: bench.sart(36, NOISE),
-        "36 views, SART": lambda: bench.sart(36, 0.0),
+        "36 views, 1% noise, SART": lambda: bench.sart("noise_36", 36, NOISE),
+        "36 views, SART": lambda: bench.sart("views_36", 36, 0.0),
         "36 views, γ unknown": lambda: bench.reconstructed("views_36", 36, 0.0, {"gamma": "auto"}),
-        "scattering, by prbvolpath": lambda: bench.scattered("traced", 18, traced),
-        "scattering, by emission and absorption": lambda: bench.scattered("gap", 18, {"gamma": "auto"}),
+        "half, 18 views, 0.5% noise": lambda: half.reconstructed("noise_05", 18, 0.005, {}),
+        "half, 18 views, 0.5% noise, SART": lambda: half.sart("noise_05", 18, 0.005),
+        "half, 18 views, 1% noise": lambda: half.reconstructed("noise_1", 18, 0.01, {}),
+        "half, 18 views, 1% noise, SART": lambda: half.sart("noise_1", 18, 0.01),
+        "half, 18 views, 3% noise": lambda: half.reconstructed("noise_3", 18, 0.03, {}),
+        "half, 18 views, 3% noise, SART": lambda: half.sart("noise_3", 18, 0.03),
+        "scattering, by prbvolpath": lambda: half.scattered("traced", 18, traced),
+        "scattering, by prbvolpath, longer": lambda: half.scattered(
+            "longer", 18, traced | {"spp": 8, "iterations": 150}
+        ),
+        "scattering, by emission and absorption": lambda: half.scattered("gap", 18, {"gamma": "auto"}),
     }
+
+
+def drawn(bench: Bench, path: Path) -> None:
+    """Draw a held-out view and the plane with the most smoke, by 9, 18 and 36 views, as a picture."""
+    plane = int(bench.density.sum(axis=(1, 2)).argmax())
+    titles = ("picture, held out", "rendering", "ten times the difference", "density in a plane", "density found")
+    figure = Figure(figsize=(10, 7), layout="constrained", facecolor="white")
+    axes = figure.subplots(3, 5, width_ratios=(3, 3, 3, 2, 2))
+    for row, views in zip(axes, (9, 18, 36), strict=True):
+        folder = bench.out / f"views_{views}"
+        picture, seen = (
+            read_exr(folder / "held_out_00.exr"),
+            read_exr(folder / "out" / "images" / "smoke_held_out_00.exr"),
+        )
+        with np.load(folder / "out" / "density" / "smoke.npz") as file:
+            found = file["density"][plane]
+        shown = (picture, seen, 10 * np.abs(seen - picture), bench.density[plane][::-1], found[::-1])
+        for axis, image, title in zip(row, shown, titles if views == 9 else ("",) * 5, strict=True):
+            most = picture.max() if image.shape == picture.shape else bench.density[plane].max()
+            axis.imshow(image, cmap="gray", vmin=0, vmax=most, aspect="equal")
+            axis.set(xticks=[], yticks=[], title=title)
+        row[0].set_ylabel(f"{views} views")
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=90)
 
 
 def main() -> None:
@@ -165,11 +218,15 @@ def main() -> None:
     parser.add_argument("frame", type=Path, help="a density file")
     parser.add_argument("--out", type=Path, required=True, help="folder for pictures, results and numbers")
     parser.add_argument("--only", nargs="*", metavar="ROW", help="names of rows; all by default")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="a PNG file of what was found from clean pictures")
     given = parser.parse_args()
     tnst_mi.activate()
-    bench, kept = Bench(tnst_mi.load_frames(given.frame)[0], given.out), given.out / "numbers.json"
+    frame, kept = tnst_mi.load_frames(given.frame)[0], given.out / "numbers.json"
+    bench = Bench(frame, GAMMA, given.out)
+    # γ is per cell: smoke in fewer cells is as thick by more of it.
+    half = Bench(halved(frame), 2 * GAMMA, given.out / "half")
     numbers = json.loads(kept.read_text("utf-8")) if kept.is_file() else {}
-    for name, measure in rows(bench).items():
+    for name, measure in rows(bench, half).items():
         if name in numbers or (given.only and name not in given.only):
             continue
         numbers[name] = measure()
@@ -179,6 +236,8 @@ def main() -> None:
     for name, n in numbers.items():
         smoke = f"{n['psnr_smoke']:.1f} dB" if "psnr_smoke" in n else "–"
         print(f"| {name} | {n['psnr']:.1f} dB | {smoke} | {n['distance']:.3f} | {n['seconds']:.0f} |")
+    if given.figure:
+        drawn(bench, given.figure)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ SLOW = (
     "optimisation/test_style_losses.py::test_runs_come_nearer_to_the_picture_and_are_repeated[nnfm]",
     "optimisation/test_style_losses.py::test_runs_come_nearer_to_the_picture_and_are_repeated[paper]",
     "optimisation/test_style_losses.py::test_runs_come_nearer_to_the_picture_and_are_repeated[swd]",
+    "reconstruction/test_outline.py::test_scattered_light_is_fitted_inside_the_outline",
     "rendering/test_behind.py::test_an_object_inside_the_smoke_is_lit_through_it",
     "rendering/test_blender.py::test_blender_and_mitsuba_show_the_same",
     "rendering/test_blender.py::test_colours_are_those_of_mitsuba",

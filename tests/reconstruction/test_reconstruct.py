@@ -65,6 +65,12 @@ def test_a_background_is_found_or_given_as_a_picture(views, cloud, tmp_path):
     assert distance(reconstruct(uneven, tmp_path / "b", QUICK, progress=False), cloud) < 0.16
 
 
+def test_gamma_is_found(views, cloud, tmp_path):
+    found = reconstruct(views, tmp_path / "out", {"iterations": 60, "levels": 2, "gamma": "auto"}, progress=False)
+    assert found.records[0]["gamma"] == pytest.approx(GAMMA, rel=0.04)
+    assert distance(found, cloud) < 0.1
+
+
 def test_masks_leave_pixels_out(views, cloud, tmp_path):
     """A bright pole before the smoke in every picture is no smoke."""
 

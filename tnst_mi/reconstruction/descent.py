@@ -1,13 +1,10 @@
 """The extinction of one grid, changed until its renderings are the pictures: stochastic gradient descent by Adam.
 
-What is lowered is the mean square of the difference between pixels and pictures, plus a prior on the extinction σ, its
-total variation: of all densities that fit as well as the noise allows, the one with the fewest and clearest edges. With
-noise ν and pixels in parts of the peak, both are the negative logarithm of a posterior up to a factor:
+What is lowered is the mean square of the difference between pixels and pictures, in parts of the peak, plus the
+roughness of the extinction (`prior`), by the weight ν² M / N that makes both a posterior: ν is the noise of the
+pictures, M the number of cells and N that of all pixels. After each step, negative extinctions become 0.
 
-    mean (pixel − picture)² + ν² · PRIOR · L · mean |∇σ|
-
-L is the longest edge of the grid, which makes the prior one of optical depths: the same smoke in more cells has the
-same prior. After each step, negative extinctions become 0.
+Where the brightness of smoke is to be found, the steps go round by round, with another brightness in each.
 """
 
 from __future__ import annotations
@@ -24,21 +21,18 @@ from torch import Tensor
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.torch_operation import called_from_torch
 from tnst_mi.machine.backend import torch_device
-from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.brightness_search import BrightnessSearch
+from tnst_mi.reconstruction.image_model import ImageModel, SeenView
 from tnst_mi.reconstruction.photographs import Photograph
+from tnst_mi.reconstruction.prior import roughness
 from tnst_mi.reconstruction.rendering import RendererChoice
 
-#: Weight of the prior, chosen for the least error of scenes/obstacle from 36 views with 1% noise.
-PRIOR = 0.75
-
 #: By how much Adam changes the extinction of a cell in a step, at most, in parts of a typical extinction.
-_STEP = 0.1
+#: A step makes as much of noise as of what there is to find: where derivatives are noisy, smaller ones average more.
+_STEP, _NOISY_STEP = 0.1, 0.03
 
 #: Decay of Adam's moments. Few steps are done, so that the second one has to be quick too.
 _BETAS = (0.9, 0.99)
-
-#: Differences of the extinction below this share of a typical one count as smooth.
-_SMOOTH = 1e-3
 
 
 class Descent:
@@ -52,11 +46,17 @@ class Descent:
         renderers: what renders it.
         model: what a pixel is taken to be.
         noise: ν, of the pictures, in units of the peak.
-        longest: L, of the full grid, in its cells.
         steps: how many will be done.
+        rounds: into how many descents they are divided, each with its own brightness if that is to be found.
         batch: views of a step.
         seed: of the order of the views.
-        waits: steps before what is to be found of the model is found: an extinction that is nothing yet tells nothing.
+        outline: (D, H, W) bool, where there can be smoke; elsewhere the extinction stays 0. None for everywhere.
+        waits: steps before a background is to be found: an extinction that is nothing yet tells nothing.
+
+    Attributes:
+        extinction: likewise, as a tensor, as found so far.
+        done: steps so far.
+        search: of the brightness.
     """
 
     def __init__(
@@ -68,41 +68,57 @@ class Descent:
         renderers: RendererChoice,
         model: ImageModel,
         noise: float,
-        longest: int,
         steps: int,
+        rounds: int,
         batch: int,
         seed: Sequence[int],
+        outline: np.ndarray | None,
         waits: int,
     ) -> None:
         device = torch_device()
         self.octave, self.steps, self.done, self.model = octave, steps, 0, model
         self.extinction = torch.from_numpy(extinction).to(device).requires_grad_()
-        self._typical, self._photographs, self._renderers = typical, photographs, renderers
-        self._weight = noise**2 * PRIOR * longest
+        self._photographs, self._renderers = photographs, renderers
+        pixels = sum(float(photograph.weights.sum(dtype=np.float64)) for photograph in photographs)
+        self._prior = noise**2 * extinction.size / pixels
         self._batch, self._seed = min(batch, len(photographs)), list(seed)
         self._views = [_OnDevice(photograph, device) for photograph in photographs]
-        self._waits = waits
+        self._outline = None if outline is None else torch.from_numpy(outline).to(device)
+        self._rate = (_NOISY_STEP if renderers.noisy else _STEP) * typical
+        self._waits, self._round, self.search = waits, max(1, steps // rounds), BrightnessSearch()
         self.adam = torch.optim.Adam([self.extinction], betas=_BETAS)
 
     def step(self) -> float:
         """Do one more step; gives the mean square difference of its views, in units of the squared peak."""
+        if self.model.find_brightness and self.done and self.done % self._round == 0:
+            self._search_brightness()
         for group in self.adam.param_groups:
-            group["lr"] = 0.5 * (1 + math.cos(math.pi * self.done / self.steps)) * _STEP * self._typical
+            part = self.done % self._round / self._round
+            group["lr"] = 0.5 * (1 + math.cos(math.pi * part)) * self._rate
         self.adam.zero_grad()
         loss = self._difference(self._chosen())
-        total = loss + self._weight * self._variation() if self._weight else loss
-        total.backward()
+        prior = self._prior * roughness(self.extinction, self.model.find_brightness) if self._prior else 0.0
+        (loss + prior).backward()
         self.adam.step()
         with torch.no_grad():
             self.extinction.clamp_(min=0.0)
+            if self._outline is not None:
+                self.extinction.mul_(self._outline)
         self.done += 1
         return loss.item()
 
-    def fit_model(self) -> None:
-        """Find what is to be found of the image model, by all views."""
-        if not self.model.complete:
-            with torch.no_grad():
-                self._fit(self._rendered(sorted(range(len(self._views)), key=self._by_size)))
+    def fit_background(self) -> None:
+        """Find the background by all views, if it is to be found."""
+        if self.model.find_background:
+            self.model.fit_background(self._seen_in_all())
+
+    def _search_brightness(self) -> None:
+        """Change the brightness towards the best one; emission, which thin smoke shows, stays the same."""
+        before = 1 / self.model.brightness
+        after = self.search.next(before, self.model.slope(self._seen_in_all()))
+        self.model.brightness = 1 / after
+        with torch.no_grad():
+            self.extinction.mul_(after / before)
 
     def _chosen(self) -> list[int]:
         """The views of the next step: all of them once in a random order, then again in another."""
@@ -121,8 +137,8 @@ class Descent:
     def _difference(self, chosen: Sequence[int]) -> Tensor:
         """The mean square difference between the pixels of some views and their pictures."""
         images = self._rendered(chosen)
-        if not self.model.complete and self.done >= self._waits:
-            self._fit(images)
+        if self.model.find_background and self.done >= self._waits:
+            self.model.fit_background(self._seen(images))
         total, pixels = torch.zeros((), device=self.extinction.device), 0
         for number, image in images:
             view = self._views[number]
@@ -145,20 +161,14 @@ class Descent:
             found.extend(zip(numbers, images, strict=True))
         return found
 
-    def _fit(self, images: Sequence[tuple[int, Tensor]]) -> None:
-        views = [(image, self._views[number]) for number, image in images]
-        self.model.fit([(image, view.values, view.weights, view.background) for image, view in views])
+    def _seen_in_all(self) -> list[SeenView]:
+        """All views, as the extinction is now."""
+        with torch.no_grad():
+            return self._seen(self._rendered(sorted(range(len(self._views)), key=self._by_size)))
 
-    def _variation(self) -> Tensor:
-        """mean |∇σ| in units of full-resolution cells; the extinction repeats its border outside."""
-        σ, h = self.extinction, self.octave.cell_size
-        squares = torch.zeros_like(σ)
-        for axis in range(3):
-            if σ.shape[axis] > 1:
-                # The last one's difference to the outside, which repeats it, is 0.
-                along = (torch.diff(σ, dim=axis) / h) ** 2
-                squares = squares + torch.nn.functional.pad(along, [0, 0] * (2 - axis) + [0, 1])
-        return (squares + (_SMOOTH * self._typical / h) ** 2).sqrt().mean()
+    def _seen(self, images: Sequence[tuple[int, Tensor]]) -> list[SeenView]:
+        views = [(image.detach(), self._views[number]) for number, image in images]
+        return [(image, view.values, view.weights, view.background) for image, view in views]
 
 
 class _OnDevice:

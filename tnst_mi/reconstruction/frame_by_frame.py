@@ -137,7 +137,7 @@ class FrameByFrame:
 
     def _costs(self, frame: FrameReconstruction) -> list[LevelCost]:
         """What the steps on each grid cost, in proportion: something each, by sample of a ray, and by cell."""
-        steps = self._prepared.settings.iterations
+        steps = frame.step_count
         return [
             LevelCost(steps, _EACH_STEP + frame.pixel_count(level) * max(octave.shape) + math.prod(octave.shape))
             for level, octave in enumerate(self._prepared.levels)

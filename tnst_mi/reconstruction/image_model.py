@@ -4,9 +4,9 @@ Smoke of brightness c before a background b shows c A + b (1 − A), where A = 1
 images of emission and absorption (paper Eq. 11) are of this kind with c = 1/γ and b = 0, since
 ∫ d exp(−γ ∫ d) = (1 − exp(−γ ∫ d)) / γ. So the extinction σ = γ d is what images decide, and γ only its unit.
 
-Where c or b is not known, it is solved for in each step: pixels are linear in both, so that for given opacities the
-best ones are those of a linear least-squares problem, and what is left depends on σ alone (variable projection, Golub
-and Pereyra 1973). Thin smoke shows c σ alone: c is found only as well as smoke is thick somewhere.
+Where b is not known, it is solved for in each step: pixels are linear in it. Where c is not known, it is searched for
+(`brightness_search`) by the derivative for given emission c σ: since thin smoke shows c σ alone, the extinction σ
+changes along with c, and what is left is how pixels saturate.
 """
 
 from __future__ import annotations
@@ -18,15 +18,22 @@ import torch
 from torch import Tensor
 
 #: The brightness to begin with, if it is to be found, over the largest value of any picture.
-BRIGHTER = 1.25
+BRIGHTER = 1.5
 
-#: Opacities of less than this, squared and averaged, tell nothing of the brightness.
+#: The least transmittance that a pixel is taken to have.
+_OPAQUE = 1e-6
+
+#: A background that shines through less than this, squared and averaged, is not found.
 _NOTHING = 1e-8
+
+#: Of a view: the opacity as rendered, values and weights of its picture, and a picture of its background, if there is
+#: one; all (rows, columns).
+SeenView = tuple[Tensor, Tensor, Tensor, Tensor | None]
 
 
 @dataclass
 class ImageModel:
-    """The brightness of smoke and the value of the background, both linear, and which of them is to be found.
+    """The brightness of smoke and the value of the background, and which of them is to be found.
 
     Attributes:
         brightness, background: in units of the pictures' peak.
@@ -38,40 +45,35 @@ class ImageModel:
     find_brightness: bool = False
     find_background: bool = False
 
-    @property
-    def complete(self) -> bool:
-        """Whether there is nothing to be found."""
-        return not (self.find_brightness or self.find_background)
-
     def pixels(self, opacity: Tensor, background: Tensor | None) -> Tensor:
         """The values of pixels, by the smoke's opacity and a picture of the background, if there is one."""
         behind = self.background if background is None else background
         return self.brightness * opacity + behind * (1 - opacity)
 
-    def fit(self, views: Sequence[tuple[Tensor, Tensor, Tensor, Tensor | None]]) -> None:
-        """Find what is to be found, for given opacities: of each view opacity, values, weights and background."""
-        normal, right = torch.zeros(2, 2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+    def fit_background(self, views: Sequence[SeenView]) -> None:
+        """Solve for the background of the views that have no picture of it."""
+        products, squares, pixels = 0.0, 0.0, 0
         for opacity, values, weights, behind in views:
-            opacity, weights = opacity.detach().double().cpu(), weights.double().cpu()
-            columns = [opacity, 1 - opacity]
-            rest = values.double().cpu() - (0 if behind is None else behind.double().cpu() * columns[1])
-            if behind is not None:
-                columns[1] = torch.zeros_like(opacity)
-            for i in range(2):
-                right[i] += (weights * columns[i] * rest).sum()
-                for j in range(2):
-                    normal[i, j] += (weights * columns[i] * columns[j]).sum()
-        count = sum(opacity.numel() for opacity, *_ in views)
-        if normal[0, 0] < _NOTHING * count:
-            return
-        chosen = [i for i, wanted in enumerate((self.find_brightness, self.find_background)) if wanted]
-        known = torch.tensor([self.brightness, self.background], dtype=torch.float64)
-        known[chosen] = 0
-        # Of views that all have pictures of their background, there is no other one to find.
-        chosen = [i for i in chosen if normal[i, i] > 0]
-        solved = torch.linalg.lstsq(normal[chosen][:, chosen], (right - normal @ known)[chosen, None]).solution
-        for i, value in zip(chosen, solved[:, 0].tolist(), strict=True):
-            if i == 0:
-                self.brightness = max(value, 1e-3)
-            else:
-                self.background = max(value, 0.0)
+            if behind is None:
+                through = 1 - opacity
+                rest = values - self.brightness * opacity
+                products += float((weights * through * rest).sum(dtype=torch.float64))
+                squares += float((weights * through * through).sum(dtype=torch.float64))
+                pixels += opacity.numel()
+        if squares > _NOTHING * pixels:
+            self.background = max(products / squares, 0.0)
+
+    def slope(self, views: Sequence[SeenView]) -> float:
+        """The derivative of the mean square difference between pixels and pictures with respect to 1 / brightness.
+
+        That for given emission: the optical depth of each pixel is in proportion to 1 / brightness.
+        """
+        total, pixels = 0.0, 0
+        for opacity, values, weights, behind in views:
+            transmittance = (1 - opacity).clamp(_OPAQUE, 1.0)
+            contrast = self.brightness - (self.background if behind is None else behind)
+            by_brightness = opacity + contrast / self.brightness * transmittance * transmittance.log()
+            rest = self.pixels(opacity, behind) - values
+            total += float((weights * 2 * rest * by_brightness).sum(dtype=torch.float64))
+            pixels += opacity.numel()
+        return -(self.brightness**2) * total / pixels

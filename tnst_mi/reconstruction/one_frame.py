@@ -14,6 +14,7 @@ from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
 from tnst_mi.reconstruction.descent import Descent, rendered
 from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
+from tnst_mi.reconstruction.outline import outline
 from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
 from tnst_mi.reconstruction.rendering import RendererChoice
 from tnst_mi.reconstruction.settings import ReconstructionSettings
@@ -25,6 +26,13 @@ from tnst_mi.reconstruction.smoke_colours import (
     smoke_colours,
 )
 
+#: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
+#: and a little of the prior decides what the pictures leave open.
+_LEAST_NOISE = 1e-3
+
+#: How many values of the brightness are tried on each grid.
+_ROUNDS = 5
+
 #: The share of pixels that count as those of the thickest smoke.
 _THICKEST = 0.005
 
@@ -34,9 +42,9 @@ _OPAQUE = 0.98
 #: Optical depth of the thickest smoke where pictures do not show it directly, since light is scattered.
 _SCATTERING_DEPTH = 3.0
 
-#: Optical depth through the whole grid that a path tracer begins with: where there is nothing, no path scatters, and
+#: The extinction that a path tracer begins with, over a typical one: where there is nothing, no path scatters, and
 #: there is no derivative either.
-_HAZE = 0.05
+_BEGINNING = 0.3
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,7 @@ class FrameReconstruction:
 
     Attributes:
         peak: the largest value of the pictures that are used, which counts as 1.
-        noise: the standard deviation of their noise in parts of that.
+        noise: the standard deviation of their noise in parts of that, or of what is rendered, if that is more.
         first_level: the grid to begin with.
 
     Raises:
@@ -88,7 +96,8 @@ class FrameReconstruction:
         self._judges = [one.in_units_of(self.peak) for one in photographs if one.held_out]
         # Of the pixels that are fitted in the end: a mean over several has less noise than each.
         fitted = [photograph.averaged(levels[-1].cell_size) for photograph in self._used]
-        self.noise = estimated_noise(fitted) if settings.noise == "auto" else float(settings.noise)
+        self._estimated = max(estimated_noise(fitted), _LEAST_NOISE)
+        self.noise = self._noise = self._estimated if settings.noise == "auto" else float(settings.noise)
         self._renderers = RendererChoice(settings, self.peak)
         border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
         self._model = ImageModel(
@@ -101,34 +110,51 @@ class FrameReconstruction:
         self.first_level = 0 if start is None else len(levels) - 1
 
     def descent(self, level: int, coarser: Descent | None) -> Descent:
-        """The steps on a grid, from what those on the coarser one have found."""
-        octave = self._levels[level]
+        """The steps on a grid, from what those on the coarser one have found.
+
+        Raises:
+            InputError: the views do not agree on where smoke is.
+        """
+        octave, noise, seen = self._levels[level], self._noise, None
+        photographs = [photograph.averaged(octave.cell_size) for photograph in self._used]
+        begin = np.zeros(octave.shape, np.float32)
+        if self._renderers.noisy:
+            seen = outline(photographs, octave, self._model.background, self._estimated)
+            if not seen.any():
+                raise InputError(
+                    "every cell of the box is seen as empty by some view, expected smoke where all views see some; "
+                    "check the cameras and --box, or mask what hides smoke"
+                )
+            begin += _BEGINNING * self._typical * seen
+            if self._settings.noise == "auto":
+                # That of a step's renderings, which fits the extinction to their noise as to that of pictures.
+                noise = max(noise, self._renderers.noise(begin, octave, photographs[: self._settings.batch]))
         if coarser is not None:
             found = resample_density(coarser.extinction.detach().cpu().numpy(), coarser.octave.cell_size, *_to(octave))
         elif self._start is not None:
             found = resample_density(self._start, 1.0, *_to(octave))
         else:
-            longest = max(self._levels[-1].shape)
-            scattering = self._settings.integrator == "prbvolpath"
-            found = np.full(octave.shape, _HAZE / longest if scattering else 0.0, np.float32)
+            found = begin
+        self.noise = noise
         return Descent(
             octave,
             np.array(found, np.float32),
             self._typical,
-            [photograph.averaged(octave.cell_size) for photograph in self._used],
+            photographs,
             self._renderers,
             self._model,
-            self.noise,
-            max(self._levels[-1].shape),
-            self._settings.iterations,
+            noise,
+            self.step_count,
+            _ROUNDS if self._model.find_brightness else 1,
             self._settings.batch,
             (self._settings.seed, self._index, level),
+            seen,
             self._settings.iterations // 3 if level == self.first_level else 0,
         )
 
     def full_extinction(self, descent: Descent) -> np.ndarray:
         """What a descent has found, on the full grid: (D, H, W) float32, per cell; and the light that goes with it."""
-        descent.fit_model()
+        descent.fit_background()
         found = descent.extinction.detach().cpu().numpy()
         return np.array(resample_density(found, descent.octave.cell_size, *_to(self._levels[-1])), np.float32)
 
@@ -182,10 +208,11 @@ class FrameReconstruction:
             self._renderers,
             self._model,
             self.noise,
-            max(octave.shape),
             REFINING_STEPS,
+            1,
             s.batch,
             (s.seed, self._index, len(self._levels) + number),
+            None,
             0,
         )
 
@@ -208,6 +235,12 @@ class FrameReconstruction:
             HeldOutView(picture.name, picture.values, image, psnr(image, picture.values, picture.weights))
             for picture, image in zip(pictures, seen, strict=True)
         ]
+
+    @property
+    def step_count(self) -> int:
+        """Steps on each grid: where the brightness is to be found, descents half as long, one for each value of it."""
+        iterations = self._settings.iterations
+        return _ROUNDS * (iterations // 2 or 1) if self._model.find_brightness else iterations
 
     def pixel_count(self, level: int) -> int:
         """Pixels of a step on a grid, by which its time is estimated."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import mitsuba as mi
+import numpy as np
 from torch import Tensor
 
 from tnst_mi.fields.grid import Octave
 from tnst_mi.recipe.paths import LIGHTS, shipped_lights
 from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
@@ -38,6 +43,11 @@ class RendererChoice:
         self._settings, self._peak = settings, peak
         self._renderers: dict[tuple[Octave, tuple[int, int], bool], Renderer] = {}
 
+    @property
+    def noisy(self) -> bool:
+        """Whether images and derivatives are those of random paths."""
+        return self._settings.integrator == "prbvolpath"
+
     def of(self, octave: Octave, size: tuple[int, int], still: bool = False) -> Renderer:
         """The renderer of a grid for pictures of (rows, columns) pixels; `still` takes more paths.
 
@@ -51,9 +61,22 @@ class RendererChoice:
 
     def pixels(self, image: Tensor, background: Tensor | None, model: ImageModel) -> Tensor:
         """The pixels of an image that was rendered, in units of the peak."""
-        if self._settings.integrator == "prbvolpath":
+        if self.noisy:
             return image / self._peak
         return model.pixels(image, background)
+
+    def noise(self, extinction: np.ndarray, octave: Octave, photographs: Sequence[Photograph]) -> float:
+        """The standard deviation of pixels, in parts of the peak, by two renderings of an extinction (D, H, W)."""
+        squares, pixels = 0.0, 0
+        for number, photograph in enumerate(photographs):
+            renderer = self.of(octave, photograph.values.shape)
+            first, second = (
+                renderer.render(mi.TensorXf(extinction), [photograph.camera], (number, again)).numpy()
+                for again in range(2)
+            )
+            squares += float(((first - second) ** 2).sum(dtype=np.float64)) / 2
+            pixels += first.size
+        return math.sqrt(squares / pixels) / self._peak
 
     def _made(self, octave: Octave, size: tuple[int, int], still: bool) -> Renderer:
         s = self._settings

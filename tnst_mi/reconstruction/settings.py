@@ -68,7 +68,7 @@ class ReconstructionSettings:
     """What the values of pictures mean; auto: EXR and HDR are linear, all others have the curve of sRGB."""
     noise: Annotated[float | str, Number(0.0, 1.0, words=("auto",))] = "auto"
     """Standard deviation of the pictures' noise, in parts of their largest value, which decides how smooth the density
-    becomes; auto estimates it."""
+    becomes; auto estimates it, and with prbvolpath takes that of a step's renderings if it is more."""
     hold_out: Annotated[int | str, Integer(0, 1000, word="auto")] = "auto"
     """Judge by every n-th view instead of using it; 0 uses all; auto holds out those that the file of cameras says, or
     else every eighth."""

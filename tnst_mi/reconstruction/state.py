@@ -127,7 +127,9 @@ class ReconstructionState:
             moments = {name: _fitting(self.tensors[name], extinction) for name in _MOMENTS}
             descent.done = int(self.tensors["done"])
             descent.adam.state[extinction] = {"step": torch.tensor(float(descent.done)), **moments}
-        except (KeyError, ValueError):
+            descent.model.brightness, descent.model.background = self.tensors["light"].tolist()
+            descent.search.points = [(place, value) for place, value in self.tensors["search"].tolist()]
+        except (KeyError, ValueError, TypeError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
 
 
@@ -148,6 +150,8 @@ def _tensors(descent: Descent) -> dict[str, Tensor]:
     extinction, state = descent.extinction.detach(), descent.adam.state.get(descent.extinction) or {}
     tensors = {name: state.get(name, torch.zeros_like(extinction)) for name in _MOMENTS}
     tensors["extinction"] = extinction
+    tensors["light"] = torch.tensor([descent.model.brightness, descent.model.background], dtype=torch.float64)
+    tensors["search"] = torch.tensor(descent.search.points, dtype=torch.float64).reshape(-1, 2)
     return {"done": torch.tensor(descent.done)} | {name: t.cpu().contiguous() for name, t in tensors.items()}
 
 
