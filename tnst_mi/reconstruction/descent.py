@@ -84,12 +84,17 @@ class Descent:
         self._waits = waits
         self.adam = torch.optim.Adam([self.extinction], betas=_BETAS)
 
+    @property
+    def unknown(self) -> Tensor:
+        """What is to be found: the extinction."""
+        return self.extinction
+
     def step(self) -> float:
         """Do one more step; gives the mean square difference of its views, in units of the squared peak."""
         for group in self.adam.param_groups:
             group["lr"] = 0.5 * (1 + math.cos(math.pi * self.done / self.steps)) * _STEP * self._typical
         self.adam.zero_grad()
-        loss = self._difference(self._chosen())
+        loss = self.difference(self.extinction, self.done)
         total = loss + self._weight * self._variation() if self._weight else loss
         total.backward()
         self.adam.step()
@@ -102,11 +107,12 @@ class Descent:
         """Find what is to be found of the image model, by all views."""
         if not self.model.complete:
             with torch.no_grad():
-                self._fit(self._rendered(sorted(range(len(self._views)), key=self._by_size)))
+                everywhere = sorted(range(len(self._views)), key=self._by_size)
+                self._fit(self._rendered(self.extinction, everywhere, self.done))
 
-    def _chosen(self) -> list[int]:
-        """The views of the next step: all of them once in a random order, then again in another."""
-        count, first = len(self._photographs), self.done * self._batch
+    def _chosen(self, step: int) -> list[int]:
+        """The views of a step: all of them once in a random order, then again in another."""
+        count, first = len(self._photographs), step * self._batch
         orders = {
             epoch: np.random.default_rng([*self._seed, epoch]).permutation(count)
             for epoch in {first // count, (first + self._batch - 1) // count}
@@ -118,10 +124,10 @@ class Descent:
         """Orders views by the size of their pictures: those of one size are rendered together."""
         return self._photographs[number].values.shape, number
 
-    def _difference(self, chosen: Sequence[int]) -> Tensor:
-        """The mean square difference between the pixels of some views and their pictures."""
-        images = self._rendered(chosen)
-        if not self.model.complete and self.done >= self._waits:
+    def difference(self, extinction: Tensor, step: int) -> Tensor:
+        """The mean square difference between pictures and renderings of an extinction, in the views of a step."""
+        images = self._rendered(extinction, self._chosen(step), step)
+        if not self.model.complete and step >= self._waits:
             self._fit(images)
         total, pixels = torch.zeros((), device=self.extinction.device), 0
         for number, image in images:
@@ -131,16 +137,16 @@ class Descent:
             pixels += image.numel()
         return total / pixels
 
-    def _rendered(self, chosen: Sequence[int]) -> list[tuple[int, Tensor]]:
+    def _rendered(self, extinction: Tensor, chosen: Sequence[int], step: int) -> list[tuple[int, Tensor]]:
         """What is seen in some views, in order of their size, each with its number."""
         found = []
         for size, group in groupby(chosen, key=lambda number: self._photographs[number].values.shape):
             numbers = list(group)
             cameras = [self._photographs[number].camera for number in numbers]
-            renderer, seed = self._renderers.of(self.octave, size), [*self._seed, self.done]
+            renderer, seed = self._renderers.of(self.octave, size), [*self._seed, step]
             images = called_from_torch(
                 lambda σ, renderer=renderer, cameras=cameras, seed=seed: renderer.render(σ, cameras, seed),
-                [self.extinction],
+                [extinction],
             )
             found.extend(zip(numbers, images, strict=True))
         return found

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.resumable import ResumableDescent
 
 #: Adam's moments by torch's names of them.
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -28,8 +28,8 @@ class ReconstructionState:
     Attributes:
         identity: of what is reconstructed.
         records: of the frames that are done, in their order.
-        level: the grid of the frame that is not, from 0.
-        seconds: that this frame has taken.
+        level: the grid of what is not, from 0: the next frame's density, or the velocity from the last one to it.
+        seconds: that this has taken.
         tensors: of its descent, by name; empty before its first step.
     """
 
@@ -39,7 +39,7 @@ class ReconstructionState:
     seconds: float = 0.0
     tensors: Mapping[str, Tensor] = field(default_factory=dict)
 
-    def write(self, path: Path, descent: Descent | None) -> None:
+    def write(self, path: Path, descent: ResumableDescent | None) -> None:
         """Write how far it is, with a descent that is not at its end."""
         told = {"identity": self.identity, "records": self.records, "level": self.level, "seconds": self.seconds}
         tensors = {} if descent is None else _tensors(descent)
@@ -71,27 +71,27 @@ class ReconstructionState:
             )
         return progress
 
-    def restore(self, descent: Descent, path: Path) -> None:
+    def restore(self, descent: ResumableDescent, path: Path) -> None:
         """Bring a descent to where the earlier one was.
 
         Raises:
             InputError: the file is of another grid.
         """
         try:
-            extinction = descent.extinction
+            unknown = descent.unknown
             with torch.no_grad():
-                extinction.copy_(_fitting(self.tensors["extinction"], extinction))
-            moments = {name: _fitting(self.tensors[name], extinction) for name in _MOMENTS}
+                unknown.copy_(_fitting(self.tensors["unknown"], unknown))
+            moments = {name: _fitting(self.tensors[name], unknown) for name in _MOMENTS}
             descent.done = int(self.tensors["done"])
-            descent.adam.state[extinction] = {"step": torch.tensor(float(descent.done)), **moments}
+            descent.adam.state[unknown] = {"step": torch.tensor(float(descent.done)), **moments}
         except (KeyError, ValueError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
 
 
-def _tensors(descent: Descent) -> dict[str, Tensor]:
-    extinction, state = descent.extinction.detach(), descent.adam.state.get(descent.extinction) or {}
-    tensors = {name: state.get(name, torch.zeros_like(extinction)) for name in _MOMENTS}
-    tensors["extinction"] = extinction
+def _tensors(descent: ResumableDescent) -> dict[str, Tensor]:
+    unknown, state = descent.unknown.detach(), descent.adam.state.get(descent.unknown) or {}
+    tensors = {name: state.get(name, torch.zeros_like(unknown)) for name in _MOMENTS}
+    tensors["unknown"] = unknown
     return {"done": torch.tensor(descent.done)} | {name: t.cpu().contiguous() for name, t in tensors.items()}
 
 
