@@ -3,12 +3,11 @@
 The unknown is a vector potential Ψ whose curl u = ∇×Ψ has no divergence, as the velocity of smoke: moving smoke neither
 makes nor loses any. What is lowered, by Adam through the adjoints of the renderer and of the transport, is
 
-    mean (pixel − picture)² + (ν² + FLOOR²) · N / P · mean |∇u|² / GRADIENT²
+    P / 2 (ν² + FLOOR²) · mean (pixel − picture)² + N / 2 GRADIENT² · mean |∇u|²
 
-Up to a factor this is the negative logarithm of a posterior: of P pixels with noise ν, and of N places whose |∇u| is
-normal with the standard deviation GRADIENT. Pictures say nothing of a velocity along which smoke looks the same, nor of
-one where there is none: there it continues smoothly what is around. Ψ is given on a lattice of twice the grid's cells,
-and interpolated.
+It is the negative logarithm of a posterior: of P pixels with noise ν, and of N places whose |∇u| is normal with the
+standard deviation GRADIENT. Pictures say nothing of a velocity along which smoke looks the same, nor of one where there
+is none: there it continues smoothly what is around. Ψ is given on a lattice of twice the grid's cells and interpolated.
 """
 
 from __future__ import annotations
@@ -42,6 +41,10 @@ _SPACING = 2
 
 #: By how much Adam changes the velocity in a step, at most, in cells of the grid per frame.
 _STEP = 0.1
+
+#: Adam leaves in place what changes the logarithm of the posterior by less than this, for a velocity of one cell per
+#: frame: else it would walk about where pictures decide nothing, however little they do.
+_DECIDES_NOTHING = 1.0
 
 #: Decay of Adam's moments, as of the density's.
 _BETAS = (0.9, 0.99)
@@ -95,19 +98,20 @@ class MotionDescent:
             for m, n in zip(self._lattice.shape, self.octave.shape, strict=True)
         ]
         places = math.prod(max(1.0, _PLACES * n / max(full)) for n in full)
-        self._weight = (noise**2 + _FLOOR**2) * places / pixels / GRADIENT**2
-        self.adam = torch.optim.Adam([self.unknown], betas=_BETAS)
+        self._misfit_weight = pixels / (2 * (noise**2 + _FLOOR**2))
+        self._roughness_weight = places / (2 * GRADIENT**2)
+        # A potential that changes by the edge of a cell of the lattice from one to the next makes a velocity of one.
+        self.adam = torch.optim.Adam([self.unknown], betas=_BETAS, eps=_DECIDES_NOTHING / self._lattice.cell_size)
 
     def step(self) -> float:
         """Do one more step; gives the mean square difference of its views, in units of the squared peak."""
-        # A potential that changes by this from one place of the lattice to the next makes as much velocity.
         fastest = _STEP * self.octave.cell_size * self._lattice.cell_size
         for group in self.adam.param_groups:
             group["lr"] = 0.5 * (1 + math.cos(math.pi * self.done / self.steps)) * fastest
         self.adam.zero_grad()
         u = self._velocity()
         loss = self._views.difference(self._moved(u), self.done)
-        (loss + self._weight * self._roughness(u)).backward()
+        (self._misfit_weight * loss + self._roughness_weight * self._roughness(u)).backward()
         self.adam.step()
         self.done += 1
         return loss.item()
@@ -127,7 +131,8 @@ class MotionDescent:
         """u on the grid, (D, H, W, 3)."""
         Ψ, h = self.unknown, self.octave.cell_size
         for axis, matrix in enumerate(self._interpolation):
-            Ψ = torch.tensordot(matrix, Ψ, dims=([1], [axis])).movedim(0, axis)
+            along = Ψ.movedim(axis, 0)
+            Ψ = (matrix @ along.flatten(1)).unflatten(1, along.shape[1:]).movedim(0, axis)
         return self._begun + called_from_torch(lambda psi: velocity(None, psi, 0.0, h), [Ψ.contiguous()])
 
     def _moved(self, u: Tensor) -> Tensor:

@@ -49,7 +49,7 @@ class FoundFrames:
             OSError: it cannot be written.
         """
         frame, place = self._frame(record), self._prepared.place.placement
-        write_frame(self._out / record["density"], frame.density, velocity, placement=place, others=frame.grids)
+        write_frame(self._out / record["density"], frame.density, velocity, placement=place, others=frame.other_grids)
         speed, smoke = np.linalg.norm(velocity, axis=-1), frame.density > _SMOKE * frame.density.max()
         return {"largest": float(speed.max()), "mean_in_smoke": float(speed[smoke].mean()) if smoke.any() else 0.0}
 
