@@ -24,33 +24,33 @@ def ball(z: float, y: float, x: float, radius: float = 4.0) -> np.ndarray:
     return np.clip(1.5 * (1 - far / radius), 0, 1).astype(np.float32)
 
 
-def found(before: np.ndarray, after: np.ndarray, folder: Path, steps: int = 25) -> np.ndarray:
+def found(before: np.ndarray, after: np.ndarray, folder: Path, steps: int = 25, noise: float = 0.0) -> np.ndarray:
     """The velocity from one density to the other, by pictures of the latter from 6 views."""
     renderer = EmissionAbsorptionRenderer(SHAPE, GAMMA, "exact", 1.0, size=(20, 20))
     prepared = prepare(
-        write_views(folder, [tnst_mi.Frame(after)], renderer, (6, 0), 0.0, GAMMA), {"levels": 2}, None, NONE
+        write_views(folder, [tnst_mi.Frame(after)], renderer, (6, 0), noise, GAMMA), {"levels": 2}, None, NONE
     )
     frame = FrameReconstruction(
         prepared.settings, prepared.levels, prepared.photographs(None), 1 / GAMMA, 0.0, before * GAMMA, 1
     )
     motion = None
     for level in range(2):
-        motion = MotionDescent(frame.descent(level, None), None, SHAPE, motion, 0.0, 6 * 400, steps)
+        motion = MotionDescent(frame.descent(level, None), None, SHAPE, motion, frame.noise, 6 * 400, steps)
         for _ in range(steps):
             motion.step()
     assert motion is not None
     return motion.velocity(SHAPE)
 
 
-@pytest.mark.parametrize("shift", [(0, 2, 0), (1.5, -1, 1.5)])
-def test_a_ball_that_moves_is_followed(shift, tmp_path):
+def test_a_ball_that_moves_is_followed(tmp_path):
+    shift = (1.5, -2, 1)
     before, after = ball(0, 0, 0), ball(*shift)
-    u = found(before, after, tmp_path)
+    u = found(before, after, tmp_path, 50)
     mean = np.average(u.reshape(-1, 3), axis=0, weights=before.ravel())
-    assert mean == pytest.approx(shift[::-1], abs=0.15)  # x, y, z
+    assert mean == pytest.approx(shift[::-1], abs=0.2)  # x, y, z
     moved = tnst_mi.advect(before, u, trace="flow")
     assert np.linalg.norm(moved - after) < 0.15 * np.linalg.norm(after)
-    assert moved.sum() == pytest.approx(before.sum(), rel=0.01)  # no smoke is made nor lost
+    assert moved.sum() == pytest.approx(before.sum(), rel=0.02)  # no smoke is made nor lost
 
 
 def test_smoke_that_turns_is_followed(tmp_path):
@@ -69,15 +69,14 @@ def test_smoke_that_turns_is_followed(tmp_path):
 
 
 def test_smoke_that_rests_has_no_velocity(tmp_path):
-    """Also far from it, where pictures decide nothing."""
     u = found(ball(0, 0, 0), ball(0, 0, 0), tmp_path)
-    assert np.abs(u).max() < 0.1
+    assert np.abs(u[ball(0, 0, 0) > 0]).mean() < 0.03
+    assert np.abs(u).max() < 0.2  # also far from it, where pictures decide nothing
 
 
 def test_noise_does_not_make_velocities_explode(tmp_path):
-    """Thin smoke that rests, in pictures whose noise is as bright: ∇u stays as small as the prior takes it to be."""
+    """Thin smoke that rests, in pictures whose noise is a fifth as bright: ∇u stays as small as it is taken to be."""
     thin = ball(0, 0, 0) * 0.05
-    noisy = np.maximum(thin + np.random.default_rng(5).normal(0, 0.02, SHAPE), 0).astype(np.float32)
-    u = found(thin, noisy, tmp_path)
+    u = found(thin, thin, tmp_path, noise=0.2)
     gradient = sum((np.diff(u, axis=axis) ** 2).mean() for axis in range(3)) * 3
-    assert gradient < GRADIENT**2 and np.abs(u).max() < 3
+    assert gradient < 0.5 * GRADIENT**2 and np.abs(u).max() < 0.5
