@@ -114,7 +114,7 @@ class Preparation:
 
 
 def prepare(
-    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: str | Path
+    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: str | Path | None
 ) -> Preparation:
     """Read the file of cameras and check all that can be checked before pictures are read.
 
@@ -122,7 +122,7 @@ def prepare(
         cameras: the file.
         given: settings that win over those of the file; or all of them.
         frames: "FIRST:LAST", the numbers of the frames; None for pictures without numbers.
-        velocities: a folder of frames with velocities, ESTIMATE or NONE.
+        velocities: a folder of frames with velocities, ESTIMATE, or NONE, which None is too.
 
     Raises:
         InputError: something cannot be used.
@@ -141,7 +141,7 @@ def prepare(
     views, said = _held_out(found.views, settings.hold_out)
     place = grid_in_box(settings.box, settings.cells, found.up)
     numbers = _numbers_of(frames)
-    known = None if velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
+    known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
     if known is not None and numbers == [None]:
         raise InputError(f"--velocities {velocities}: is of sequences; give --frames FIRST:LAST")
     return Preparation(
