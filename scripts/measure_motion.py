@@ -39,7 +39,7 @@ SMOKE, RESTS = 0.05, 0.3
 def measured(truth: tnst_mi.Frame, found: tnst_mi.Frame, record: Any) -> dict[str, float]:
     """How near a frame comes to the simulation."""
     distance = np.linalg.norm(found.density - truth.density) / np.linalg.norm(truth.density)
-    told = {"psnr": record["psnr"], "distance": float(distance), "seconds": record["seconds"]}
+    told = {"number": truth.number, "psnr": record["psnr"], "distance": float(distance), "seconds": record["seconds"]}
     if found.velocity is None or record["velocity"]["source"] != "estimated":
         return told
     smoke = truth.density > SMOKE * truth.density.max()
@@ -67,20 +67,22 @@ def reconstructed(
 
 def draw(path: Path, numbers: dict[tuple[int, str], list[dict[str, float]]], pair: tuple[Any, Any]) -> None:
     """Distances by frame, and velocities of the simulation and of its pictures in the middle plane."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 4.2), layout="constrained", width_ratios=(1.5, 1, 1))
+    figure, axes = plt.subplots(1, 3, figsize=(11, 5), layout="constrained", width_ratios=(1.5, 1, 1))
     colours = {"as it is": "tab:red", "estimated": "tab:blue", "known": "tab:green"}
     for (views, mode), frames in numbers.items():
         style = "-" if views == max(v for v, _ in numbers) else "--"
-        axes[0].plot([f["distance"] for f in frames], style, color=colours[mode], label=f"{mode}, {views} views")
+        label, numbered = f"{mode}, {views} views", [frame["number"] for frame in frames]
+        axes[0].plot(numbered, [f["distance"] for f in frames], style, color=colours[mode], label=label)
     axes[0].set(xlabel="frame", ylabel="density, relative L2 distance", ylim=(0, None))
     axes[0].legend(fontsize=8)
     for axis, frame, title in zip(axes[1:], pair, ("simulation", "from pictures"), strict=True):
         middle = frame.density.shape[0] // 2
         axis.imshow(frame.density[middle], origin="lower", cmap="Greys", vmax=1.2)
-        every = slice(1, None, 3)
-        y, x = (places[every, every] for places in np.indices(frame.density.shape[1:]))
-        u = frame.velocity[middle][every, every]
-        axis.quiver(x, y, u[..., 0], u[..., 1], color="tab:blue", angles="xy", scale_units="xy", scale=0.7, width=0.005)
+        u = frame.velocity[middle]
+        y, x = np.nonzero(np.linalg.norm(u, axis=-1) > RESTS)
+        y, x = y[(y % 3 == 0) & (x % 3 == 0)], x[(y % 3 == 0) & (x % 3 == 0)]
+        arrows = {"angles": "xy", "scale_units": "xy", "scale": 0.4, "width": 0.008, "color": "tab:blue"}
+        axis.quiver(x, y, u[y, x, 0], u[y, x, 1], **arrows)
         axis.set(title=title, xticks=[], yticks=[])
     figure.savefig(path, dpi=110)
 

@@ -173,7 +173,9 @@ def _held_out(views: Sequence[PosedView], hold_out: int | str) -> tuple[list[Pos
     return [replace(view, held_out=out) for view, out in zip(views, chosen, strict=True)], said
 
 
-def _said_of_velocities(numbers: Sequence[int | None], known: FrameFiles | None, velocities: str | Path) -> list[str]:
+def _said_of_velocities(
+    numbers: Sequence[int | None], known: FrameFiles | None, velocities: str | Path | None
+) -> list[str]:
     """What is to be said of the velocities of a sequence."""
     if known is not None:
         lacking = [str(number) for number in numbers[:-1] if number not in known.numbers]
