@@ -83,7 +83,8 @@ def draw(path: Path, numbers: dict[tuple[int, str], list[dict[str, float]]], pai
         y, x = y[(y % 3 == 0) & (x % 3 == 0)], x[(y % 3 == 0) & (x % 3 == 0)]
         arrows = {"angles": "xy", "scale_units": "xy", "scale": 0.4, "width": 0.008, "color": "tab:blue"}
         axis.quiver(x, y, u[y, x, 0], u[y, x, 1], **arrows)
-        axis.set(title=title, xticks=[], yticks=[])
+        axis.text(0.04, 0.03, title, transform=axis.transAxes)
+        axis.set(xticks=[], yticks=[])
     figure.savefig(path, dpi=110)
 
 
