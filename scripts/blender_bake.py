@@ -20,7 +20,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import bpy
+try:
+    import bpy
+except ImportError:
+    print("blender_bake.py: runs inside Blender: blender -b -P scripts/blender_bake.py -- --help", file=sys.stderr)
+    raise SystemExit(2) from None
 
 # Of the domain in metres; X, Y, Z.
 SIZE = (2.0, 2.0, 3.0)

@@ -5,8 +5,9 @@
 Perspective cameras stand on a sphere around the grid, one for each picture: evenly in azimuth, from 25° below to 45°
 above. Those that are held out stand between them. The scene is the grid itself, in cells, its centre at the origin and
 y up.
-Pictures are those of emission and absorption in density × cells; or, with --integrator prbvolpath, of scattered light,
-in radiance. A folder gives all of its frames, or those of --frames FIRST:LAST.
+Pictures are those of emission and absorption in density × cells, in colour if frames have a grid Cd; or, with
+--integrator prbvolpath, of scattered light, in radiance. A folder gives all of its frames, or those of --frames
+FIRST:LAST.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.cameras.scene_camera import looking
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.recipe.paths import LIGHTS
-from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer
+from tnst_mi.rendering.coloured_renderer import ColouredRenderer
+from tnst_mi.rendering.renderer import Renderer
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer
+from tnst_mi.rendering.smoke_colour import colour_name, colours_of
 
 #: Vertical field of view in degrees.
 FOV = 36.0
@@ -87,7 +90,7 @@ def write_views(
     names = [f"view_{n:02d}" if n < counts[0] else f"held_out_{n - counts[0]:02d}" for n in range(len(stands))]
     numbered = len(frames) > 1
     for index, frame in enumerate(frames):
-        images = renderer.render(mi.TensorXf(frame.density), [camera_at(place) for place in stands]).numpy()
+        images = _images(frame, renderer, [camera_at(place) for place in stands])
         for number, (name, image) in enumerate(zip(names, images, strict=True)):
             if number < counts[0] and noise:
                 image = with_noise(image, noise * float(images.max()), (index, number))
@@ -103,6 +106,14 @@ def write_views(
     with written_whole(out / "cameras.toml") as temporary:
         temporary.write_text(text, "utf-8")
     return out / "cameras.toml"
+
+
+def _images(frame: tnst_mi.Frame, renderer: Renderer, cameras: Sequence[tnst_mi.Camera]) -> np.ndarray:
+    """(V, H, W) of grey smoke, and (V, H, W, 3) of smoke in colour."""
+    density, name = mi.TensorXf(frame.density), colour_name(frame.grids)
+    if name is None or not isinstance(renderer, ColouredRenderer):
+        return renderer.render(density, cameras).numpy()
+    return renderer.colour_images(density, mi.TensorXf(colours_of(frame.grids, name, frame.name)), cameras).numpy()
 
 
 def main() -> None:
@@ -131,7 +142,8 @@ def main() -> None:
         renderer: Renderer = ScatteringRenderer(shape, given.gamma, 1.0, lighting, (side, side))
         others = f'integrator = "prbvolpath"\nalbedo = {given.albedo}\nlight = "{given.light}"\n'
     else:
-        renderer, others = EmissionAbsorptionRenderer(shape, given.gamma, "exact", 1.0, size=(side, side)), ""
+        renderer = ColouredRenderer(shape, given.gamma, "exact", 1.0, size=(side, side))
+        others = "" if colour_name(frames[0].grids) is None else 'channel = "rgb"\n'
     noise = float(given.noise.rstrip("%")) / (100 if given.noise.endswith("%") else 1)
     print(write_views(given.out, frames, renderer, (given.views, given.held_out), noise, given.gamma, others))
 

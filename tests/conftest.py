@@ -85,7 +85,7 @@ SLOW = (
     "studio/test_browser.py::test_smoke_takes_on_colours_on_the_page",
     "studio/test_browser.py::test_motifs_are_found_by_a_picture_and_shown",
     "studio/test_browser.py::test_regions_are_shaped_and_painted_in_the_view",
-    "studio/test_browser.py::test_a_frame_is_tried_again_and_again",
+    "studio/test_page_keeps_up.py::test_a_frame_is_tried_again_and_again",
     "studio/test_browser.py::test_tries_are_gone_on_from_and_deleted",
     "studio/test_browser.py::test_a_render_outlives_the_page_and_the_studio",
     "studio/test_examples.py::test_pictures_are_made_once_and_are_those_of_an_atlas",

@@ -46,6 +46,22 @@ def test_a_training_says_what_it_has_come_to(model, smoke):
     assert card["curve"][0]["loss"] < card["loss_before"]
 
 
+def test_info_tells_of_a_model_what_its_card_does(model, smoke, capsys):
+    assert main(["info", str(model)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    card = json.loads(model.with_suffix(".json").read_text())
+    assert said[0] == f"{model}: a model that stylizes in one pass (--model {model})"
+    assert said[1] == '  trained for: style = ["spirals"], octaves = 1'
+    assert said[2] == f"  learned from: {smoke.name} (3 frames)"
+    before, after = card["loss_before"], card["curve"][-1]["loss"]
+    assert said[3] == f"  loss of what it learned from: {before:.4g} without it, {after:.4g} after 30 updates"
+
+
+def test_info_refuses_weights_that_are_no_model(weights, capsys):
+    assert main(["info", str(weights)]) == 2
+    assert "has no model of tnst-mi" in capsys.readouterr().err
+
+
 def test_the_same_command_gives_the_same_bits(model, smoke, weights, tmp_path):
     again = tmp_path / "again.safetensors"
     command = ["train", str(smoke), *GOAL, "--weights", str(weights), "--out", str(again)]

@@ -45,7 +45,7 @@ def smoke(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few batches, and no figures, which take longer than the rest for so small a frame."""
-    monkeypatch.setattr("tnst_mi.compare.bench.measurement.BATCHES", 8)
+    monkeypatch.setattr("tnst_mi.compare.bench.prepared_side.BATCHES", 8)
     monkeypatch.setattr("tnst_mi.compare.bench.bench_report.write_figure", lambda path, figure: _empty(path))
 
 

@@ -121,7 +121,8 @@ def test_what_was_stopped_goes_on_to_the_same_bits(views, tmp_path, monkeypatch)
     assert not found.interrupted
     with np.load(whole.densities[0]) as a, np.load(found.densities[0]) as b:
         assert np.array_equal(a["density"], b["density"])
-    assert found.records[0]["gamma"] == whole.records[0]["gamma"]
+    for key in ("gamma", "convergence"):
+        assert found.records[0][key] == whole.records[0][key]
     with pytest.raises(tnst_mi.InputError, match="with other settings, cameras or frames"):
         reconstruct(views, tmp_path / "parts", {**keys, "seed": 1}, progress=False, resume=True)
 

@@ -14,6 +14,7 @@ import ray_march
 from fields import blob, directional_error, smooth_noise
 
 import tnst_mi
+from tnst_mi.errors import InputError
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 SHAPE = (10, 14, 9)
@@ -485,3 +486,10 @@ def test_a_recipe_can_follow_the_integrated_transmittance() -> None:
     )
     stylized = tnst_mi.stylize(tnst_mi.Frame(density), recipe, progress=False).densities[0]
     assert np.isfinite(stylized).all() and not np.array_equal(stylized, density)
+
+
+@pytest.mark.parametrize("number", [0.0, -1.0, float("nan"), float("inf"), "auto"])
+@pytest.mark.parametrize("name", ["gamma", "h"])
+def test_render_refuses_what_is_no_number_above_0(name, number):
+    with pytest.raises(InputError, match=f"render: {name} {number!r} given, expected a finite number > 0"):
+        tnst_mi.render(np.ones((2, 2, 2), np.float32), **{name: number})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import runpy
+import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -24,3 +26,12 @@ def test_help(script: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     told = capsys.readouterr().out
     assert stop.value.code == 0 and "usage:" in told.lower()
     assert (SCRIPTS / script).read_text("utf-8").count(f"scripts/{script}") >= 1, "its docstring shows how it is called"
+
+
+@pytest.mark.parametrize("script", sorted(IN_BLENDER))
+def test_what_blender_runs_says_so(script: str) -> None:
+    if find_spec("bpy"):
+        pytest.skip("bpy is here")
+    ran = subprocess.run([sys.executable, SCRIPTS / script, "--help"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    assert ran.stderr.splitlines() == [f"{script}: runs inside Blender: blender -b -P scripts/{script} -- --help"]

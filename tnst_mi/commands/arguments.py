@@ -215,7 +215,8 @@ class AtlasArguments(Arguments):
 class InfoArguments(Arguments):
     """Describe files or folders of frames: arrays or grids, how they are read, shape, ranges, mass, largest velocity.
 
-    A file without a density, such as the velocities of a run, is described by what it contains.
+    A file without a density, such as the velocities of a run, is described by what it contains; a model of
+    `tnst-mi train` (.safetensors) by what it was trained for, and how well.
     """
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE…", help_behavior_hint="")]

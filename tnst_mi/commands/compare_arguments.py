@@ -31,7 +31,8 @@ class SideFlags:
     ] = None
     """emission_absorption[:exact|paper|transmittance], volpath, volpathmis, prbvolpath; float64[:exact|paper], the
     references; a Mitsuba scene file with its own integrator; a folder of OpenEXR pictures, each an independent render;
-    answer, the known one of a scene."""
+    answer, the known one of a scene. What Mitsuba renders may have a variant of its own: volpath@spectral,
+    volpath@scalar_rgb."""
     right: Annotated[str | None, tyro.conf.arg(metavar=PLACEHOLDER, help_behavior_hint="(default: prbvolpath)")] = None
     """The same."""
     gradients: Annotated[

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from tnst_mi.commands.base import checked
 from tnst_mi.commands.compare_arguments import COMPARE_VIEWS, FULL_SPP, CompareArguments
 from tnst_mi.commands.compare_input import ComparedSmoke, read_smoke, views_and_gammas
-from tnst_mi.compare.bench.baseline import change_verdict, changes, read_baseline, require_same
-from tnst_mi.compare.bench.measurement import BenchSettings, measure, prepare
+from tnst_mi.compare.bench.baseline import change_verdict, changes, read_baseline, require_same, require_same_tests
+from tnst_mi.compare.bench.bench_settings import BenchSettings
+from tnst_mi.compare.bench.measurement import measure, prepare
 from tnst_mi.compare.bench.parameters import parameter_names
 from tnst_mi.compare.bench.record import record_of
 from tnst_mi.compare.bench.sides import OURS, side_of
@@ -50,6 +51,8 @@ def run_sides(arguments: CompareArguments) -> int:
     variant = activate()
     require_optix("compare")
     subject, described, smoke = _subject(arguments, settings)
+    if flags.baseline is not None and baseline is not None:
+        require_same(flags.baseline, baseline, described, settings.left.text, settings.right.text)
     prepared = prepare(subject, settings)
     views = ("0",)
     if smoke is not None:
@@ -66,7 +69,7 @@ def run_sides(arguments: CompareArguments) -> int:
         record = record_of(described, settings, measured)
         passed = bool(record["agree"])
         if flags.baseline is not None and baseline is not None:
-            require_same(flags.baseline, baseline, record)
+            require_same_tests(flags.baseline, baseline, record)
             families, found = changes(baseline, record)
             passed = not any(alarm.any() for alarm in found)
             record["baseline"] = {"changed": not passed, "verdict": change_verdict(families, found)}

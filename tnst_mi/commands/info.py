@@ -1,4 +1,4 @@
-"""`tnst-mi info`: what is in density files.
+"""`tnst-mi info`: what is in density files, and what trained models are of.
 
 Of each input it is said first how its frames are read, then what each of them is: a line for a frame, and below it the
 grids or arrays of its file, where they are others than those of the file before.
@@ -22,10 +22,14 @@ from tnst_mi.io.formats import describe
 from tnst_mi.io.grids.contents import Contents
 from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.io.sequence import FrameFiles, checked_shapes
+from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.terminal import printable
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
+
+#: It imports torch, which files of smoke do not need.
+info_model = LazyModule("tnst_mi.commands.info_model")
 
 
 def run(arguments: InfoArguments) -> int:
@@ -34,6 +38,9 @@ def run(arguments: InfoArguments) -> int:
         raise InputError("info: expected one or more files or folders")
     recipe = Recipe().updated_by_flags(given(arguments.reading))
     for path in arguments.files:
+        if path.suffix.lower() == ".safetensors":
+            _show(info_model.lines_of_model(path))
+            continue
         try:
             _describe_sequence(path, recipe)
         except SeveralSequencesError as error:

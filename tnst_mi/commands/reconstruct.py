@@ -36,7 +36,7 @@ def run(arguments: ReconstructArguments) -> int:
         psnr = "no view was held out" if record["psnr"] is None else f"held-out views {record['psnr']:.1f} dB"
         light = f", gamma {record['gamma']:.4g}, brightness {record['brightness']:.4g}"
         print(f"density   {file}: {psnr}{light}, background {record['background']:.3g}")
-    print(f"report    {arguments.out / 'report.json'}")
+    print(f"report    {arguments.out / 'report.html'}")
     if found.interrupted:
         raise StoppedError(f"interrupted; {found.densities[-1]} is as far as it got, --resume continues")
     return 0

@@ -33,7 +33,7 @@ class ReconstructArguments(Arguments):
     """Find the density of smoke from pictures that cameras with known places took.
 
     CAMERAS is a TOML file of ours, the transforms.json of a NeRF, or a Mitsuba scene with sensors
-    (docs/reconstruction.md). Views that are held out judge the result: report.json says how well it shows them.
+    (docs/reconstruction.md). Views that are held out judge the result: report.html shows how well.
     Settings come from the defaults, then from the table [reconstruction] of CAMERAS, then from the flags.
     """
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from tnst_mi.errors import InputError
 from tnst_mi.fields.bounds import Region, smoke_box
+from tnst_mi.machine.garbage import collection_paused
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.cameras.perspective import require_outside
 from tnst_mi.rendering.cameras.views import View
@@ -88,7 +89,7 @@ class PathTracer:
 
     def transmittance(self, spp: int, seed: int) -> np.ndarray:
         """Estimate T with `spp` paths per pixel: (V, H, W) float64, multiples of 1/spp in [0, 1]."""
-        with dr.suspend_grad():
+        with dr.suspend_grad(), collection_paused():
             radiance, _ = self._trace(self._rays(spp), self._sampler(spp, seed))
             mean = dr.block_sum(radiance.x, spp)
         return np.asarray(mean.numpy(), np.float64).reshape(self.view_count, *self.shape[1:]) / spp
@@ -110,7 +111,7 @@ class PathTracer:
         self.parameters.update()
         # dI/dd = −(1/γ) dT/dσ · dσ/dd = −dT/dσ: γ cancels. A third for each of the three equal colour channels.
         adjoint = mi.Float(np.repeat(np.asarray(-weights / (3 * spp), np.float32).ravel(), spp))
-        with dr.suspend_grad():
+        with dr.suspend_grad(), collection_paused():
             rays, sampler = self._rays(spp), self._sampler(spp, seed)
             replayed = sampler.clone()
             radiance, state = self._trace(rays, sampler)

@@ -17,12 +17,12 @@ import numpy as np
 from tnst_mi.compare import figures
 from tnst_mi.compare.comparison import Results, Settings
 from tnst_mi.compare.gradients import Directional
-from tnst_mi.compare.page import page, write_text
 from tnst_mi.compare.paper_quadrature import PaperGradient, PaperImages
 from tnst_mi.compare.quadrature_study import STEPS, QuadratureStudy
 from tnst_mi.compare.values import Comparison, relative_rms
 from tnst_mi.compare.verdict import Check
 from tnst_mi.io.pictures.exr import write_exr
+from tnst_mi.io.report_page import page, write_text
 from tnst_mi.rendering.cameras.views import text_of
 
 

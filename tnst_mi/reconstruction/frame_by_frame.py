@@ -13,7 +13,8 @@ from tnst_mi.reconstruction.motion import MotionDescent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.results import write_frame_results, write_report
+from tnst_mi.reconstruction.report import write_report
+from tnst_mi.reconstruction.results import in_colour, write_frame_results
 from tnst_mi.reconstruction.resumable import ResumableDescent
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
@@ -71,6 +72,7 @@ class FrameByFrame:
         """The next frame."""
         prepared, number = self._prepared, self._prepared.frames[index]
         begun = time.perf_counter() - self.progress.seconds
+        self.progress.note(prepared.sources(index))
         frame = FrameReconstruction(
             prepared.settings,
             prepared.levels,
@@ -94,11 +96,20 @@ class FrameByFrame:
                 if interrupt.requested:
                     break
         assert descent is not None
+        extinction = frame.full_extinction(descent)
         finished = self.progress.level == last and descent.done == descent.steps
+        colours = None
+        if finished and prepared.settings.channel == "rgb":
+            found = in_colour(frame, extinction, len(prepared.levels), interrupt, self._shown)
+            finished = found is not None
+            extinction, colours = found or (extinction, None)
         seconds = time.perf_counter() - begun
-        record = write_frame_results(self._out, self._format, prepared, number, frame, descent, seconds, finished)
+        record = write_frame_results(
+            self._out, self._format, prepared, number, frame, extinction, colours, seconds, finished
+        )
+        record["convergence"] = self.progress.convergence
         if finished:
-            self.progress = ReconstructionState(self.progress.identity, [*self.progress.records, record])
+            self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
         else:
             self.progress.seconds = seconds
@@ -108,6 +119,7 @@ class FrameByFrame:
     def _find_velocity(self, index: int, interrupt: Interrupt) -> None:
         """The velocity from a frame that is done to the next: known, estimated, or none."""
         prepared, record = self._prepared, self.progress.records[index]
+        self.progress.note(prepared.sources(index + 1))
         known, told = prepared.velocity(prepared.frames[index]), None
         if known is not None:
             told = {"source": "known", **self._found.add_velocity(record, known)}
@@ -148,7 +160,7 @@ class FrameByFrame:
         assert motion is not None
         found = self._found.add_velocity(records[index], motion.velocity(full))
         seconds = time.perf_counter() - begun
-        self.progress.level, self.progress.seconds = 0, 0.0
+        self.progress.level, self.progress.seconds, self.progress.errors = 0, 0.0, []
         return {"source": "estimated", **found, "rms": motion.misfit(), "seconds": round(seconds, 1)}
 
     def _photographs(self, index: int) -> list[Photograph]:
@@ -163,6 +175,7 @@ class FrameByFrame:
         grid = "×".join(map(str, descent.octave.shape))
         while descent.done < descent.steps and not interrupt.requested:
             loss = descent.step()
+            self.progress.add_error(level, loss)
             bar.advance(f"grid {grid}, step {descent.done}/{descent.steps}, RMS {loss**0.5:.2%}")
             if time.monotonic() - self._saved > _WRITTEN_AFTER:
                 self.progress.seconds = time.perf_counter() - begun

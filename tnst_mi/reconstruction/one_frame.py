@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,13 @@ from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
 from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
 from tnst_mi.reconstruction.rendering import RendererChoice
 from tnst_mi.reconstruction.settings import ReconstructionSettings
+from tnst_mi.reconstruction.smoke_colours import (
+    COLOUR_ROUNDS,
+    REFINING_STEPS,
+    as_if_white,
+    coloured_images,
+    smoke_colours,
+)
 
 #: The share of pixels that count as those of the thickest smoke.
 _THICKEST = 0.005
@@ -134,10 +142,67 @@ class FrameReconstruction:
         """The value of a pixel without smoke, likewise."""
         return self._model.background * self.peak
 
-    def judged(self, extinction: np.ndarray) -> list[HeldOutView]:
-        """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak."""
+    def in_colour(self, extinction: np.ndarray, goes_on: Callable[[], bool]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Find the colours (D, H, W, 3) of an extinction on the full grid, and from these the extinction anew.
+
+        Pictures of one channel take the strongest of a pixel for what white smoke would show, which is too little where
+        several colours are behind each other. Once the colours are known, how much too little is known too.
+
+        Args:
+            extinction: (D, H, W) on the full grid.
+            goes_on: asked before each step, see `colour_steps`.
+
+        Returns:
+            The extinction and its colours; None if it did not go on.
+        """
+        s = self._settings
+        find = partial(smoke_colours, photographs=self._used, model=self._model, quadrature=s.quadrature, batch=s.batch)
+        colours = find(extinction, self._levels, start=None, goes_on=goes_on)
+        for number in range(COLOUR_ROUNDS):
+            if colours is None:
+                return None
+            descent = self._refinement(extinction, colours, number)
+            while descent.done < descent.steps:
+                if not goes_on():
+                    return None
+                descent.step()
+            extinction = self.full_extinction(descent)
+            colours = find(extinction, self._levels[-1:], start=colours, goes_on=goes_on)
+        return None if colours is None else (extinction, colours)
+
+    def _refinement(self, extinction: np.ndarray, colours: np.ndarray, number: int) -> Descent:
+        """Further steps on the full grid, with pictures of what the smoke would show if it were white."""
+        octave, s = self._levels[-1], self._settings
+        pictures = [photograph.averaged(octave.cell_size) for photograph in self._used]
+        return Descent(
+            octave,
+            extinction,
+            self._typical,
+            as_if_white(extinction, colours, octave, pictures, self._model, s.quadrature),
+            self._renderers,
+            self._model,
+            self.noise,
+            max(octave.shape),
+            REFINING_STEPS,
+            s.batch,
+            (s.seed, self._index, len(self._levels) + number),
+            0,
+        )
+
+    def judged(self, extinction: np.ndarray, colours: np.ndarray | None) -> list[HeldOutView]:
+        """What the views that were held out see of an extinction (D, H, W) on the full grid, in units of the peak.
+
+        With `colours` (D, H, W, 3), pictures and renderings are (rows, columns, 3).
+        """
         octave = self._levels[-1]
         pictures = [photograph.averaged(octave.cell_size) for photograph in self._judges]
+        if colours is not None:
+            seen = coloured_images(extinction, colours, octave, pictures, self._model, self._settings.quadrature)
+            return [
+                HeldOutView(one.name, one.colours, image, psnr(image, one.colours, one.weights[..., None]))
+                for one, image in zip(pictures, seen, strict=True)
+                if one.colours is not None
+            ]
         seen = rendered(extinction, octave, pictures, self._renderers, self._model)
         return [
             HeldOutView(picture.name, picture.values, image, psnr(image, picture.values, picture.weights))
@@ -166,6 +231,7 @@ class FrameReconstruction:
 
 def psnr(image: np.ndarray, picture: np.ndarray, weights: np.ndarray) -> float:
     """Peak signal-to-noise ratio in dB of an image whose peak is 1, over the pixels that count."""
+    weights = np.broadcast_to(weights, picture.shape)
     error = float((weights * (image - picture) ** 2).sum(dtype=np.float64) / max(float(weights.sum()), 1e-12))
     return math.inf if error == 0 else -10 * math.log10(error)
 

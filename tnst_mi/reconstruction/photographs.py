@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.errors import InputError
+from tnst_mi.io.grids.npz import read_arrays
 from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import read_radiance
 from tnst_mi.io.pictures.srgb import linear_of
@@ -20,7 +22,13 @@ from tnst_mi.rendering.cameras.camera import Camera
 _MOST_PIXELS = 1 << 26
 
 #: Weights of linear red, green and blue in the luminance (ITU-R BT.709).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+#: Pixels to either side of one, whose mean says which colour it has.
+_AROUND = 2
+
+#: The share of the largest luminance below which pixels count more and more as grey, since noise decides their colour.
+_FAINT = 0.02
 
 #: The standard deviation of normal numbers is their median magnitude times this.
 _NORMAL = 1.4826
@@ -37,6 +45,8 @@ class Photograph:
         weights: likewise, from 0, where a pixel does not count, to 1.
         background: likewise, what is seen without smoke; None if one value stands for it.
         held_out: whether it judges the result instead of being used.
+        colours: (rows, columns, 3), linear RGB, of which `values` are the strengths; None if one channel was taken.
+        background_colours: likewise, of the background.
     """
 
     name: str
@@ -45,11 +55,17 @@ class Photograph:
     weights: np.ndarray
     background: np.ndarray | None
     held_out: bool
+    colours: np.ndarray | None = None
+    background_colours: np.ndarray | None = None
 
     def in_units_of(self, peak: float) -> Photograph:
         """The same with values in parts of a peak."""
-        background = None if self.background is None else self.background / np.float32(peak)
-        return replace(self, values=self.values / np.float32(peak), background=background)
+        values, background, colours, behind = (
+            None if image is None else image / np.float32(peak)
+            for image in (self.values, self.background, self.colours, self.background_colours)
+        )
+        assert values is not None
+        return replace(self, values=values, background=background, colours=colours, background_colours=behind)
 
     def averaged(self, cell: float) -> Photograph:
         """The same with pixels about as large as a cell at the grid's centre, never with more than it has."""
@@ -64,12 +80,21 @@ class Photograph:
         down, across = area_matrix(rows, wanted[0]), area_matrix(columns, wanted[1]).T
         weights = down @ self.weights @ across
 
-        def mean(plane: np.ndarray) -> np.ndarray:
-            total = down @ (plane * self.weights) @ across
+        def mean(image: np.ndarray | None) -> np.ndarray | None:
+            if image is None:
+                return None
+            if image.ndim == 3:
+                return np.stack([one for plane in np.moveaxis(image, 2, 0) if (one := mean(plane)) is not None], axis=2)
+            total = down @ (image * self.weights) @ across
             return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
-        background = None if self.background is None else mean(self.background)
-        return replace(self, values=mean(self.values), weights=weights, background=background)
+        colours, behind = mean(self.colours), mean(self.background_colours)
+        values = mean(self.values) if colours is None else strength(colours)
+        background = mean(self.background) if behind is None else strength(behind)
+        assert values is not None
+        return replace(
+            self, values=values, weights=weights, background=background, colours=colours, background_colours=behind
+        )
 
 
 def image_height(camera: Camera) -> float:
@@ -94,19 +119,44 @@ def area_matrix(n_from: int, n_to: int) -> np.ndarray:
     return (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def read_values(path: Path, channel: str, transfer: str) -> np.ndarray:
-    """One linear channel of a picture, (rows, columns) float32.
+def strength(colours: np.ndarray) -> np.ndarray:
+    """The strongest channel of each pixel of a picture (rows, columns, 3), as (rows, columns).
+
+    Smoke of one colour, of which the strongest channel is 1, shows in that channel what white smoke would show. Noise
+    makes the strongest of three channels too bright wherever there is nothing. So which one that is, and by how much,
+    is taken from means over the neighbourhood, and the strength is the pixel's luminance times that of its surroundings
+    over theirs: it has the noise of the luminance, with a mean of 0. Grey pixels keep their value.
+    """
+    around = _box_means(colours)
+    luminance = around @ LUMINANCE
+    floor = _FAINT * max(float(luminance.max()), 1e-30)
+    ratio = (np.maximum(around.max(axis=2), 0) + floor) / (np.maximum(luminance, 0) + floor)
+    return (colours @ LUMINANCE) * ratio
+
+
+def _box_means(colours: np.ndarray) -> np.ndarray:
+    """Means over the square around each pixel; the border repeats outside."""
+    for axis in (0, 1):
+        margin = [(_AROUND, _AROUND) if n == axis else (0, 0) for n in range(3)]
+        padded = np.pad(colours, margin, "edge")
+        colours = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1, axis).mean(-1)
+    return colours
+
+
+def read_values(path: Path, channel: str, transfer: str, layer: int | None = None) -> np.ndarray:
+    """One linear channel of a picture, (rows, columns) float32, or with "rgb" all of them, (rows, columns, 3).
 
     Args:
         path: the file.
-        channel: "luminance", of what is seen before black, "red", "green", "blue" or "alpha".
-        transfer: "linear", "srgb", or "auto": EXR and HDR are linear, other formats have the curve of sRGB.
+        channel: "luminance", of what is seen before black, "rgb", "red", "green", "blue" or "alpha".
+        transfer: "linear", "srgb", or "auto": EXR, HDR and npz are linear, other formats have the curve of sRGB.
+        layer: which of the pictures of an npz file; None for files of one.
 
     Raises:
         InputError: it cannot be read, has no alpha, or values that are not finite.
     """
     with opening(path, "a picture"), silenced():
-        pixels, linear = _decoded(path)
+        pixels, linear = _decoded(path, layer)
     if not np.isfinite(pixels).all():
         raise InputError(f"{path}: {int((~np.isfinite(pixels)).sum())} values are not finite; mend the picture")
     planes = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
@@ -118,8 +168,12 @@ def read_values(path: Path, channel: str, transfer: str) -> np.ndarray:
     colours = planes[..., :3] if linear or transfer == "linear" else linear_of(planes[..., :3])
     if linear and transfer == "srgb":
         raise InputError(f"{path}: is linear, as EXR and HDR always are; leave out transfer = srgb")
-    grey = colours @ _LUMINANCE if channel == "luminance" else colours[..., ("red", "green", "blue").index(channel)]
-    return np.ascontiguousarray(grey if alpha is None else grey * alpha)
+    if alpha is not None:
+        colours = colours * alpha[..., None]
+    if channel == "rgb":
+        return np.ascontiguousarray(colours)
+    grey = colours @ LUMINANCE if channel == "luminance" else colours[..., ("red", "green", "blue").index(channel)]
+    return np.ascontiguousarray(grey)
 
 
 def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -129,7 +183,7 @@ def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
         InputError: it cannot be read, or has another size than (rows, columns).
     """
     with opening(path, "a mask"), silenced():
-        pixels, _ = _decoded(path)
+        pixels, _ = _decoded(path, None)
     if pixels.ndim == 3:
         pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(axis=2)
     require_size(path, pixels, size)
@@ -163,8 +217,12 @@ def estimated_noise(photographs: Sequence[Photograph]) -> float:
     return _NORMAL * float(np.median(np.concatenate(found)))
 
 
-def _decoded(path: Path) -> tuple[np.ndarray, bool]:
+def _decoded(path: Path, layer: int | None) -> tuple[np.ndarray, bool]:
     """The pixels in parts of full scale, (H, W), (H, W, 3) or (H, W, 4), and whether they are linear."""
+    if path.suffix.lower() == ".npz":
+        return _layer(path, layer), True
+    if layer is not None:
+        raise InputError(f"{path}: is one picture, and layer = {layer} is of .npz files with several; leave it out")
     with path.open("rb") as file:
         start = file.read(64)
     if path.suffix.lower() == ".exr":
@@ -173,3 +231,14 @@ def _decoded(path: Path) -> tuple[np.ndarray, bool]:
         return read_radiance(path, _MOST_PIXELS), True
     pixels, full_scale = decoded_by_pillow(path, start)
     return pixels.astype(np.float32) / full_scale, False
+
+
+def _layer(path: Path, layer: int | None) -> np.ndarray:
+    """One of the grey pictures of an npz file of the ScalarFlow data set: `data` (V, rows, columns, 1), row 0 below."""
+    data = read_arrays(path, ["data"]).get("data")
+    if data is None or data.ndim != 4 or data.shape[3] != 1 or math.prod(data.shape[1:]) > _MOST_PIXELS:
+        found = "none" if data is None else f"one of shape {data.shape}"
+        raise InputError(f"{path}: has {found}, expected an array data of grey pictures, (views, rows, columns, 1)")
+    if layer is None or layer >= len(data):
+        raise InputError(f"{path}: holds {len(data)} pictures, say which is the view's by layer, from 0")
+    return np.ascontiguousarray(data[layer, ::-1, :, 0], np.float32)

@@ -16,7 +16,7 @@ from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
-from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size
+from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
@@ -28,6 +28,15 @@ ESTIMATE, NONE = "estimate", "none"
 #: Where nothing says which views are held out, those of these numbers are, as usual for view synthesis since LLFF
 #: (Mildenhall et al. 2019); of fewer views, none.
 _EVERY = 8
+
+#: By how much pixels may be wider than high or the other way round: pictures that were made smaller to whole pixels.
+_UNEVEN = 0.01
+
+#: What is said where colours are found.
+_COLOUR_SAID = (
+    "colour: smoke of a colour is taken to be as bright in its strongest channel as white smoke (--channel luminance "
+    "finds the density alone)"
+)
 
 
 @dataclass(frozen=True)
@@ -59,10 +68,29 @@ class Preparation:
     @property
     def identity(self) -> str:
         """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
-        cameras = [(view.name, str(view.image), view.held_out, _numbers(view)) for view in self.views]
-        known = self.estimates if self.velocities is None else self.velocities.numbers
+        cameras = [(view.name, *_files(view), view.layer, view.held_out, _numbers(view)) for view in self.views]
+        known = self.estimates if self.velocities is None else "known"
         told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames), known], default=str)
         return hashlib.sha256(told.encode("utf-8")).hexdigest()
+
+    def sources(self, index: int) -> list[Path]:
+        """The files that a frame is made from, by its place among the frames; those of its cameras are known already.
+
+        Raises:
+            InputError: the name of a picture has no place for the number of the frame.
+        """
+        number = self.frames[index]
+        found = [file_of_frame(view.image, number) for view in self.views]
+        found += [_of_frame(view.mask, number) for view in self.views if view.mask is not None]
+        found += [view.background for view in self.views if view.background is not None]
+        before = self.frames[index - 1] if index else None
+        if self.velocities is not None and before in self.velocities.numbers:
+            found += self.velocities.sources(self.velocities.numbers.index(before))
+        if self.settings.integrator == "prbvolpath":
+            found.append(Path(self.settings.light))
+        # Of a frame's velocity, some files need not exist; a light may be a name; a picture that is missing is told of
+        # by whoever reads it.
+        return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def photographs(self, number: int | None) -> list[Photograph]:
         """The pictures of a frame.
@@ -93,24 +121,24 @@ class Preparation:
 
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        values = read_values(file, s.channel, s.transfer)
+        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer))
         rows, columns = values.shape
         weights = np.ones_like(values)
         if view.mask is not None:
             weights = read_weights(_of_frame(view.mask, number), values.shape)
-        background = None
+        background, behind = None, None
         if view.background is not None:
-            background = read_values(view.background, s.channel, s.transfer)
+            background, behind = _split(read_values(view.background, s.channel, s.transfer))
             require_size(view.background, background, values.shape)
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
-            if abs(camera.aspect * rows / columns - 1) > 0.5 / min(rows, columns) + 1e-6:
+            if abs(camera.aspect * rows / columns - 1) > max(0.5 / min(rows, columns), _UNEVEN):
                 raise InputError(
                     f"its camera has an aspect of {camera.aspect:.4g}, and {file.name} {columns} × {rows} pixels; "
                     "expected the same proportions"
                 )
-        return Photograph(view.name, camera, values, weights, background, view.held_out)
+        return Photograph(view.name, camera, values, weights, background, view.held_out, colours, behind)
 
 
 def prepare(
@@ -144,6 +172,7 @@ def prepare(
     known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
     if known is not None and numbers == [None]:
         raise InputError(f"--velocities {velocities}: is of sequences; give --frames FIRST:LAST")
+    said_of_velocities = _said_of_velocities(numbers, known, velocities)
     return Preparation(
         settings,
         found,
@@ -153,7 +182,7 @@ def prepare(
         numbers,
         known,
         velocities == ESTIMATE,
-        (*found.remarks, *said, *_said_of_velocities(numbers, known, velocities)),
+        (*found.remarks, *said, *((_COLOUR_SAID,) if settings.channel == "rgb" else ()), *said_of_velocities),
     )
 
 
@@ -216,6 +245,15 @@ def _cells(shape: Sequence[int]) -> str:
     return " × ".join(map(str, shape))
 
 
+def _split(image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """What is taken for the light of white smoke, and the colours of a picture that has some."""
+    return (image, None) if image.ndim == 2 else (strength(image), image)
+
+
+def _files(view: PosedView) -> list[str | None]:
+    return [None if file is None else str(file.absolute()) for file in (view.image, view.mask, view.background)]
+
+
 def _numbers(view: PosedView) -> list[Any]:
     camera = view.camera((1, 1))
-    return [camera.to_scene.round(9).tolist(), camera.perspective, camera.field, camera.shift]
+    return [camera.to_scene.round(9).tolist(), camera.perspective, camera.field, camera.aspect, camera.shift]

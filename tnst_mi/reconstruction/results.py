@@ -1,29 +1,44 @@
-"""What is written of a reconstruction: densities, pictures of the views that were held out, and report.json."""
+"""What is written of a frame: its density, and pictures of it and of the views that were held out."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
-from tnst_mi.io.atomic import written_whole
+from tnst_mi.geometry.other_grids import OtherGrids
 from tnst_mi.io.formats import write_frame
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
-from tnst_mi.machine import environment
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.machine.interrupt import Interrupt
+from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.reconstruction.one_frame import FrameReconstruction, HeldOutView, mean_psnr
 from tnst_mi.reconstruction.preparation import Preparation
+from tnst_mi.reconstruction.sides import three_sides
+from tnst_mi.reconstruction.smoke_colours import colour_steps
+
+#: The grid of the smoke's colours, by the name that Houdini has for it.
+COLOUR = "Cd"
 
 #: By how much the third part of a picture, the difference, is brighter than the others.
 _TIMES = 10
+
+
+def in_colour(
+    frame: FrameReconstruction, extinction: np.ndarray, levels: int, interrupt: Interrupt, shown: bool
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The extinction of a frame and its colours, with a progress bar; None if Ctrl-C was pressed."""
+    with closing(progress_bar(total=colour_steps(levels), desc="colours", disable=not shown)) as bar:
+
+        def goes_on() -> bool:
+            bar.update(1)
+            return not interrupt.requested
+
+        return frame.in_colour(extinction, goes_on)
 
 
 def write_frame_results(
@@ -32,7 +47,8 @@ def write_frame_results(
     prepared: Preparation,
     number: int | None,
     frame: FrameReconstruction,
-    descent: Descent,
+    extinction: np.ndarray,
+    colours: np.ndarray | None,
     seconds: float,
     finished: bool,
 ) -> dict[str, Any]:
@@ -42,12 +58,13 @@ def write_frame_results(
         OSError: something cannot be written.
     """
     name = "smoke" if number is None else f"smoke_{number:04d}"
-    extinction = frame.full_extinction(descent)
-    views = frame.judged(extinction)
+    views = frame.judged(extinction, colours)
     gamma = prepared.settings.gamma_of(frame.brightness)
     density = extinction / np.float32(gamma)
     file = Path("density") / f"{name}.{format}"
-    write_frame(out / file, density, placement=prepared.place.placement)
+    others = None if colours is None else OtherGrids.of_arrays({COLOUR: colours}, density.shape, name)
+    write_frame(out / file, density, placement=prepared.place.placement, others=others)
+    write_png(out / "images" / f"{name}_sides.png", srgb(np.clip(three_sides(extinction, colours), 0, 1)))
     for view in views:
         _write_pictures(out / "images" / f"{name}_{view.name}", view, frame.peak)
     value = mean_psnr(views)
@@ -65,33 +82,9 @@ def write_frame_results(
         "noise": frame.noise,
         "mass": float(density.sum(dtype=np.float64)),
         "largest_density": float(density.max()),
+        "mean_colour": None if colours is None else _mean_colour(density, colours),
         "seconds": round(seconds, 1),
     }
-
-
-def write_report(out: Path, prepared: Preparation, records: Sequence[Mapping[str, Any]], finished: bool) -> None:
-    """Write report.json: how it was reconstructed, and how well.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    told = {
-        "cameras": str(prepared.cameras.file),
-        "finished": finished and len(records) == len(prepared.frames),
-        "settings": asdict(prepared.settings),
-        "shape": list(prepared.place.shape),
-        "voxel_size": prepared.place.placement.voxel_size,
-        "corner": list(prepared.place.placement.corner),
-        "up": prepared.place.placement.up,
-        "views": [view.name for view in prepared.views if not view.held_out],
-        "held_out": [view.name for view in prepared.views if view.held_out],
-        "assumed": list(prepared.remarks),
-        "frames": list(records),
-        "versions": environment.versions(),
-        "device": environment.device(mi.variant()),
-    }
-    with written_whole(out / "report.json") as temporary:
-        temporary.write_text(json.dumps(told, indent=1, allow_nan=False, default=str) + "\n", "utf-8")
 
 
 def _write_pictures(path: Path, view: HeldOutView, peak: float) -> None:
@@ -100,6 +93,12 @@ def _write_pictures(path: Path, view: HeldOutView, peak: float) -> None:
     difference = np.abs(view.rendering - view.picture) * _TIMES
     side_by_side = np.concatenate([view.picture, view.rendering, difference], axis=1)
     write_png(path.with_name(f"{path.name}.png"), srgb(np.clip(side_by_side, 0.0, 1.0)))
+
+
+def _mean_colour(density: np.ndarray, colours: np.ndarray) -> list[float]:
+    """The mean over the smoke."""
+    total = np.einsum("zyx,zyxc->c", density.astype(np.float64), colours)
+    return (total / max(float(density.sum(dtype=np.float64)), 1e-30)).tolist()
 
 
 def _finite(value: float | None) -> float | None:

@@ -61,8 +61,9 @@ class ReconstructionSettings:
     auto finds it."""
     background: Annotated[float | str, Number(0.0, 1e9, words=("auto",))] = 0.0
     """Value of pixels without smoke; auto finds one for all views; pictures of it are named in the file of cameras."""
-    channel: Annotated[str, Choice(("luminance", "red", "green", "blue", "alpha"))] = "luminance"
-    """What of the pictures is taken; alpha is their opacity, of which brightness is 1."""
+    channel: Annotated[str, Choice(("luminance", "rgb", "red", "green", "blue", "alpha"))] = "luminance"
+    """What of the pictures is taken; rgb finds the colour of the smoke too; alpha is their opacity, of which
+    brightness is 1."""
     transfer: Annotated[str, Choice(("auto", "linear", "srgb"))] = "auto"
     """What the values of pictures mean; auto: EXR and HDR are linear, all others have the curve of sRGB."""
     noise: Annotated[float | str, Number(0.0, 1.0, words=("auto",))] = "auto"
@@ -140,7 +141,7 @@ class ReconstructionSettings:
             )
         if self.integrator == "prbvolpath":
             given = {"brightness": self.brightness != "1/gamma", "background": self.background != 0}
-            given |= {"channel": self.channel == "alpha", "quadrature": self.quadrature != "exact"}
+            given |= {"channel": self.channel in ("alpha", "rgb"), "quadrature": self.quadrature != "exact"}
             given["gamma"] = self.gamma == "auto"
             if wrong := [name for name, there in given.items() if there]:
                 raise InputError(

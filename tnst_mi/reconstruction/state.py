@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -15,7 +16,15 @@ from torch import Tensor
 
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
+from tnst_mi.machine.gate import opening
 from tnst_mi.reconstruction.resumable import ResumableDescent
+from tnst_mi.reconstruction.sources import digest, require_unchanged
+
+#: What is written beside the tensors.
+_TOLD = ("identity", "records", "level", "seconds", "sources", "errors")
+
+#: Numbers that a record keeps of the errors on a grid, at most.
+_KEPT_ERRORS = 50
 
 #: Adam's moments by torch's names of them.
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -30,6 +39,8 @@ class ReconstructionState:
         records: of the frames that are done, in their order.
         level: the grid of what is not, from 0: the next frame's density, or the velocity from the last one to it.
         seconds: that this has taken.
+        sources: the digests of all files that have been read, by absolute path.
+        errors: the root mean square difference of each step of it, grid by grid, in parts of the peak.
         tensors: of its descent, by name; empty before its first step.
     """
 
@@ -37,11 +48,43 @@ class ReconstructionState:
     records: list[dict[str, Any]] = field(default_factory=list)
     level: int = 0
     seconds: float = 0.0
+    sources: dict[str, str] = field(default_factory=dict)
+    errors: list[list[float]] = field(default_factory=list)
     tensors: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def note(self, files: Iterable[Path]) -> None:
+        """Take note of the contents of files before they are read; those of some frames may be known already.
+
+        Raises:
+            InputError: one cannot be read.
+        """
+        for file in files:
+            with opening(file, "an input"):
+                self.sources.setdefault(str(file.absolute()), digest(file))
+
+    def add_error(self, level: int, mean_square: float) -> None:
+        """Take note of the error of one more step on a grid."""
+        self.errors += [[] for _ in range(level + 1 - len(self.errors))]
+        self.errors[level].append(mean_square**0.5)
+
+    @property
+    def convergence(self) -> list[dict[str, Any]]:
+        """The steps of the frame on each grid, and how their errors fell: means over equally many steps each."""
+        return [
+            {
+                "steps": len(errors),
+                "rms": [float(part.mean()) for part in np.array_split(errors, _KEPT_ERRORS) if len(part)],
+            }
+            for errors in self.errors
+        ]
+
+    def after(self, record: dict[str, Any]) -> ReconstructionState:
+        """How far it is when one more frame is done."""
+        return ReconstructionState(self.identity, [*self.records, record], sources=self.sources)
 
     def write(self, path: Path, descent: ResumableDescent | None) -> None:
         """Write how far it is, with a descent that is not at its end."""
-        told = {"identity": self.identity, "records": self.records, "level": self.level, "seconds": self.seconds}
+        told = {name: getattr(self, name) for name in _TOLD}
         tensors = {} if descent is None else _tensors(descent)
         with written_whole(path) as temporary:
             temporary.write_bytes(save(tensors, {"progress": json.dumps(told)}))
@@ -51,7 +94,7 @@ class ReconstructionState:
         """Read how far an earlier reconstruction got.
 
         Raises:
-            InputError: there is none, it is damaged, or it was of something else.
+            InputError: there is none, it is damaged, it was of something else, or of files that were changed since.
         """
         if not path.is_file():
             raise InputError(f"{path.parent}: no reconstruction to resume there; leave out --resume to begin one")
@@ -59,16 +102,16 @@ class ReconstructionState:
             with safe_open(path, "pt") as file:
                 told = json.loads(file.metadata()["progress"])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
-            progress = cls(told["identity"], list(told["records"]), int(told["level"]), float(told["seconds"]), tensors)
-            if not all(isinstance(record["density"], str) for record in progress.records):
-                raise ValueError("a record")
-        except (SafetensorError, OSError, ValueError, KeyError, TypeError):
+            progress = cls(**{name: told[name] for name in _TOLD}, tensors=tensors)
+            _require_sound(progress)
+        except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
         if progress.identity != identity:
             raise InputError(
                 f"{path.parent}: was reconstructed with other settings, cameras or frames; give the same to go on, or "
                 "begin anew with --overwrite"
             )
+        require_unchanged(progress.sources)
         return progress
 
     def restore(self, descent: ResumableDescent, path: Path) -> None:
@@ -86,6 +129,19 @@ class ReconstructionState:
             descent.adam.state[unknown] = {"step": torch.tensor(float(descent.done)), **moments}
         except (KeyError, ValueError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
+
+
+def _require_sound(progress: ReconstructionState) -> None:
+    """Check the types of what a file says.
+
+    Raises:
+        ValueError: one is another.
+    """
+    levels = [error for errors in progress.errors for error in errors]
+    numbers = isinstance(progress.level, int) and all(isinstance(n, int | float) for n in [progress.seconds, *levels])
+    texts = [progress.identity, *(record["density"] for record in progress.records), *progress.sources.values()]
+    if not numbers or not all(isinstance(text, str) and text for text in texts):
+        raise ValueError("another type")
 
 
 def _tensors(descent: ResumableDescent) -> dict[str, Tensor]:

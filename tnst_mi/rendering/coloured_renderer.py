@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from tnst_mi.fields.kernels import opaque_int
+from tnst_mi.machine.garbage import collection_paused
 from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
@@ -112,7 +113,7 @@ class _RenderColour(dr.CustomOp):
     ) -> mi.TensorXf:
         self.renderer, self.varied = renderer, varied
         self.arguments = (dr.detach(density), dr.detach(colour), views)
-        with turn(), dr.suspend_grad():
+        with turn(), dr.suspend_grad(), collection_paused():
             self.images = renderer.colour_images(*self.arguments) if known is None else mi.TensorXf(known)
             # Evaluated now: the adjoint needs them again and should not march for them.
             dr.eval(self.images)
@@ -123,11 +124,11 @@ class _RenderColour(dr.CustomOp):
             mi.TensorXf(self.grad_in(name).array if varied else dr.zeros(mi.Float, dr.prod(given.shape)), given.shape)
             for name, varied, given in zip(("density", "colour"), self.varied, self.arguments[:2], strict=True)
         ]
-        with turn():
+        with turn(), collection_paused():
             self.set_grad_out(self.renderer.colour_tangent(*self.arguments, *changes))
 
     def backward(self) -> None:
-        with turn():
+        with turn(), collection_paused():
             gradients = self.renderer.colour_gradient(*self.arguments, self.varied, self.images, self.grad_out())
             for name, varied, gradient in zip(("density", "colour"), self.varied, gradients, strict=True):
                 if varied:

@@ -103,8 +103,9 @@ def render(
         _require_colours(colour)
     if quadrature not in QUADRATURES:
         raise InputError(f"render: quadrature {quadrature!r} is unknown, expected one of {', '.join(QUADRATURES)}")
-    if not (0 < gamma < math.inf and 0 < h < math.inf):
-        raise InputError(f"render: gamma {gamma} and h {h} given, expected finite numbers > 0")
+    for name, number in (("gamma", gamma), ("h", h)):
+        if isinstance(number, str) or not 0 < number < math.inf:
+            raise InputError(f"render: {name} {number!r} given, expected a finite number > 0")
     channels = 1 if colour is None else 3
     require_indexable(channels * math.prod(density.shape), "render: a density or its colour")
     size = _image_size(tuple(density.shape), viewpoints, float(h), fit, size)

@@ -19,6 +19,7 @@ import numpy as np
 from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque_int
 from tnst_mi.machine.backend import on_gpu
+from tnst_mi.machine.garbage import collection_paused
 from tnst_mi.machine.turns import turn
 from tnst_mi.rendering.cameras.camera import Viewpoint
 from tnst_mi.rendering.cameras.orthographic import OrthographicRays
@@ -74,7 +75,7 @@ class _Render(dr.CustomOp):
         self, density: mi.TensorXf, renderer: Renderer, views: tuple[Viewpoint, ...], seed: tuple[int, ...]
     ) -> mi.TensorXf:
         self.density, self.renderer, self.arguments = dr.detach(density), renderer, (views, seed)
-        with turn(), dr.suspend_grad():
+        with turn(), dr.suspend_grad(), collection_paused():
             self.images = renderer.images(self.density, views, seed)
             # Evaluated now: the adjoint needs them again and should not march for them.
             dr.eval(self.images)
@@ -84,11 +85,11 @@ class _Render(dr.CustomOp):
 
     def forward(self) -> None:
         change = mi.TensorXf(self.grad_in("density").array, self.density.shape)
-        with turn():
+        with turn(), collection_paused():
             self.set_grad_out(self.renderer.tangent(self.density, *self.arguments, change))
 
     def backward(self) -> None:
-        with turn():
+        with turn(), collection_paused():
             gradient = self.renderer.gradient(self.density, *self.arguments, self.images, self.grad_out())
             self.set_grad_in("density", gradient)
 

@@ -25,6 +25,7 @@ from tnst_mi.fields.bounds import Region, hull, smoke_box
 from tnst_mi.fields.grid import Shape
 from tnst_mi.fields.kernels import opaque
 from tnst_mi.machine.backend import on_gpu
+from tnst_mi.machine.garbage import collection_paused
 from tnst_mi.machine.optix import require_optix
 from tnst_mi.rendering.albedo import ALBEDO, albedo_of, load_coloured
 from tnst_mi.rendering.cameras.camera import Camera, Viewpoint
@@ -244,11 +245,12 @@ class Studio:
         total = dr.zeros(mi.TensorXf, (self.size[1], self.size[0], 3))
         # One path per pixel and launch: more would be summed in the order in which threads arrive.
         for pass_seed in np.random.SeedSequence(seed).generate_state(samples).tolist():
-            total += mi.render(self.scene, sensor=self.sensor, spp=1, seed=pass_seed)
-            if self._fire is not None:
-                # Another stream than that of the lights' paths.
-                total += self._fire.render(self.scene, self.sensor, pass_seed ^ _OTHER_STREAM)
-            dr.eval(total)
+            with collection_paused():
+                total += mi.render(self.scene, sensor=self.sensor, spp=1, seed=pass_seed)
+                if self._fire is not None:
+                    # Another stream than that of the lights' paths.
+                    total += self._fire.render(self.scene, self.sensor, pass_seed ^ _OTHER_STREAM)
+                dr.eval(total)
         return (total / samples).numpy()
 
 

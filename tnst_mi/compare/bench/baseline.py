@@ -52,18 +52,26 @@ def read_baseline(path: Path) -> dict[str, Any]:
     return record
 
 
-def require_same(path: Path, baseline: dict[str, Any], record: dict[str, Any]) -> None:
-    """Check that a baseline is of the same comparison.
+def require_same(path: Path, baseline: dict[str, Any], subject: dict[str, Any], left: str, right: str) -> None:
+    """Check that a baseline is of the same comparison, before anything is measured.
 
     Raises:
         InputError: it is of another one.
     """
-    for key in _SAME:
-        if baseline.get(key) != record[key]:
+    for key, here in zip(_SAME, (subject, left, right), strict=True):
+        if baseline.get(key) != here:
             raise InputError(
-                f"{path}: its {key} is {_short(baseline.get(key))}, here it is {_short(record[key])}; "
+                f"{path}: its {key} is {_short(baseline.get(key))}, here it is {_short(here)}; "
                 "compare the same again, or write another baseline"
             )
+
+
+def require_same_tests(path: Path, baseline: dict[str, Any], record: dict[str, Any]) -> None:
+    """Check that a baseline has the tests of a record.
+
+    Raises:
+        InputError: it has others.
+    """
     labels = [{test["label"] for test in one["tests"]} for one in (baseline, record)]
     if labels[0] != labels[1]:
         raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,6 +106,16 @@ def comparable(left: Batches, right: Batches) -> np.ndarray:
         return np.all([np.ones(left.mean.shape, bool), *varying], axis=0)
     known = [vary | (share == 1) for vary, share in zip(varying, shares, strict=True)]
     return known[0] & known[1]
+
+
+def certain_beside(derivative: Batches, another: Batches) -> Batches:
+    """A derivative as it is to be tested, by another estimate of it from as many paths: numbers (batches,) each.
+
+    One that is the same in all batches may have missed the paths that count. If most batches of the other vary, such
+    paths are found, and none of them carries the derivative, as with a tight majorant: it is then no chance.
+    """
+    found = derivative.commonest == 1 and another.commonest <= _MOST_EQUAL
+    return replace(derivative, rare=False) if found else derivative
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.compare.bench import plots
-from tnst_mi.compare.bench.measurement import BenchSettings, Measured
+from tnst_mi.compare.bench.bench_settings import BenchSettings
+from tnst_mi.compare.bench.measurement import Measured
 from tnst_mi.compare.figures import write_figure
-from tnst_mi.compare.page import page, write_text
 from tnst_mi.io.pictures.exr import write_exr
+from tnst_mi.io.report_page import page, write_text
 
 
 def write_bench(out: Path, settings: BenchSettings, measured: Measured, record: dict[str, Any]) -> None:

@@ -9,57 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.compare.bench.batches import Batches
+from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.decision import Family, merged
 from tnst_mi.compare.bench.hypotheses import (
-    DIFFERENCED,
-    DIFFERENTIATED,
-    KNOWN,
     Derivative,
     ImagePair,
     derivative_tests,
     value_families,
 )
-from tnst_mi.compare.bench.known_answers import Answer, answer_of
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.pictures import pictures
-from tnst_mi.compare.bench.renderer import SideRenderer, ramp
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import ANSWER, FLOAT64, OURS, Side
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
+from tnst_mi.compare.bench.prepared_side import PreparedSide
+from tnst_mi.compare.bench.renderer import ramp
+from tnst_mi.compare.bench.sides import FLOAT64, OURS
+from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images
 from tnst_mi.errors import InputError
-
-#: Independent estimates into which the paths of a noisy side are divided.
-BATCHES = 32
-
-#: Images that a batch of central differences takes.
-_IMAGES = 4
 
 #: Called with the name of the current measurement and the share of all work, 0 to 1, done since the last call.
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class BenchSettings:
-    """What to compare, and how precisely.
-
-    Attributes:
-        left, right: the sides.
-        gammas: extinctions γ per unit of density and cell; empty for a scene file, which has its own.
-        spp: paths per pixel for images.
-        gradient_spp: the same for each derivative.
-        parameters: with respect to which derivatives are compared, of `PARAMETERS`.
-        tolerance: difference that does not count, relative to the RMS of a view.
-        seed: of all paths; the sides share none.
-    """
-
-    left: Side
-    right: Side
-    gammas: tuple[float, ...]
-    spp: int
-    gradient_spp: int
-    parameters: tuple[str, ...]
-    tolerance: float
-    seed: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +36,16 @@ class Measured:
         views: names of the views.
         derivatives: of each γ and parameter.
         tolerance: difference that does not count.
+        variants: of Mitsuba, of the left and the right; None of what it does not render.
+        untested: what images do not show, or not certainly.
     """
 
     images: list[ImagePair]
     views: tuple[str, ...]
     derivatives: list[Derivative]
     tolerance: float
+    variants: tuple[str | None, str | None]
+    untested: tuple[str, ...]
 
     def families(self) -> list[Family]:
         """All tests."""
@@ -102,7 +71,7 @@ class ReadySides:
     """
 
     where: str
-    sides: tuple[_Sided, _Sided]
+    sides: tuple[PreparedSide, PreparedSide]
     shape: tuple[int, int, int, int]
     fixed: tuple[Batches | None, Batches | None]
     arbiters: dict[str, np.ndarray]
@@ -118,10 +87,13 @@ def prepare(subject: SmokeScene | Path, settings: BenchSettings) -> list[ReadySi
     places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, SmokeScene) else [("", 0.0)]
     prepared = []
     for number, (where, gamma) in enumerate(places):
-        left = _Sided(subject, gamma, settings.left, settings, (settings.seed, number, 0))
-        right = _Sided(subject, gamma, settings.right, settings, (settings.seed, number, 1))
-        rendered = [side.renderer.shape for side in (left, right) if side.renderer is not None]
-        shape = rendered[0] if rendered else _shape(subject)
+        left = PreparedSide(subject, gamma, settings.left, settings, (settings.seed, number, 0))
+        right = PreparedSide(subject, gamma, settings.right, settings, (settings.seed, number, 1))
+        rendered = [side.shape for side in (left, right) if side.shape is not None]
+        if {shape[-1] for shape in rendered} == {1, 3}:
+            left.show_luminance(right)
+            right.show_luminance(left)
+        shape = next((side.shape for side in (left, right) if side.shape is not None), None) or _shape(subject)
         fixed = (left.fixed_images(shape), right.fixed_images(shape))
         prepared.append(
             ReadySides(where, (left, right), shape, fixed, *_arbiters(subject, gamma, (left, right), shape))
@@ -150,93 +122,9 @@ def measure(
             )
             missing = (*left_missing, *right_missing)
             derivatives.append(Derivative(place.where, name, left_found, right_found, missing, size))
-    return Measured(images, views, derivatives, settings.tolerance)
-
-
-class _Sided:
-    """One side at one γ, or in a scene file."""
-
-    def __init__(
-        self, subject: SmokeScene | Path, gamma: float, side: Side, settings: BenchSettings, seed: tuple[int, ...]
-    ) -> None:
-        self.subject, self.gamma, self.side, self.settings, self._seed = subject, gamma, side, settings, seed
-        self.renderer = self._renderer()
-        self._parameters = None if self.renderer is None else SceneParameters(self.renderer.scene)
-        if side.kind == OURS and self._parameters is not None and self._parameters.scatters:
-            raise InputError(
-                f"{side.text}: it emits and absorbs, but a medium of the scene scatters; compare path tracers"
-            )
-
-    def _renderer(self) -> SideRenderer | None:
-        if self.side.kind in (FLOAT64, ANSWER, "pictures"):
-            return None
-        if self.side.kind == "scene":
-            return scene_renderer(self.side.path, self.side)
-        if isinstance(self.subject, SmokeScene):
-            return smoke_renderer(self.subject, self.gamma, self.side, self.settings.tolerance)
-        return scene_renderer(self.subject, self.side)
-
-    def fixed_images(self, shape: tuple[int, int, int, int]) -> Batches | None:
-        """Images of such a shape (V, H, W, C) that need no rendering; None if it renders them.
-
-        Raises:
-            InputError: it has none, or of another shape.
-        """
-        if self.renderer is not None:
-            if self.renderer.shape != shape:
-                (views, rows, columns, channels), own = shape, self.renderer.shape
-                raise InputError(
-                    f"{self.side.text}: its image has {own[2]}×{own[1]} pixels, {own[0]} views and {own[3]} channels, "
-                    f"expected {columns}×{rows}, {views} and {channels} as on the other side"
-                )
-            return None
-        if self.side.kind == "pictures":
-            return pictures(self.side.path, shape)
-        if self.side.kind == ANSWER:
-            return Batches(np.full((1, *shape), self._answer().radiance))
-        if not isinstance(self.subject, SmokeScene) or self.subject.scatters:
-            raise InputError(f"{self.side.text}: is of smoke that emits and absorbs, expected a density and --albedo 0")
-        return Batches(float64_images(self.subject, self.gamma, self.side.quadrature)[0][None])
-
-    def images(self, traced: Callable[[float], None]) -> Batches:
-        """Its rendered images."""
-        assert self.renderer is not None, "others are fixed"
-        spp = self.settings.spp
-        return self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
-
-    def derivatives(self, name: str, traced: Callable[[float], None]) -> tuple[dict[str, Batches], list[str]]:
-        """By how they were taken, and why others were not."""
-        if self.side.kind == ANSWER:
-            known = self._answer().derivatives.get(name)
-            if known is None:
-                return {}, [f"{self.side.text}: no derivative with respect to {name} is known"]
-            return {KNOWN: Batches(np.array([known]))}, []
-        if self.renderer is None or self._parameters is None:
-            return {}, [f"{self.side.text}: has images alone"]
-        if reason := self._parameters.missing(name):
-            return {}, [f"{self.side.text}: {reason}"]
-        spp = self.settings.gradient_spp
-        number = 1 + self.settings.parameters.index(name)
-        part = 1 / (spp * (_IMAGES + 1))
-        arguments = (self._parameters, name, spp, BATCHES)
-        found: dict[str, Batches] = {
-            DIFFERENCED: self.renderer.differences(
-                *arguments, (*self._seed, number, 0), lambda paths: traced(part * paths)
-            )
-        }
-        if name == "sensor":
-            return found, [f"{self.side.text}: integrators of media do not differentiate with respect to the sensor"]
-        if not self.renderer.differentiates:
-            return found, [f"{self.side.text}: does not differentiate"]
-        found[DIFFERENTIATED] = self.renderer.derivatives(
-            *arguments, (*self._seed, number, 1), lambda paths: traced(part * paths)
-        )
-        return found, []
-
-    def _answer(self) -> Answer:
-        if isinstance(self.subject, SmokeScene):
-            raise InputError(f"{ANSWER}: is known of scenes such as scenes/known/slab.xml, not of a density")
-        return answer_of(self.subject)
+    left, right = prepared[0].sides
+    untested = dict.fromkeys(line for place in prepared for side in place.sides for line in side.untested)
+    return Measured(images, views, derivatives, settings.tolerance, (left.variant, right.variant), tuple(untested))
 
 
 def _working(progress: Progress, name: str, share: float) -> Callable[[float], None]:
@@ -252,7 +140,7 @@ def _shape(subject: SmokeScene | Path) -> tuple[int, int, int, int]:
 
 
 def _arbiters(
-    subject: SmokeScene | Path, gamma: float, sides: tuple[_Sided, _Sided], shape: tuple[int, int, int, int]
+    subject: SmokeScene | Path, gamma: float, sides: tuple[PreparedSide, PreparedSide], shape: tuple[int, int, int, int]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Images of smoke that emits and absorbs, in float64, and what rounding may do to "paper" if both sides are it."""
     if not isinstance(subject, SmokeScene) or subject.scatters:

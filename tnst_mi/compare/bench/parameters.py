@@ -45,7 +45,7 @@ class SceneParameters:
         self._all = mi.traverse(scene)
         self._sensor = scene.sensors()[0]
         box = scene.bbox()
-        self._diagonal = float(dr.norm(box.max - box.min)) if box.valid() else 1.0
+        self._diagonal = float(np.linalg.norm(np.ravel(box.max) - np.ravel(box.min))) if box.valid() else 1.0
         keys = [str(key) for key in self._all.keys()]
         self.keys = {name: [key for key in keys if pattern.search(key)] for name, pattern in _KEYS.items()}
         to_world = f"{self._sensor.id()}.to_world"
@@ -59,7 +59,7 @@ class SceneParameters:
     @property
     def scatters(self) -> bool:
         """Whether some albedo is above 0."""
-        return any(float(np.max(self._values[key].numpy())) > 0 for key in self.keys["albedo"])
+        return any(float(np.max(self._values[key])) > 0 for key in self.keys["albedo"])
 
     def missing(self, name: str) -> str | None:
         """Why there are no derivatives with respect to a parameter; None if there are."""
@@ -79,7 +79,7 @@ class SceneParameters:
             return step * self._diagonal
         if name in _BOUNDS:
             low, high = _BOUNDS[name]
-            values = np.concatenate([np.ravel(self._values[key].numpy()) for key in self.keys[name]])
+            values = np.concatenate([np.ravel(self._values[key]) for key in self.keys[name]])
             step = min(step, float(values.min() - low) / 2, float(high - values.max()) / 2)
         return step
 

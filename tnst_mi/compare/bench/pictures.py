@@ -1,5 +1,6 @@
 """A folder of OpenEXR pictures as a side: rendered by any program, as many independent renders of each view as it has.
 
+They count as they are stored, of films with alpha too: the light that reaches the camera, nothing divided by alpha.
 `NAME.exr` is one render of the only view; with several views, `0_NAME.exr` is one of the first, `1_NAME.exr` of the
 second. A single render of a view is taken as free of noise.
 """
@@ -12,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from tnst_mi.compare.bench.batches import Batches
+from tnst_mi.compare.bench.variants import LUMINANCE
 from tnst_mi.errors import InputError
-from tnst_mi.io.pictures.exr import read_linear
+from tnst_mi.io.pictures.exr import read_premultiplied
 
 #: Values of all pictures together, at most.
 _MOST = 1 << 26
@@ -24,7 +26,7 @@ def pictures(folder: Path, shape: tuple[int, int, int, int]) -> Batches:
 
     Args:
         folder: the folder.
-        shape: (V, H, W, C) of the images that they are compared with; of C = 1 the mean of red, green and blue.
+        shape: (V, H, W, C) of the images that they are compared with; of C = 1 the luminance.
 
     Raises:
         InputError: there are none, views have different numbers of them, or one is damaged, has other rows and columns,
@@ -49,10 +51,10 @@ def _view(path: Path) -> int | None:
 
 
 def _read(path: Path, rows: int, columns: int, channels: int) -> np.ndarray:
-    picture = read_linear(path, _MOST)[..., :3]
+    picture = read_premultiplied(path, _MOST)[..., :3].astype(np.float64)
     if picture.shape[:2] != (rows, columns):
         found = f"{picture.shape[1]}×{picture.shape[0]}"
         raise InputError(f"{path}: has {found} pixels, expected {columns}×{rows} as on the other side")
     if not np.isfinite(picture).all():
         raise InputError(f"{path}: has values that are not finite, expected finite ones")
-    return picture.mean(-1, keepdims=True) if channels == 1 else picture
+    return picture @ np.array(LUMINANCE)[:, None] if channels == 1 else picture

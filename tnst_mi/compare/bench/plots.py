@@ -47,12 +47,14 @@ def convergence_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         chosen = [row for row in rows if row["where"] == where]
         spp = np.array([row["spp"] for row in chosen])
         colour = f"C{number % 10}"
-        above.loglog(spp, [row["rms"] for row in chosen], "o", color=colour, label=where or "measured")
-        above.loglog(spp, [row["expected_rms"] for row in chosen], color=colour, linewidth=1)
+        above.plot(spp, [row["rms"] for row in chosen], "o", color=colour, label=where or "measured")
+        above.plot(spp, [row["expected_rms"] for row in chosen], color=colour, linewidth=1)
         shifted = spp * 1.04**number  # lest intervals hide each other
         bias, width = ([row[key] for row in chosen] for key in ("bias", "bias_half_width"))
         below.errorbar(shifted, bias, width, fmt="o", color=colour, capsize=3, markersize=4)
-    above.set(ylabel="RMS of left − right", title="dots: measured; lines: expected from noise alone")
+    above.set(ylabel="RMS of left − right", title="dots: measured; lines: expected from noise alone", xscale="log")
+    if any(row["rms"] > 0 for row in rows):
+        above.set_yscale("log")
     above.legend()
     below.axhline(0, color="black", linewidth=1)
     below.set(xlabel="paths per pixel", ylabel="mean of left − right, 95%", xscale="log")

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from tnst_mi.compare.bench.batches import Batches, difference
+from tnst_mi.compare.bench.bench_settings import BATCHES, BenchSettings
 from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms
 from tnst_mi.compare.bench.hypotheses import ImagePair
-from tnst_mi.compare.bench.measurement import BATCHES, BenchSettings, Measured
+from tnst_mi.compare.bench.measurement import Measured
 from tnst_mi.compare.values import relative_rms
 
 FORMAT = "tnst_mi.compare/1"
@@ -33,6 +34,7 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
         "subject": subject,
         "left": settings.left.text,
         "right": settings.right.text,
+        "variants": dict(zip(("left", "right"), measured.variants, strict=True)),
         "settings": {
             "spp": settings.spp,
             "gradient_spp": settings.gradient_spp,
@@ -98,6 +100,12 @@ def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
         for tests in families
         if not tests.tested.all()
     ]
+    lines += [
+        f"{pair.where} anything: both sides are black".strip()
+        for pair in measured.images
+        if not pair.left.values.any() and not pair.right.values.any()
+    ]
+    lines += measured.untested
     lines += list(dict.fromkeys(reason for derivative in measured.derivatives for reason in derivative.missing))
     if not measured.derivatives:
         lines.append("derivatives: none were asked for (--gradients)")

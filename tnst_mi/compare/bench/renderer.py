@@ -12,7 +12,9 @@ import numpy as np
 
 from tnst_mi.compare.bench.batches import Batches
 from tnst_mi.compare.bench.parameters import SceneParameters
+from tnst_mi.compare.bench.variants import LUMINANCE
 from tnst_mi.compare.values import seed_of
+from tnst_mi.machine.garbage import collection_paused
 
 #: Paths per pixel of one launch: a film adds them up in float32, which loses 1e-4 of the sum of 65 536.
 _DEEPEST_LAUNCH = 4096
@@ -35,6 +37,8 @@ class SideRenderer:
         free_of_noise: whether one path per pixel is all there is.
         traces_paths: whether paths are random, and not only their places in pixels.
         offset, factor: an image is `offset` + `factor` times what the film holds.
+        of_luminance: whether a film of red, green and blue is shown by its luminance.
+        remark: what its images do not show precisely; "" if there is nothing to say.
     """
 
     scene: mi.Scene
@@ -44,12 +48,20 @@ class SideRenderer:
     traces_paths: bool = True
     offset: float = 0.0
     factor: float = 1.0
+    of_luminance: bool = False
+    remark: str = ""
 
     @functools.cached_property
     def shape(self) -> tuple[int, int, int, int]:
         """(V, H, W, C) of the images; C is 1 or 3, without alpha."""
-        rows, columns, channels = self._film(1, 0).shape
-        return self.views, rows // self.views, columns, 1 if channels < 3 else 3
+        rows, columns, channels = self._film_shape
+        return self.views, rows // self.views, columns, 1 if channels < 3 or self.of_luminance else 3
+
+    @functools.cached_property
+    def _film_shape(self) -> tuple[int, int, int]:
+        # Not a single path: polarized variants cannot record the loop of one.
+        rows, columns, channels = self._film(2, 0).shape
+        return rows, columns, channels
 
     @property
     def differentiates(self) -> bool:
@@ -71,26 +83,23 @@ class SideRenderer:
     ) -> Batches:
         """Of the weighted mean with respect to a parameter, by the integrator's own differentiation: (batches,).
 
-        One that is the same in all batches, such as 0 where nothing carries it, is taken as free of noise.
+        One that is 0 in all batches may have been missed by chance: see `batches.comparable`.
         """
         paths, count = self._divided(spp, count)
-        weights = ramp(self.shape)
         sensor = self.scene.sensors()[0]
-        views, rows, columns, channels = self.shape
-        adjoint = mi.TensorXf((self.factor * weights).astype(np.float32).reshape(views * rows, columns, channels))
+        adjoint = mi.TensorXf(self._on_film(self.factor * ramp(self.shape)).astype(np.float32))
         batches = []
         for batch in range(count):
             total = 0.0
             for launch, part in enumerate(self._launches(paths)):
                 number = seed_of(*seed, batch, launch)
                 with parameters.differentiated(name) as tracked:
-                    with dr.suspend_grad():
+                    with dr.suspend_grad(), collection_paused():
                         self.integrator.render_backward(self.scene, tracked, adjoint, sensor, seed=number, spp=part)
                     total += part / paths * parameters.gradient(name)
             batches.append(total)
             traced(paths)
-        same = len(set(batches)) == 1
-        return Batches(np.array(batches[:1] if same else batches), self.traces_paths)
+        return Batches(np.array(batches), self.traces_paths)
 
     def differences(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
@@ -127,14 +136,24 @@ class SideRenderer:
     def _image(self, paths: int, seed: Sequence[int]) -> np.ndarray:
         total = np.zeros(self.shape)
         for launch, part in enumerate(self._launches(paths)):
-            values = self._film(part, seed_of(*seed, launch))[..., : self.shape[-1]]
+            values = self._film(part, seed_of(*seed, launch))
+            values = values[..., :3] @ np.array(LUMINANCE) if self.of_luminance else values[..., : self.shape[-1]]
             total += part / paths * values.reshape(self.shape)
         return self.offset + self.factor * total
 
+    def _on_film(self, weights: np.ndarray) -> np.ndarray:
+        """Weights of the channels of the film, from those (V, H, W, C) of the image."""
+        film = np.zeros(self._film_shape)
+        if self.of_luminance:
+            weights = weights * np.array(LUMINANCE)
+        film[..., : weights.shape[-1]] = weights.reshape(*film.shape[:2], -1)
+        return film
+
     def _film(self, spp: int, seed: int) -> np.ndarray:
         sensor = self.scene.sensors()[0]
-        image = mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=seed)
-        return image.numpy().astype(np.float64)
+        with collection_paused():
+            image = mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=seed)
+            return image.numpy().astype(np.float64)
 
 
 def ramp(shape: tuple[int, int, int, int]) -> np.ndarray:

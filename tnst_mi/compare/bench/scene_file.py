@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mitsuba as mi
 
@@ -16,11 +15,11 @@ from tnst_mi.machine.optix import require_optix
 #: γ of ours in scene files: media emit 1e-6 of their extinction, so that the transmittance of what is behind remains.
 SCENE_GAMMA = 1e6
 
-#: What an integrator takes over from the one that it replaces, by the element of the file.
-_TAKEN_OVER = {"integer": ("max_depth", "rr_depth"), "boolean": ("hide_emitters",)}
+#: What an integrator takes over from the one that it replaces.
+_TAKEN_OVER = ("max_depth", "rr_depth", "hide_emitters")
 
-#: Values of an image, at most: all batches of it are in memory.
-_MOST_VALUES = 1 << 20
+#: Pixels of an image, at most: all batches of it are in memory.
+_MOST_PIXELS = 1 << 18
 
 
 def scene_renderer(path: Path, side: Side) -> SideRenderer:
@@ -33,17 +32,20 @@ def scene_renderer(path: Path, side: Side) -> SideRenderer:
     scene = _loaded(path)
     if not scene.sensors():
         raise InputError(f"{path}: the scene has no sensor, expected one")
+    film = scene.sensors()[0].film()
+    if film.class_name() == "SpecFilm":
+        raise InputError(f"{path}: the film of its sensor has bands of wavelengths, expected an hdrfilm")
+    columns, rows = (int(edge) for edge in film.crop_size())
+    if columns * rows > _MOST_PIXELS:
+        raise InputError(
+            f"{path}: the image has {columns}×{rows} pixels, expected at most {_MOST_PIXELS}; make its film smaller"
+        )
     integrator = scene.integrator()
     if side.kind in PATH_TRACERS or side.kind == OURS:
         integrator = mi.load_dict(_replacement(path, side))
     elif integrator is None:
         raise InputError(f"{path}: the scene has no integrator, expected one")
-    renderer = SideRenderer(scene, integrator, 1, False, side.kind != OURS)
-    if (values := renderer.shape[1] * renderer.shape[2] * renderer.shape[3]) > _MOST_VALUES:
-        raise InputError(
-            f"{path}: the image has {values} values, expected at most {_MOST_VALUES}; make its film smaller"
-        )
-    return renderer
+    return SideRenderer(scene, integrator, 1, False, side.kind != OURS)
 
 
 def _loaded(path: Path) -> mi.Scene:
@@ -58,10 +60,8 @@ def _replacement(path: Path, side: Side) -> dict[str, Any]:
     """The description of an integrator with the depths of the one that the file has."""
     if side.kind == OURS:
         return {"type": OURS, "gamma": SCENE_GAMMA, "quadrature": side.quadrature}
-    description: dict[str, Any] = {"type": side.kind}
-    own = ElementTree.parse(path).find("integrator")
-    for element in own if own is not None else ():
-        name, value = element.get("name", ""), element.get("value", "")
-        if name in _TAKEN_OVER.get(element.tag, ()) and not value.startswith("$"):
-            description[name] = value == "true" if element.tag == "boolean" else int(value)
-    return description
+    nodes = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path)).nodes
+    # The outermost comes first.
+    integrators = [node.props for node in nodes if node.type == mi.ObjectType.Integrator]
+    found = {name: next((own[name] for own in integrators if name in own), None) for name in _TAKEN_OVER}
+    return {"type": side.kind} | {name: value for name, value in found.items() if value is not None}

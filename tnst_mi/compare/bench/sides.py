@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,10 @@ OURS, FLOAT64, ANSWER = "emission_absorption", "float64", "answer"
 _QUADRATURES = {OURS: ("exact", "paper", "transmittance"), FLOAT64: ("exact", "paper")}
 
 #: What --left and --right accept, for help and messages.
-PLACEHOLDER = "INTEGRATOR|SCENE.xml|FOLDER"
+PLACEHOLDER = "INTEGRATOR[@VARIANT]|SCENE.xml[@VARIANT]|FOLDER"
+
+#: What stands behind the name of a side if it is rendered in another variant than that of the run.
+_VARIANT = re.compile(r"(?P<name>.+)@(?P<variant>[a-z0-9_]+)")
 
 
 @dataclass(frozen=True)
@@ -30,17 +34,14 @@ class Side:
             "pictures" (a folder of OpenEXR pictures).
         quadrature: of `OURS` and `FLOAT64`; "" for others.
         path: of a scene file or folder.
+        variant: of Mitsuba, as it was given; "" for that of the run.
     """
 
     text: str
     kind: str
     quadrature: str = ""
     path: Path = Path()
-
-    @property
-    def free_of_noise(self) -> bool:
-        """Whether it gives the same numbers for every seed, for rays through the centres of pixels."""
-        return self.kind in (OURS, FLOAT64, ANSWER)
+    variant: str = ""
 
 
 def side_of(flag: str, text: str) -> Side:
@@ -49,27 +50,38 @@ def side_of(flag: str, text: str) -> Side:
     Args:
         flag: "left" or "right", for messages.
         text: an integrator, `emission_absorption` and `float64` with a quadrature behind a colon if not "exact",
-            "answer", a scene file or a folder.
+            "answer", a scene file or a folder; behind @, a variant of Mitsuba for what is rendered.
 
     Raises:
         InputError: it is none of these.
     """
-    name, colon, quadrature = text.partition(":")
+    found = None if expanded(Path(text)).exists() else _VARIANT.fullmatch(text)
+    if found is None:
+        return _side(flag, text, text, "")
+    side = _side(flag, text, found["name"], found["variant"])
+    if side.kind in (FLOAT64, ANSWER, "pictures"):
+        raise InputError(f"--{flag} {text}: is not rendered by Mitsuba, expected it without @{side.variant}")
+    return side
+
+
+def _side(flag: str, text: str, named: str, variant: str) -> Side:
+    """The side of a name without its variant."""
+    name, colon, quadrature = named.partition(":")
     if name in _QUADRATURES:
         allowed = _QUADRATURES[name]
         if colon and quadrature not in allowed:
             raise InputError(f"--{flag} {text}: expected {name}:QUADRATURE with one of {', '.join(allowed)}")
-        return Side(text, name, quadrature or "exact")
-    if text in PATH_TRACERS or text == ANSWER:
-        return Side(text, text)
-    path = expanded(Path(text))
+        return Side(text, name, quadrature or "exact", variant=variant)
+    if named in PATH_TRACERS or named == ANSWER:
+        return Side(text, named, variant=variant)
+    path = expanded(Path(named))
     if path.is_dir():
-        return Side(text, "pictures", path=path)
+        return Side(text, "pictures", path=path, variant=variant)
     if path.suffix.lower() == ".xml":
         if not path.is_file():
             raise InputError(f"--{flag} {text}: no such file, expected a Mitsuba scene")
-        return Side(text, "scene", path=path)
+        return Side(text, "scene", path=path, variant=variant)
     raise InputError(
         f"--{flag} {text}: expected {OURS}[:QUADRATURE], {', '.join(PATH_TRACERS)}, {FLOAT64}[:QUADRATURE], {ANSWER}, "
-        "a Mitsuba scene file (.xml), or a folder of OpenEXR pictures"
+        "a Mitsuba scene file (.xml), or a folder of OpenEXR pictures; what Mitsuba renders also with @VARIANT"
     )

@@ -8,7 +8,7 @@ which path tracers alone can do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from tnst_mi.compare.bench.renderer import SideRenderer
 from tnst_mi.compare.bench.sides import OURS, Side
+from tnst_mi.compare.bench.variants import SPECTRAL_WHITE
 from tnst_mi.compare.closed_form import closed_form, column_density
 from tnst_mi.compare.inclusive_sum import inclusive_sums
 from tnst_mi.compare.path_tracing import smoke_region
@@ -80,7 +81,8 @@ def smoke_renderer(smoke: SmokeScene, gamma: float, side: Side, tolerance: float
     description = _description(smoke, gamma, "exact", 1.0)
     description["integrator"] = {"type": side.kind, "max_depth": _DEPTH, "hide_emitters": smoke.scatters}
     if smoke.light is None:
-        description["environment"] = {"type": "constant", "radiance": 1.0}
+        # The spectrum that ours emits: a plain number would be daylight in spectral variants.
+        description["environment"] = {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}
         return _renderer(description, smoke.views, False, 1 / gamma, -1 / gamma)
     # The scene keeps the emitters alive, of which some refer to the one that they were loaded with.
     emitters = load_light(smoke.light).emitters()
@@ -107,22 +109,32 @@ def _ours(smoke: SmokeScene, gamma: float, side: Side, tolerance: float) -> Side
         raise InputError(
             f"{side.text} with --albedo {smoke.albedo:g}: it does not scatter, expected --albedo 0 or path tracers"
         )
-    step = 1.0 if side.quadrature == "paper" else _refined_step(smoke, gamma, tolerance)
+    step, change = (1.0, 0.0) if side.quadrature == "paper" else _refined_step(smoke, gamma, tolerance)
     # Opacity is γ times the image.
     factor = 1 / gamma if side.quadrature == "transmittance" else 1.0
-    return _renderer(_description(smoke, gamma, side.quadrature, step), smoke.views, True, factor=factor)
+    renderer = _renderer(_description(smoke, gamma, side.quadrature, step), smoke.views, True, factor=factor)
+    if change < tolerance / 4:
+        return renderer
+    return replace(
+        renderer,
+        remark=f"{side.text} at γ {gamma:g} more precisely than {change:.1g} of the RMS: a pixel still changes by that "
+        f"at its smallest step, 1/{1 / step:.0f} of a cell, as where smoke is cut at a wall of its grid",
+    )
 
 
-def _refined_step(smoke: SmokeScene, gamma: float, tolerance: float) -> float:
-    """Halved from one cell until no pixel changes by a quarter of what does not count."""
-    step, images = 1.0, our_images(smoke.density, smoke.views, gamma, "exact")
+def _refined_step(smoke: SmokeScene, gamma: float, tolerance: float) -> tuple[float, float]:
+    """The step, halved from one cell until no pixel changes by a quarter of what does not count, and that change,
+    relative to the RMS of its view."""
+    step, change, images = 1.0, 0.0, our_images(smoke.density, smoke.views, gamma, "exact")
     while step > _SMALLEST_STEP:
         finer = our_images(smoke.density, smoke.views, gamma, "exact", step / 2)
-        change = np.abs(finer - images).max((1, 2)) / np.sqrt(np.mean(finer**2, axis=(1, 2)))
+        size = np.sqrt(np.mean(finer**2, axis=(1, 2)))
+        # A view may show nothing at all.
+        change = float((np.abs(finer - images).max((1, 2)) / np.where(size > 0, size, 1.0)).max())
         step, images = step / 2, finer
-        if change.max() < tolerance / 4:
+        if change < tolerance / 4:
             break
-    return step
+    return step, change
 
 
 def _description(smoke: SmokeScene, gamma: float, quadrature: str, step: float) -> dict[str, Any]:
@@ -153,4 +165,7 @@ def _renderer(
 ) -> SideRenderer:
     scene = mi.load_dict(description)
     scene.sensors()[0].set_views(views)
-    return SideRenderer(scene, scene.integrator(), len(views), exact, not exact, offset, factor)
+    # Wavelengths are random, even where paths are not.
+    free_of_noise = exact and not mi.is_spectral
+    white = SPECTRAL_WHITE if mi.is_spectral else 1.0
+    return SideRenderer(scene, scene.integrator(), len(views), free_of_noise, not exact, offset, factor / white)

@@ -43,6 +43,13 @@ def read_linear(path: Path, most: int) -> np.ndarray:
     Raises:
         InputError: it is damaged or too large, or has neither red, green and blue nor luminance.
     """
+    values = read_premultiplied(path, most)
+    return values if values.shape[-1] == 3 else _not_premultiplied(values[..., :3], values[..., 3])
+
+
+def read_premultiplied(path: Path, most: int) -> np.ndarray:
+    """The same as the file holds it: what reaches the camera, (H, W, 3), or with alpha (H, W, 4), by which nothing is
+    divided. See `read_linear`."""
     try:
         _require_bounded(path, most)
         with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -62,7 +69,9 @@ def read_linear(path: Path, most: int) -> np.ndarray:
         if any(colour is None for colour in found):
             continue
         values = np.stack([np.asarray(colour, np.float32) for colour in found], axis=-1)
-        return values if colours["A"] is None else _not_premultiplied(values, np.asarray(colours["A"], np.float32))
+        if colours["A"] is None:
+            return values
+        return np.concatenate([values, np.asarray(colours["A"], np.float32)[..., None]], axis=-1)
     raise InputError(f"{path}: has the channels {', '.join(channels)}, expected R, G and B, or Y")
 
 

@@ -12,6 +12,7 @@ from tnst_mi.errors import InputError, naming
 from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.io.cameras.scene_camera import SceneCamera
 from tnst_mi.io.cameras.tables import camera_of
+from tnst_mi.reconstruction.camera_sets.pixel_rays import RayCamera, read_ray_camera
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView
 
 #: Longest file in bytes, for which Python's reader takes seconds.
@@ -19,6 +20,9 @@ _LONGEST = 1 << 20
 
 #: Keys of a view beside those of its camera.
 _PICTURES = ("image", "mask", "background")
+
+#: Most pictures in a file of several.
+_LAYERS = 10_000
 
 
 def read_own_tables(path: Path) -> CameraSet:
@@ -41,7 +45,10 @@ def read_own_tables(path: Path) -> CameraSet:
         if not isinstance(views, dict) or not views:
             raise InputError("expected a table [views.NAME] for each view, with image and the keys of a camera")
         up, assumed = up or "y", () if up else ('up_axis: is not there, taken as "y"',)
-        found = [_view(name, shared | _table(name, table), up, path.parent) for name, table in views.items()]
+        tables = {name: shared | _table(name, table) for name, table in views.items()}
+        by_rays = {name: _rays(name, table, path.parent) for name, table in tables.items() if "rays" in table}
+        found = [_view(name, table, up, path.parent, by_rays.get(name)) for name, table in tables.items()]
+        assumed = (*assumed, *_said_of_rays(by_rays, len(found)))
         return CameraSet(path, up, found, _table("reconstruction", settings or {}), assumed)
 
 
@@ -51,7 +58,33 @@ def _table(name: str, value: Any) -> dict[str, Any]:
     return value
 
 
-def _view(name: str, table: Mapping[str, Any], up: str, folder: Path) -> PosedView:
+def _rays(name: str, table: Mapping[str, Any], folder: Path) -> RayCamera:
+    with naming(Path(f"view {name}")):
+        if other := [key for key in table if key not in (*_PICTURES, "rays", "layer", "held_out")]:
+            raise InputError(f"{other[0]}: is of another camera than rays, which say all of it; leave it out")
+        return read_ray_camera(_path("rays", table["rays"], folder))
+
+
+def _said_of_rays(cameras: Mapping[str, RayCamera], views: int) -> list[str]:
+    """What is to be said of cameras that stand in for rays.
+
+    Raises:
+        InputError: they do not stand in one scene.
+    """
+    if not cameras:
+        return []
+    turned = {camera.turned for camera in cameras.values()}
+    if len(turned) > 1 or (turned == {True} and len(cameras) < views):
+        odd = next(name for name, camera in cameras.items() if camera.turned)
+        raise InputError(f"view {odd}: its rays are of a left-handed scene, and others are not; mirror its picture")
+    worst = max(camera.error for camera in cameras.values())
+    said = [f"rays: pinholes with square pixels stand in for them, {worst:.2g} pixels off (RMS) in the worst view"]
+    if turned == {True}:
+        said.append("rays: their scene is left-handed, and its z is turned round: so are the box and the density")
+    return said
+
+
+def _view(name: str, table: Mapping[str, Any], up: str, folder: Path, by_rays: RayCamera | None) -> PosedView:
     camera = dict(table)
     with naming(Path(f"view {name}")):
         files = {key: _path(key, camera.pop(key), folder) for key in _PICTURES if key in camera}
@@ -60,10 +93,20 @@ def _view(name: str, table: Mapping[str, Any], up: str, folder: Path) -> PosedVi
             raise InputError(f"held_out = {reprlib.repr(held_out)}: expected true or false")
         if "image" not in files:
             raise InputError('image: is not there, expected a file, such as "left.png"')
+        if (layer := camera.pop("layer", None)) is not None:
+            layer = _layer(layer)
+        if by_rays is not None:
+            return PosedView(name, camera=lambda size: by_rays.camera, held_out=held_out, layer=layer, **files)
         # Checked now, with a size that any camera can have, and not when all pictures have been read.
         if "aspect" not in camera:
             _camera(camera, up, (1, 1))
-        return PosedView(name=name, camera=partial(_camera, camera, up), held_out=held_out, **files)
+        return PosedView(name=name, camera=partial(_camera, camera, up), held_out=held_out, layer=layer, **files)
+
+
+def _layer(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _LAYERS:
+        raise InputError(f"layer = {reprlib.repr(value)}: expected the number of a picture in its file, from 0")
+    return value
 
 
 def _path(key: str, value: Any, folder: Path) -> Path:

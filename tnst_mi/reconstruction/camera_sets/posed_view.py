@@ -26,6 +26,7 @@ class PosedView:
         mask: file of a picture that is 0 where pixels do not count; None if all do.
         background: file of a picture without smoke; None if there is none.
         held_out: whether it judges the result instead of being used.
+        layer: which of the pictures of an .npz file it is, from 0; None in files of one picture.
     """
 
     name: str
@@ -34,6 +35,7 @@ class PosedView:
     mask: Path | None = None
     background: Path | None = None
     held_out: bool = False
+    layer: int | None = None
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class CameraViews(mi.Sensor):
         sample3: mi.Point2f,
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """Ray through a position `sample2` of the film, in [0, 1]²."""
+        """Ray through a position `sample2` of the film, in [0, 1]², and its weight; `sample1` chooses wavelengths."""
         if self.through_centres:
             size = mi.Vector2f(self._width, self._height * self.view_count)
             sample2 = mi.Point2f((dr.floor(sample2 * size) + 0.5) / size)
@@ -80,7 +80,10 @@ class CameraViews(mi.Sensor):
         if self.displacement is not None:
             ray.o += self.displacement
         ray.time = time
-        return ray, mi.Spectrum(1)
+        if not mi.is_spectral:
+            return ray, mi.Spectrum(1)
+        ray.wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
+        return ray, weight
 
     def axis(self, position: mi.Point2f) -> mi.Vector3f | None:
         """Where the cameras of the rays through such positions look; None if all are centred orthographic views."""

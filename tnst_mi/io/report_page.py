@@ -1,7 +1,8 @@
-"""The pages of comparisons: one look, filled from templates that ship with the package."""
+"""Pages of reports: one look, filled from templates that ship with the package."""
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,11 @@ def page(template: str, **values: Any) -> str:
         loader=FileSystemLoader(DATA), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
     return templates.get_template(template).render(values)
+
+
+def embedded(png: bytes) -> str:
+    """A PNG as the address of an image that is part of the page."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
 def write_text(path: Path, text: str) -> None:
