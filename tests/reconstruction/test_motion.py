@@ -69,7 +69,7 @@ def test_smoke_that_turns_is_followed(tmp_path):
 
 
 def test_smoke_that_rests_has_no_velocity(tmp_path):
-    u = found(ball(0, 0, 0), ball(0, 0, 0), tmp_path)
+    u = found(ball(0, 0, 0), ball(0, 0, 0), tmp_path, 15)
     assert np.abs(u[ball(0, 0, 0) > 0]).mean() < 0.03
     assert np.abs(u).max() < 0.2  # also far from it, where pictures decide nothing
 
@@ -77,6 +77,6 @@ def test_smoke_that_rests_has_no_velocity(tmp_path):
 def test_noise_does_not_make_velocities_explode(tmp_path):
     """Thin smoke that rests, in pictures whose noise is a fifth as bright: ∇u stays as small as it is taken to be."""
     thin = ball(0, 0, 0) * 0.05
-    u = found(thin, thin, tmp_path, noise=0.2)
+    u = found(thin, thin, tmp_path, 15, noise=0.2)
     gradient = sum((np.diff(u, axis=axis) ** 2).mean() for axis in range(3)) * 3
     assert gradient < 0.5 * GRADIENT**2 and np.abs(u).max() < 0.5

@@ -19,6 +19,7 @@ from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 
 GAMMA = 0.3
 QUICK = {"iterations": 16, "motion_iterations": 25, "levels": 2, "batch": 4}
+BRIEF = {"iterations": 2, "motion_iterations": 2, "levels": 1, "batch": 4}
 
 
 @pytest.fixture(scope="module")
@@ -46,28 +47,27 @@ def estimated(pictures, tmp_path_factory) -> tnst_mi.Reconstruction:
     return run(pictures, tmp_path_factory.mktemp("estimated"))
 
 
-def run(pictures: Path, out: Path, frames: str = "0:2", **others) -> tnst_mi.Reconstruction:
-    return reconstruct(pictures, out, QUICK, frames=frames, progress=False, **others)
+def run(pictures: Path, out: Path, frames: str = "0:2", keys=QUICK, **others) -> tnst_mi.Reconstruction:
+    return reconstruct(pictures, out, keys, frames=frames, progress=False, **others)
 
 
-def distances(found: tnst_mi.Reconstruction, simulation: list[tnst_mi.Frame]) -> list[float]:
-    pairs = zip(found.densities, simulation, strict=True)
-    return [float(np.linalg.norm(np.load(file)["density"] - frame.density)) for file, frame in pairs]
+def distance(found: tnst_mi.Reconstruction, frame: tnst_mi.Frame) -> float:
+    """The relative L2 distance of the second density that was found."""
+    return float(np.linalg.norm(np.load(found.densities[1])["density"] - frame.density) / np.linalg.norm(frame.density))
 
 
 def test_the_next_frame_starts_from_where_the_smoke_has_moved(pictures, simulation, estimated, tmp_path):
     tnst_mi.save_frames(tmp_path / "simulation", simulation)
-    known = run(pictures, tmp_path / "known", velocities=tmp_path / "simulation")
-    none = run(pictures, tmp_path / "none", velocities="none")
-    for frame in (1, 2):
-        e, k, n = (distances(found, simulation)[frame] for found in (estimated, known, none))
-        assert max(k, e) < 0.85 * n
+    known = run(pictures, tmp_path / "known", "0:1", velocities=tmp_path / "simulation")
+    none = run(pictures, tmp_path / "none", "0:1", velocities="none")
+    e, k, n = (distance(found, simulation[1]) for found in (estimated, known, none))
+    assert max(k, e) < 0.85 * n
     assert any("--velocities none" in remark for remark in estimated.remarks)
     assert not any("velocities" in remark for remark in (*known.remarks, *none.remarks))
     report = json.loads((estimated.densities[0].parents[1] / "report.json").read_text())
     told = [frame.get("velocity") for frame in report["frames"]]
     assert told[2] is None and told[0]["source"] == "estimated" and told[0]["rms"] < 0.02
-    assert [record.get("velocity") for record in none.records] == [None] * 3
+    assert [record.get("velocity") for record in none.records] == [None] * 2
 
 
 def test_frames_are_read_with_their_velocities(simulation, estimated):
@@ -88,7 +88,7 @@ def test_the_bits_of_a_density_stay_when_its_velocity_is_added(pictures, tmp_pat
         return add(found, record, velocity)
 
     monkeypatch.setattr(FoundFrames, "add_velocity", noted)
-    found = run(pictures.with_name("z_up.toml"), tmp_path / "out", "0:1", format="vdb")
+    found = run(pictures.with_name("z_up.toml"), tmp_path / "out", "0:1", BRIEF, format="vdb")
     frame = open_frames(found.densities[0])[0]
     assert np.array_equal(frame.density, before[0]) and frame.velocity.shape == (*frame.density.shape, 3)
     assert frame.placement.up == "z"
@@ -119,6 +119,6 @@ def test_what_was_stopped_goes_on_to_the_same_bits(pictures, estimated, tmp_path
 
 def test_frames_without_a_known_velocity_are_told_of(pictures, simulation, tmp_path):
     tnst_mi.save_frames(tmp_path / "simulation", simulation[:1])
-    known = run(pictures, tmp_path / "out", velocities=tmp_path / "simulation")
+    known = run(pictures, tmp_path / "out", keys=BRIEF, velocities=tmp_path / "simulation")
     assert [record.get("velocity", {}) and "known" for record in known.records] == ["known", None, {}]
     assert any("has no frame 1" in remark for remark in known.remarks)
