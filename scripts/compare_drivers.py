@@ -52,14 +52,14 @@ REPEATS = 16
 class Judge:
     """One of the two renderers at full resolution, with the exposure that it gives the unstylized frame."""
 
-    def __init__(self, frame: Frame, recipe: Recipe, network: GoogLeNet) -> None:
-        self.recipe = recipe
+    def __init__(self, frame: Frame, recipe: Recipe, network: GoogLeNet, spp: int = JUDGED_SPP) -> None:
+        self.recipe, self.spp = recipe, spp
         self.exposure = 1.0 / float(main_view(frame.density, recipe).max())
         self.loss: BoundObjective = objective_of(recipe).bind(network, *frame.density.shape[1:])
 
     def pictures(self, density: np.ndarray) -> np.ndarray:
         """Exposed pictures (3, H, W) of a density (D, H, W); the same noise each time."""
-        renderer = driving_renderer(self.recipe, density.shape, 1.0, JUDGED_SPP)
+        renderer = driving_renderer(self.recipe, density.shape, 1.0, self.spp)
         return self.exposure * renderer.render(mi.TensorXf(density), VIEWS, [self.recipe.seed]).numpy()
 
     def judge(self, density: np.ndarray) -> tuple[float, np.ndarray]:

@@ -72,14 +72,14 @@ def test_the_collector_is_as_it_was_afterwards(enabled: bool) -> None:
 
 def test_nothing_is_collected_while_a_path_tracer_is_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     traced: list[bool] = []
-    integrator = type(mi.load_dict({"type": "prbvolpath"}))
-    sample = integrator.sample
+    for name in ("prbvolpath", "scattered_light"):
+        integrator = type(mi.load_dict({"type": name}))
 
-    def watched(*arguments, **named):
-        traced.append(gc.isenabled())
-        return sample(*arguments, **named)
+        def watched(*arguments, sample=integrator.sample, **named):
+            traced.append(gc.isenabled())
+            return sample(*arguments, **named)
 
-    monkeypatch.setattr(integrator, "sample", watched)
+        monkeypatch.setattr(integrator, "sample", watched)
     renderer = scene_renderer(SLAB, side_of("left", "prbvolpath"))
     renderer.images(1, 1, (1,), lambda paths: None)
     renderer.derivatives(SceneParameters(renderer.scene), "extinction", 1, 1, (2,), lambda paths: None)

@@ -14,7 +14,11 @@ import mitsuba as mi
 from tnst_mi.machine.loaded_llvm import check_llvm
 
 #: The sensor first: the integrator refers to it.
-_MODULES = ("tnst_mi.rendering.cameras.sensor", "tnst_mi.rendering.march.integrator")
+_MODULES = (
+    "tnst_mi.rendering.cameras.sensor",
+    "tnst_mi.rendering.march.integrator",
+    "tnst_mi.rendering.scattered_light",
+)
 
 
 def register() -> None:
