@@ -42,6 +42,7 @@ def measured(truth: tnst_mi.Frame, found: tnst_mi.Frame, record: Any) -> dict[st
     told = {"number": truth.number, "psnr": record["psnr"], "distance": float(distance), "seconds": record["seconds"]}
     if found.velocity is None or record["velocity"]["source"] != "estimated":
         return told
+    assert truth.velocity is not None
     smoke = truth.density > SMOKE * truth.density.max()
     u, v = found.velocity[smoke], truth.velocity[smoke]
     speed, own = np.linalg.norm(v, axis=1), np.linalg.norm(u, axis=1)
@@ -119,7 +120,7 @@ def main() -> None:
         draw(given.figure, numbers, pair)
 
 
-def tables(numbers: dict[tuple[int, str], list[dict[str, float]]], frames: list[int | None]) -> str:
+def tables(numbers: dict[tuple[int, str], list[dict[str, float]]], frames: list[int | float | None]) -> str:
     """The numbers in Markdown."""
     heads = " | ".join(str(frame) for frame in frames)
     lines = [f"| views | velocities | {heads} | seconds |", "|" + "---|" * (len(frames) + 3)]
