@@ -44,8 +44,9 @@ class ReconstructArguments(Arguments):
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST:LAST", help_behavior_hint="(default: one frame)")] = None
     """Numbers of the frames of a sequence, in whose place the names of pictures have ####; each starts from the one
     before."""
-    velocities: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")] = None
-    """Frames with the velocity of the simulation on the same grid, by which the frame before is moved to start from."""
+    velocities: Annotated[str, tyro.conf.arg(metavar="estimate|none|FOLDER")] = "estimate"
+    """By what the frame before is moved to start from, written beside its density: estimated from the pictures of both,
+    the velocity of frames of a simulation in FOLDER on the same grid, or nothing."""
     format: Annotated[str, tyro.conf.arg(metavar="npz|vol|uni|vdb")] = "npz"
     """Format of the densities; vdb keeps their place in the scene."""
     resume: bool = False

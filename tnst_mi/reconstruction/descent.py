@@ -10,7 +10,7 @@ Where the brightness of smoke is to be found, the steps go round by round, with 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 import mitsuba as mi
@@ -88,6 +88,24 @@ class Descent:
         self._waits, self._round, self.search = waits, max(1, steps // rounds), BrightnessSearch()
         self.adam = torch.optim.Adam([self.extinction], betas=_BETAS)
 
+    @property
+    def unknown(self) -> Tensor:
+        """What is to be found: the extinction."""
+        return self.extinction
+
+    @property
+    def remembered(self) -> dict[str, Tensor]:
+        """The light that has been found so far, and where else it was looked for."""
+        return {
+            "light": torch.tensor([self.model.brightness, self.model.background], dtype=torch.float64),
+            "search": torch.tensor(self.search.points, dtype=torch.float64).reshape(-1, 2),
+        }
+
+    def remember(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go on with what was `remembered`."""
+        self.model.brightness, self.model.background = tensors["light"].tolist()
+        self.search.points = [(place, value) for place, value in tensors["search"].tolist()]
+
     def step(self) -> float:
         """Do one more step; gives the mean square difference of its views, in units of the squared peak."""
         if self.model.find_brightness and self.done and self.done % self._round == 0:
@@ -96,7 +114,7 @@ class Descent:
             part = self.done % self._round / self._round
             group["lr"] = 0.5 * (1 + math.cos(math.pi * part)) * self._rate
         self.adam.zero_grad()
-        loss = self._difference(self._chosen())
+        loss = self.difference(self.extinction, self.done)
         prior = self._prior * roughness(self.extinction, self.model.find_brightness) if self._prior else 0.0
         (loss + prior).backward()
         self.adam.step()
@@ -120,9 +138,9 @@ class Descent:
         with torch.no_grad():
             self.extinction.mul_(after / before)
 
-    def _chosen(self) -> list[int]:
-        """The views of the next step: all of them once in a random order, then again in another."""
-        count, first = len(self._photographs), self.done * self._batch
+    def _chosen(self, step: int) -> list[int]:
+        """The views of a step: all of them once in a random order, then again in another."""
+        count, first = len(self._photographs), step * self._batch
         orders = {
             epoch: np.random.default_rng([*self._seed, epoch]).permutation(count)
             for epoch in {first // count, (first + self._batch - 1) // count}
@@ -134,10 +152,10 @@ class Descent:
         """Orders views by the size of their pictures: those of one size are rendered together."""
         return self._photographs[number].values.shape, number
 
-    def _difference(self, chosen: Sequence[int]) -> Tensor:
-        """The mean square difference between the pixels of some views and their pictures."""
-        images = self._rendered(chosen)
-        if self.model.find_background and self.done >= self._waits:
+    def difference(self, extinction: Tensor, step: int) -> Tensor:
+        """The mean square difference between pictures and renderings of an extinction, in the views of a step."""
+        images = self._rendered(extinction, self._chosen(step), step)
+        if self.model.find_background and step >= self._waits:
             self.model.fit_background(self._seen(images))
         total, pixels = torch.zeros((), device=self.extinction.device), 0
         for number, image in images:
@@ -147,16 +165,16 @@ class Descent:
             pixels += image.numel()
         return total / pixels
 
-    def _rendered(self, chosen: Sequence[int]) -> list[tuple[int, Tensor]]:
+    def _rendered(self, extinction: Tensor, chosen: Sequence[int], step: int) -> list[tuple[int, Tensor]]:
         """What is seen in some views, in order of their size, each with its number."""
         found = []
         for size, group in groupby(chosen, key=lambda number: self._photographs[number].values.shape):
             numbers = list(group)
             cameras = [self._photographs[number].camera for number in numbers]
-            renderer, seed = self._renderers.of(self.octave, size), [*self._seed, self.done]
+            renderer, seed = self._renderers.of(self.octave, size), [*self._seed, step]
             images = called_from_torch(
                 lambda σ, renderer=renderer, cameras=cameras, seed=seed: renderer.render(σ, cameras, seed),
-                [self.extinction],
+                [extinction],
             )
             found.extend(zip(numbers, images, strict=True))
         return found
@@ -164,7 +182,8 @@ class Descent:
     def _seen_in_all(self) -> list[SeenView]:
         """All views, as the extinction is now."""
         with torch.no_grad():
-            return self._seen(self._rendered(sorted(range(len(self._views)), key=self._by_size)))
+            everywhere = sorted(range(len(self._views)), key=self._by_size)
+            return self._seen(self._rendered(self.extinction, everywhere, self.done))
 
     def _seen(self, images: Sequence[tuple[int, Tensor]]) -> list[SeenView]:
         views = [(image.detach(), self._views[number]) for number, image in images]

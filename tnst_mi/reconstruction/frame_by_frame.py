@@ -8,18 +8,17 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tnst_mi.fields.advection import advect
-from tnst_mi.io.formats import read_stored
 from tnst_mi.machine.interrupt import Interrupt
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.motion import MotionDescent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
+from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.preparation import Preparation
 from tnst_mi.reconstruction.report import write_report
 from tnst_mi.reconstruction.results import in_colour, write_frame_results
+from tnst_mi.reconstruction.resumable import ResumableDescent
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
+from tnst_mi.reconstruction.velocities import FoundFrames
 
 #: Seconds after which a reconstruction that is under way is written, to go on from there.
 _WRITTEN_AFTER = 30.0
@@ -42,6 +41,7 @@ class FrameByFrame:
     Attributes:
         progress: likewise.
         unfinished: the record of the frame in which Ctrl-C was pressed, if it was.
+        interrupted: whether it was, also between frames.
     """
 
     def __init__(
@@ -50,12 +50,21 @@ class FrameByFrame:
         self._prepared, self._out, self._format, self._state, self._shown = prepared, out, format, state, shown
         self.progress = progress
         self.unfinished: tuple[dict[str, Any], ...] = ()
+        self.interrupted = False
+        self._found = FoundFrames(prepared, out)
+        self._pictures: tuple[int, list[Photograph]] | None = None
         self._saved = time.monotonic()
 
     def go_on(self, interrupt: Interrupt) -> None:
         """Reconstruct the frames that are left, until all are done or Ctrl-C was pressed."""
-        while len(self.progress.records) < len(self._prepared.frames) and not self.unfinished:
-            self._reconstruct(len(self.progress.records), interrupt)
+        while not self.interrupted:
+            done = len(self.progress.records)
+            if 0 < done < len(self._prepared.frames) and "velocity" not in self.progress.records[-1]:
+                self._find_velocity(done - 1, interrupt)
+            elif done < len(self._prepared.frames):
+                self._reconstruct(done, interrupt)
+            else:
+                break
             records = [*self.progress.records, *self.unfinished]
             write_report(self._out, self._prepared, records, finished=not self.unfinished)
 
@@ -67,14 +76,16 @@ class FrameByFrame:
         frame = FrameReconstruction(
             prepared.settings,
             prepared.levels,
-            prepared.photographs(number),
+            self._photographs(index),
             *self._known_light(),
-            self._start(index),
+            self._found.moved(self.progress.records[-1]) if index else None,
             index,
         )
         last = len(prepared.levels) - 1
         descent = None
-        with closing(StepBar(self._costs(frame), frame.first_level, number, self._shown)) as bar:
+        costs = self._costs(frame, frame.step_count)
+        name = "reconstructing" if number is None else f"frame {number}"
+        with closing(StepBar(costs, frame.first_level, name, self._shown)) as bar:
             for level in range(max(frame.first_level, self.progress.level), last + 1):
                 descent = frame.descent(level, descent)
                 if self.progress.tensors:
@@ -103,9 +114,62 @@ class FrameByFrame:
         else:
             self.progress.seconds = seconds
             self.progress.write(self._state, descent)
-            self.unfinished = (record,)
+            self.unfinished, self.interrupted = (record,), True
 
-    def _descend(self, descent: Descent, level: int, bar: StepBar, begun: float, interrupt: Interrupt) -> None:
+    def _find_velocity(self, index: int, interrupt: Interrupt) -> None:
+        """The velocity from a frame that is done to the next: known, estimated, or none."""
+        prepared, record = self._prepared, self.progress.records[index]
+        self.progress.note(prepared.sources(index + 1))
+        known, told = prepared.velocity(prepared.frames[index]), None
+        if known is not None:
+            told = {"source": "known", **self._found.add_velocity(record, known)}
+        elif prepared.estimates:
+            told = self._estimate_velocity(index, interrupt)
+            if told is None:
+                self.interrupted = True
+                return
+        self.progress.records[index] = {**record, "velocity": told}
+        self.progress.write(self._state, None)
+
+    def _estimate_velocity(self, index: int, interrupt: Interrupt) -> dict[str, Any] | None:
+        """Find the velocity from a frame to the next, and write it; None if Ctrl-C was pressed before its end."""
+        prepared, records = self._prepared, self.progress.records
+        begun, full = time.perf_counter() - self.progress.seconds, prepared.place.shape
+        pictures = self._photographs(index + 1)
+        extinction = self._found.extinction(records[index])
+        frame = FrameReconstruction(
+            prepared.settings, prepared.levels, pictures, *self._known_light(), extinction, index + 1
+        )
+        before = self._found.velocity(records[index - 1]) if index else None
+        pixels = sum(picture.averaged(1.0).values.size for picture in pictures if not picture.held_out)
+        steps, motion = prepared.settings.motion_iterations, None
+        name = f"velocity {prepared.frames[index]} to {prepared.frames[index + 1]}"
+        with closing(StepBar(self._costs(frame, steps), 0, name, self._shown)) as bar:
+            for level in range(self.progress.level, len(prepared.levels)):
+                views = frame.descent(level, None)
+                motion = MotionDescent(views, before, full, motion, frame.noise, pixels, steps)
+                if self.progress.tensors:
+                    self.progress.restore(motion, self._state)
+                    self.progress.tensors = {}
+                self.progress.level = level
+                self._descend(motion, level, bar, begun, interrupt)
+                if motion.done < steps or (interrupt.requested and level + 1 < len(prepared.levels)):
+                    self.progress.seconds = time.perf_counter() - begun
+                    self.progress.write(self._state, motion)
+                    return None
+        assert motion is not None
+        found = self._found.add_velocity(records[index], motion.velocity(full))
+        seconds = time.perf_counter() - begun
+        self.progress.level, self.progress.seconds, self.progress.errors = 0, 0.0, []
+        return {"source": "estimated", **found, "rms": motion.misfit(), "seconds": round(seconds, 1)}
+
+    def _photographs(self, index: int) -> list[Photograph]:
+        """The pictures of a frame: those that a velocity was found from are those of the next frame."""
+        if self._pictures is None or self._pictures[0] != index:
+            self._pictures = index, self._prepared.photographs(self._prepared.frames[index])
+        return self._pictures[1]
+
+    def _descend(self, descent: ResumableDescent, level: int, bar: StepBar, begun: float, interrupt: Interrupt) -> None:
         """The steps on a grid."""
         bar.enter(level, descent.done)
         grid = "×".join(map(str, descent.octave.shape))
@@ -125,19 +189,8 @@ class FrameByFrame:
         settings = self._prepared.settings
         return settings.known_brightness, None if settings.background == "auto" else float(settings.background)
 
-    def _start(self, index: int) -> np.ndarray | None:
-        """The extinction of the frame before, moved by the simulation's velocity where that is known."""
-        if index == 0:
-            return None
-        record = self.progress.records[index - 1]
-        stored = read_stored(self._out / record["density"])
-        before = np.asarray(stored.density, np.float32) * np.float32(record["gamma"])
-        velocity = self._prepared.velocity(self._prepared.frames[index - 1])
-        return before if velocity is None else advect(before, velocity, trace="flow")
-
-    def _costs(self, frame: FrameReconstruction) -> list[LevelCost]:
+    def _costs(self, frame: FrameReconstruction, steps: int) -> list[LevelCost]:
         """What the steps on each grid cost, in proportion: something each, by sample of a ray, and by cell."""
-        steps = frame.step_count
         return [
             LevelCost(steps, _EACH_STEP + frame.pixel_count(level) * max(octave.shape) + math.prod(octave.shape))
             for level, octave in enumerate(self._prepared.levels)

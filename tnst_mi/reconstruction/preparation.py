@@ -20,6 +20,10 @@ from tnst_mi.reconstruction.photographs import Photograph, read_values, read_wei
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
+from tnst_mi.resources import expanded
+
+#: What --velocities can be besides a folder: each is estimated, or each frame starts from the one before as it is.
+ESTIMATE, NONE = "estimate", "none"
 
 #: Where nothing says which views are held out, those of these numbers are, as usual for view synthesis since LLFF
 #: (Mildenhall et al. 2019); of fewer views, none.
@@ -47,6 +51,7 @@ class Preparation:
         levels: from the coarsest grid to the full one.
         frames: their numbers; a single None where pictures have none.
         velocities: of the simulation, frame by frame; None where they are not known.
+        estimates: whether those that are not known are estimated, from each frame to the next.
         remarks: what was assumed, to be said.
     """
 
@@ -57,13 +62,15 @@ class Preparation:
     levels: Sequence[Octave]
     frames: Sequence[int | None]
     velocities: FrameFiles | None
+    estimates: bool
     remarks: tuple[str, ...]
 
     @property
     def identity(self) -> str:
         """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
         cameras = [(view.name, *_files(view), view.layer, view.held_out, _numbers(view)) for view in self.views]
-        told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames)], default=str)
+        known = self.estimates if self.velocities is None else "known"
+        told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames), known], default=str)
         return hashlib.sha256(told.encode("utf-8")).hexdigest()
 
     def sources(self, index: int) -> list[Path]:
@@ -135,7 +142,7 @@ class Preparation:
 
 
 def prepare(
-    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: Path | None
+    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: str | Path | None
 ) -> Preparation:
     """Read the file of cameras and check all that can be checked before pictures are read.
 
@@ -143,7 +150,7 @@ def prepare(
         cameras: the file.
         given: settings that win over those of the file; or all of them.
         frames: "FIRST:LAST", the numbers of the frames; None for pictures without numbers.
-        velocities: a folder of frames with velocities; None for none.
+        velocities: a folder of frames with velocities, ESTIMATE, or NONE, which None is too.
 
     Raises:
         InputError: something cannot be used.
@@ -162,8 +169,10 @@ def prepare(
     views, said = _held_out(found.views, settings.hold_out)
     place = grid_in_box(settings.box, settings.cells, found.up)
     numbers = _numbers_of(frames)
-    if velocities is not None and numbers == [None]:
+    known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
+    if known is not None and numbers == [None]:
         raise InputError(f"--velocities {velocities}: is of sequences; give --frames FIRST:LAST")
+    said_of_velocities = _said_of_velocities(numbers, known, velocities)
     return Preparation(
         settings,
         found,
@@ -171,8 +180,9 @@ def prepare(
         place,
         octaves(place.shape, _levels(settings.levels, place.shape), 2.0),
         numbers,
-        None if velocities is None else open_frames(velocities),
-        (*found.remarks, *said, *((_COLOUR_SAID,) if settings.channel == "rgb" else ())),
+        known,
+        velocities == ESTIMATE,
+        (*found.remarks, *said, *((_COLOUR_SAID,) if settings.channel == "rgb" else ()), *said_of_velocities),
     )
 
 
@@ -190,6 +200,22 @@ def _held_out(views: Sequence[PosedView], hold_out: int | str) -> tuple[list[Pos
     if all(chosen):
         raise InputError(f"--hold-out {hold_out}: leaves none of {len(views)} views to use; hold out fewer")
     return [replace(view, held_out=out) for view, out in zip(views, chosen, strict=True)], said
+
+
+def _said_of_velocities(
+    numbers: Sequence[int | None], known: FrameFiles | None, velocities: str | Path | None
+) -> list[str]:
+    """What is to be said of the velocities of a sequence."""
+    if known is not None:
+        lacking = [str(number) for number in numbers[:-1] if number not in known.numbers]
+        if lacking:
+            return [f"{velocities}: has no frame {', '.join(lacking)}, so the one after starts from it as it is"]
+    elif velocities == ESTIMATE and len(numbers) > 1:
+        return [
+            "velocities: none are given, so each is estimated from two frames (--velocities FOLDER gives those of a "
+            "simulation, --velocities none starts each frame from the one before as it is)"
+        ]
+    return []
 
 
 def _levels(wanted: int, shape: Sequence[int]) -> int:

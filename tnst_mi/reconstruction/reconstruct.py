@@ -14,7 +14,7 @@ from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import locked
 from tnst_mi.reconstruction.frame_by_frame import FrameByFrame
-from tnst_mi.reconstruction.preparation import prepare
+from tnst_mi.reconstruction.preparation import ESTIMATE, prepare
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.resources import expanded
 
@@ -48,7 +48,7 @@ def reconstruct(
     settings: Mapping[str, Any] | None = None,
     *,
     frames: str | None = None,
-    velocities: str | Path | None = None,
+    velocities: str | Path = ESTIMATE,
     format: str = "npz",
     resume: bool = False,
     overwrite: bool = False,
@@ -65,8 +65,9 @@ def reconstruct(
         out: folder for the results.
         settings: keys of `ReconstructionSettings`, which win over those of the file; `box` is needed.
         frames: "FIRST:LAST", numbers of the frames of a sequence, in whose place pictures have ####.
-        velocities: folder of frames with the velocity of the simulation on the same grid: each frame starts from the
-            one before, moved by it. Without, it starts from that as it is.
+        velocities: what moves each frame to the next one, which starts from there, and is written beside its density:
+            "estimate", found from the pictures of both; a folder of frames with the velocity of the simulation on the
+            same grid; or "none", so that it starts from the one before as it is.
         format: of the densities: npz, vol, uni or vdb, of which vdb keeps their place in the scene.
         resume: go on where an earlier call stopped.
         overwrite: write into a folder that is not empty.
@@ -109,7 +110,7 @@ def reconstruct(
         )
     with own_variant():
         activate()
-        prepared = prepare(cameras, settings or {}, frames, None if velocities is None else expanded(Path(velocities)))
+        prepared = prepare(cameras, settings or {}, frames, velocities)
         state = out / "state.safetensors"
         before = (
             ReconstructionState.read(state, prepared.identity) if resume else ReconstructionState(prepared.identity)
@@ -120,4 +121,4 @@ def reconstruct(
             run.go_on(interrupt)
         records = (*run.progress.records, *run.unfinished)
         files = tuple(out / record["density"] for record in records)
-        return Reconstruction(files, records, prepared.remarks, bool(run.unfinished))
+        return Reconstruction(files, records, prepared.remarks, run.interrupted)

@@ -76,6 +76,8 @@ class ReconstructionSettings:
     """Grids from coarse to fine, each with twice the cells of the one before along every edge."""
     iterations: Annotated[int, Integer(1, 100_000)] = 150
     """Steps on each grid."""
+    motion_iterations: Annotated[int, Integer(1, 100_000)] = 40
+    """Steps on each grid for the velocity between two frames of a sequence."""
     batch: Annotated[int, Integer(1, 1000)] = 6
     """Views of a step."""
     quadrature: Annotated[str, Choice(("exact", "paper"))] = "exact"

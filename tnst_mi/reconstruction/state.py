@@ -17,7 +17,7 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.gate import opening
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.resumable import ResumableDescent
 from tnst_mi.reconstruction.sources import digest, require_unchanged
 
 #: What is written beside the tensors.
@@ -37,10 +37,10 @@ class ReconstructionState:
     Attributes:
         identity: of what is reconstructed.
         records: of the frames that are done, in their order.
-        level: the grid of the frame that is not, from 0.
-        seconds: that this frame has taken.
+        level: the grid of what is not, from 0: the next frame's density, or the velocity from the last one to it.
+        seconds: that this has taken.
         sources: the digests of all files that have been read, by absolute path.
-        errors: the root mean square difference of each of its steps, grid by grid, in parts of the peak.
+        errors: the root mean square difference of each step of it, grid by grid, in parts of the peak.
         tensors: of its descent, by name; empty before its first step.
     """
 
@@ -82,7 +82,7 @@ class ReconstructionState:
         """How far it is when one more frame is done."""
         return ReconstructionState(self.identity, [*self.records, record], sources=self.sources)
 
-    def write(self, path: Path, descent: Descent | None) -> None:
+    def write(self, path: Path, descent: ResumableDescent | None) -> None:
         """Write how far it is, with a descent that is not at its end."""
         told = {name: getattr(self, name) for name in _TOLD}
         tensors = {} if descent is None else _tensors(descent)
@@ -114,21 +114,20 @@ class ReconstructionState:
         require_unchanged(progress.sources)
         return progress
 
-    def restore(self, descent: Descent, path: Path) -> None:
+    def restore(self, descent: ResumableDescent, path: Path) -> None:
         """Bring a descent to where the earlier one was.
 
         Raises:
             InputError: the file is of another grid.
         """
         try:
-            extinction = descent.extinction
+            unknown = descent.unknown
             with torch.no_grad():
-                extinction.copy_(_fitting(self.tensors["extinction"], extinction))
-            moments = {name: _fitting(self.tensors[name], extinction) for name in _MOMENTS}
+                unknown.copy_(_fitting(self.tensors["unknown"], unknown))
+            moments = {name: _fitting(self.tensors[name], unknown) for name in _MOMENTS}
             descent.done = int(self.tensors["done"])
-            descent.adam.state[extinction] = {"step": torch.tensor(float(descent.done)), **moments}
-            descent.model.brightness, descent.model.background = self.tensors["light"].tolist()
-            descent.search.points = [(place, value) for place, value in self.tensors["search"].tolist()]
+            descent.adam.state[unknown] = {"step": torch.tensor(float(descent.done)), **moments}
+            descent.remember(self.tensors)
         except (KeyError, ValueError, TypeError):
             raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
 
@@ -146,12 +145,10 @@ def _require_sound(progress: ReconstructionState) -> None:
         raise ValueError("another type")
 
 
-def _tensors(descent: Descent) -> dict[str, Tensor]:
-    extinction, state = descent.extinction.detach(), descent.adam.state.get(descent.extinction) or {}
-    tensors = {name: state.get(name, torch.zeros_like(extinction)) for name in _MOMENTS}
-    tensors["extinction"] = extinction
-    tensors["light"] = torch.tensor([descent.model.brightness, descent.model.background], dtype=torch.float64)
-    tensors["search"] = torch.tensor(descent.search.points, dtype=torch.float64).reshape(-1, 2)
+def _tensors(descent: ResumableDescent) -> dict[str, Tensor]:
+    unknown, state = descent.unknown.detach(), descent.adam.state.get(descent.unknown) or {}
+    tensors = {name: state.get(name, torch.zeros_like(unknown)) for name in _MOMENTS}
+    tensors |= {"unknown": unknown, **descent.remembered}
     return {"done": torch.tensor(descent.done)} | {name: t.cpu().contiguous() for name, t in tensors.items()}
 
 

@@ -29,13 +29,12 @@ class StepBar:
     Args:
         costs: of all grids, from coarse to fine.
         first: the grid that the frame begins with.
-        number: of the frame; None if it has none.
+        name: what is found.
         shown: whether anything is.
     """
 
-    def __init__(self, costs: Sequence[LevelCost], first: int, number: int | None, shown: bool) -> None:
+    def __init__(self, costs: Sequence[LevelCost], first: int, name: str, shown: bool) -> None:
         self._costs, self._first = costs, first
-        name = "reconstructing" if number is None else f"frame {number}"
         self._total = sum(cost.steps * cost.each for cost in costs[first:])
         self._bar = progress_bar(total=self._total, desc=name, disable=not shown)
         self._level = first
