@@ -177,7 +177,7 @@ def read_values(path: Path, channel: str, transfer: str, layer: int | None = Non
 
 
 def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """A mask as weights from 0 to 1, (rows, columns) float32: the mean of its colours, or its alpha if it has one.
+    """A mask as weights from 0 to 1, (rows, columns) float32: its alpha, or of an opaque one the mean of its colours.
 
     Raises:
         InputError: it cannot be read, or has another size than (rows, columns).
@@ -185,7 +185,9 @@ def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
     with opening(path, "a mask"), silenced():
         pixels, _ = _decoded(path, None)
     if pixels.ndim == 3:
-        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.mean(axis=2)
+        # Painting programs save masks in black and white with an alpha of 1 everywhere.
+        cut_out = pixels.shape[2] == 4 and bool((pixels[..., 3] < 1).any())
+        pixels = pixels[..., 3] if cut_out else pixels[..., :3].mean(axis=2)
     require_size(path, pixels, size)
     return np.clip(pixels, 0.0, 1.0).astype(np.float32)
 
