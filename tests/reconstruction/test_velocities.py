@@ -67,6 +67,9 @@ def test_the_next_frame_starts_from_where_the_smoke_has_moved(pictures, simulati
     report = json.loads((estimated.densities[0].parents[1] / "report.json").read_text())
     told = [frame.get("velocity") for frame in report["frames"]]
     assert told[2] is None and told[0]["source"] == "estimated" and told[0]["rms"] < 0.02
+    page, none_page = (found.densities[0].parents[1].joinpath("report.html").read_text() for found in (estimated, none))
+    assert page.count("<td>estimated</td>") == 2 and f"<td>{100 * told[0]['rms']:.2g}%</td>" in page
+    assert "Velocities" not in none_page
     assert [record.get("velocity") for record in none.records] == [None] * 2
 
 
