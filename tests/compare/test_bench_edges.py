@@ -59,11 +59,12 @@ def test_pixels_that_are_not_finite_are_not_agreed_on(run: Run, tmp_path: Path) 
     assert ran.errors[-1].startswith(f"tnst-mi: {message}"), ran.errors
 
 
-def test_two_that_are_black_agree_and_it_is_said(run: Run, tmp_path: Path) -> None:
+def test_two_that_are_black_do_not_agree_since_nothing_is_seen(run: Run, tmp_path: Path) -> None:
     path = scene(tmp_path / "black.xml", '<shape type="sphere"/>')
     out = tmp_path / "out"
     ran = run("compare", path, *SCALAR, "--out", out)
-    assert ran.code == 0 and "untested  anything: both sides are black" in ran.out
+    assert ran.code == 1 and "untested  anything: both sides are black" in ran.out
+    assert "verdict   INCONCLUSIVE: volpath@scalar_rgb and volpathmis@scalar_rgb: nothing could be tested" in ran.out
 
 
 def test_scenes_and_films_that_a_side_cannot_show_are_named(run: Run, tmp_path: Path) -> None:
@@ -143,7 +144,10 @@ def test_a_baseline_of_another_scene_is_refused_before_anything_is_rendered(
     monkeypatch.setattr("tnst_mi.commands.compare_sides.prepare", lambda *arguments: pytest.fail("was prepared"))
     arguments = ["compare", scene_file("known/gaussian.xml"), *sides, "--out", tmp_path / "b"]
     refused(
-        run, tmp_path, [*arguments, "--baseline", tmp_path / "a" / "report.json"], r"its subject is .*slab\.xml.*, here"
+        run,
+        tmp_path,
+        [*arguments, "--baseline", tmp_path / "a" / "report.json"],
+        r"its subject's input is \"slab\.xml\", here it is \"gaussian",
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tnst_mi.commands.base import checked
 from tnst_mi.commands.compare_arguments import COMPARE_VIEWS, FULL_SPP, CompareArguments
 from tnst_mi.commands.compare_input import ComparedSmoke, read_smoke, views_and_gammas
-from tnst_mi.compare.bench.baseline import change_verdict, changes, read_baseline, require_same, require_same_tests
+from tnst_mi.compare.bench.baseline import held_against, read_baseline, require_same, require_same_tests
 from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.measurement import measure, prepare
 from tnst_mi.compare.bench.parameters import parameter_names
@@ -51,8 +51,8 @@ def run_sides(arguments: CompareArguments) -> int:
     variant = activate()
     require_optix("compare")
     subject, described, smoke = _subject(arguments, settings)
-    if flags.baseline is not None and baseline is not None:
-        require_same(flags.baseline, baseline, described, settings.left.text, settings.right.text)
+    if baseline is not None:
+        require_same(baseline, described, settings)
     prepared = prepare(subject, settings)
     views = ("0",)
     if smoke is not None:
@@ -67,12 +67,12 @@ def run_sides(arguments: CompareArguments) -> int:
 
         measured = measure(prepared, views, settings, report)
         record = record_of(described, settings, measured)
-        passed = bool(record["agree"])
-        if flags.baseline is not None and baseline is not None:
-            require_same_tests(flags.baseline, baseline, record)
-            families, found = changes(baseline, record)
-            passed = not any(alarm.any() for alarm in found)
-            record["baseline"] = {"changed": not passed, "verdict": change_verdict(families, found)}
+        passed = record["outcome"] == "agree"
+        if baseline is not None:
+            families = measured.families()
+            require_same_tests(baseline, families)
+            record["baseline"] = held_against(baseline, families)
+            passed = record["baseline"]["outcome"] == "unchanged"
         record |= {"versions": versions(), "device": device(variant), "seconds": bar.format_dict["elapsed"]}
         report("report", 0.0)
         written.write_bench(arguments.out, settings, measured, record)

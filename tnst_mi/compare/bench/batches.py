@@ -137,8 +137,8 @@ def missed(left: Batches, right: Batches, allowance: np.ndarray) -> np.ndarray:
     same only because paths were missed; 1 where nothing bounds it, and where batches differ.
 
     With a mean μ between the ends a and b, a path, or a mean of some, is at c > μ or above with probability
-    (μ − a)/(c − a) at most, by Markov's inequality, and at c < μ or below with (b − μ)/(b − c). For a side that is black
-    this is the bound of Clopper and Pearson.
+    (μ − a)/(c − a) at most, by Markov's inequality, and at c < μ or below with (b − μ)/(b − c). For a side that is
+    black this is the bound of Clopper and Pearson.
     """
     if left.exact == right.exact:
         return np.ones(left.mean.shape)

@@ -43,6 +43,8 @@ class Derivative:
         parameter: one of `PARAMETERS`.
         left, right: by how they were taken: batches (n,).
         missing: why a side has none, or none of a kind.
+        steps: of central differences, of the left and the right; None where a side takes none. For the sensor, in the
+            units of the scene.
         size: of the mean itself, to which the tolerance is relative where the derivative is smaller.
     """
 
@@ -51,6 +53,7 @@ class Derivative:
     left: dict[str, Batches]
     right: dict[str, Batches]
     missing: tuple[str, ...]
+    steps: tuple[float | None, float | None]
     size: float
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -47,15 +48,27 @@ class Measured:
     variants: tuple[str | None, str | None]
     untested: tuple[str, ...]
 
+    @cached_property
+    def tests(self) -> dict[str, list[Family]]:
+        """By what they are of, each image pair and derivative, with the families of each."""
+        found = {
+            f"{pair.where} images".strip(): value_families(
+                pair.where, pair.left, pair.right, self.tolerance, self.views, pair.slack
+            )
+            for pair in self.images
+        }
+        for derivative in self.derivatives:
+            what = f"{derivative.where} derivative with respect to {derivative.parameter}".strip()
+            found[what] = [derivative_tests(derivative, self.tolerance)]
+        return found
+
     def families(self) -> list[Family]:
         """All tests."""
-        found = [
-            tests
-            for pair in self.images
-            for tests in value_families(pair.where, pair.left, pair.right, self.tolerance, self.views, pair.slack)
-        ]
-        found += [derivative_tests(derivative, self.tolerance) for derivative in self.derivatives]
-        return merged([tests for tests in found if len(tests.labels)])
+        return merged([member for members in self.tests.values() for member in members if len(member.labels)])
+
+    def unseen(self) -> list[str]:
+        """Of what nothing could be tested: of images, no mean."""
+        return [what for what, (first, *_) in self.tests.items() if not first.tested.any()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +97,11 @@ def prepare(subject: SmokeScene | Path, settings: BenchSettings) -> list[ReadySi
     Raises:
         InputError: a side cannot show it, or what it needs cannot be read.
     """
-    places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, SmokeScene) else [("", 0.0)]
+    places = (
+        [(f"γ {_positional(gamma)}", gamma) for gamma in settings.gammas]
+        if isinstance(subject, SmokeScene)
+        else [("", 0.0)]
+    )
     prepared = []
     for number, (where, gamma) in enumerate(places):
         left = PreparedSide(subject, gamma, settings.left, settings, (settings.seed, number, 0))
@@ -121,10 +138,16 @@ def measure(
                 side.derivatives(name, working) for side in place.sides
             )
             missing = (*left_missing, *right_missing)
-            derivatives.append(Derivative(place.where, name, left_found, right_found, missing, size))
+            steps = (place.sides[0].step(name), place.sides[1].step(name))
+            derivatives.append(Derivative(place.where, name, left_found, right_found, missing, steps, size))
     left, right = prepared[0].sides
     untested = dict.fromkeys(line for place in prepared for side in place.sides for line in side.untested)
     return Measured(images, views, derivatives, settings.tolerance, (left.variant, right.variant), tuple(untested))
+
+
+def _positional(number: float) -> str:
+    """With all its digits, so that no two are written alike."""
+    return np.format_float_positional(number, trim="-")
 
 
 def _working(progress: Progress, name: str, share: float) -> Callable[[float], None]:

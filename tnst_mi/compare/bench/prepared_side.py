@@ -141,6 +141,12 @@ class PreparedSide:
                 raise InputError(f"{self.side.text}: the derivative with respect to {name} by {way} is not finite")
         return found, missing
 
+    def step(self, name: str) -> float | None:
+        """Of its central differences with respect to a parameter; None if it takes none."""
+        if self.renderer is None or self._parameters.missing(name):
+            return None
+        return self._parameters.step(name)
+
     def _taken(
         self, renderer: SideRenderer, name: str, traced: Callable[[float], None]
     ) -> tuple[dict[str, Batches], list[str]]:
