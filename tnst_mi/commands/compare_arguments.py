@@ -80,13 +80,14 @@ class CompareArguments(Arguments):
     gamma: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NUMBER…")] = ("0.05", "0.5", "2")
     """Extinction γ per cell at density 1, one or more."""
     spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_SPP})")] = None
-    """Paths per pixel, 32 or more; a quarter of them for gradients."""
+    """Paths per pixel, 32 or more; a quarter of them for gradients. With --left or --right in multiples of 32, and by
+    default more where an image has fewer than 4096 pixels."""
     directions: Annotated[
         str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_DIRECTIONS})")
     ] = None
     """Number of random smooth directions for derivatives, 3 or more; not with --left and --right."""
     quick: bool = False
-    """Fewer paths and directions, and gradients only at the middle γ."""
+    """Fewer paths and directions, and gradients only at the middle γ; with --left or --right, fewer paths."""
     seed: Annotated[str, tyro.conf.arg(metavar="INTEGER")] = "0"
     """Seed of the paths and directions."""
     density_scale: Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")] = "1"

@@ -37,9 +37,6 @@ else:
 
 _QUICK_SPP, _LEAST_SPP = 64, 32
 
-#: Each derivative takes five times as many images.
-_GRADIENT_SHARE = 4
-
 
 def run_sides(arguments: CompareArguments) -> int:
     """Measure, write the report, print the verdict."""
@@ -54,6 +51,8 @@ def run_sides(arguments: CompareArguments) -> int:
     if baseline is not None:
         require_same(baseline, described, settings)
     prepared = prepare(subject, settings)
+    if arguments.spp is None and not arguments.quick:
+        settings = settings.with_more_where_pixels_are_few(prepared[0].shape)
     views = ("0",)
     if smoke is not None:
         views = tuple(text_of(view) for view in smoke.views)
@@ -93,16 +92,17 @@ def _settings(arguments: CompareArguments) -> BenchSettings:
     _, gammas = views_and_gammas(arguments)
     spp = arguments.spp or str(_QUICK_SPP if arguments.quick else FULL_SPP)
     spp = checked("spp", spp, Integer(_LEAST_SPP, 1 << 24))
-    return BenchSettings(
+    settings = BenchSettings(
         left=side_of("left", flags.left or f"{OURS}:exact"),
         right=side_of("right", flags.right or "prbvolpath"),
         gammas=gammas,
-        spp=spp,
-        gradient_spp=max(_LEAST_SPP, spp // _GRADIENT_SHARE),
+        spp=0,
+        gradient_spp=0,
         parameters=parameter_names(flags.gradients),
         tolerance=checked("tolerance", flags.tolerance or "0.001", Number(0.0, 1.0)),
         seed=checked("seed", arguments.seed, KINDS["seed"]),
     )
+    return settings.with_paths(spp)
 
 
 def _subject(

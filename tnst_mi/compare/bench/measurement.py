@@ -38,6 +38,7 @@ class Measured:
         derivatives: of each γ and parameter.
         tolerance: difference that does not count.
         variants: of Mitsuba, of the left and the right; None of what it does not render.
+        traced: paths per pixel of the images, of the left and the right; None of what has no noise or is not rendered.
         untested: what images do not show, or not certainly.
     """
 
@@ -46,6 +47,7 @@ class Measured:
     derivatives: list[Derivative]
     tolerance: float
     variants: tuple[str | None, str | None]
+    traced: tuple[int | None, int | None]
     untested: tuple[str, ...]
 
     @cached_property
@@ -127,7 +129,7 @@ def measure(
     for place in prepared:
         working = _working(progress, place.where, share)
         left, right = (
-            side.images(working) if fixed is None else fixed
+            side.images(settings.spp, working) if fixed is None else fixed
             for side, fixed in zip(place.sides, place.fixed, strict=True)
         )
         images.append(ImagePair(place.where, left, right, place.slack, place.arbiters))
@@ -135,14 +137,20 @@ def measure(
         for name in settings.parameters:
             working = _working(progress, f"{place.where} {name}".strip(), share)
             (left_found, left_missing), (right_found, right_missing) = (
-                side.derivatives(name, working) for side in place.sides
+                side.derivatives(name, settings.gradient_spp, working) for side in place.sides
             )
             missing = (*left_missing, *right_missing)
             steps = (place.sides[0].step(name), place.sides[1].step(name))
             derivatives.append(Derivative(place.where, name, left_found, right_found, missing, steps, size))
     left, right = prepared[0].sides
     untested = dict.fromkeys(line for place in prepared for side in place.sides for line in side.untested)
-    return Measured(images, views, derivatives, settings.tolerance, (left.variant, right.variant), tuple(untested))
+    traced = (_traced(left, images[0].left), _traced(right, images[0].right))
+    variants = (left.variant, right.variant)
+    return Measured(images, views, derivatives, settings.tolerance, variants, traced, tuple(untested))
+
+
+def _traced(side: PreparedSide, images: Batches) -> int | None:
+    return None if side.renderer is None or images.exact else len(images.values) * images.paths
 
 
 def _positional(number: float) -> str:

@@ -49,6 +49,7 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
             "seed": settings.seed,
             "parameters": list(settings.parameters),
         },
+        "traced": dict(zip(("left", "right"), measured.traced, strict=True)),
         "outcome": outcome,
         "agree": outcome == "agree",
         "verdict": verdict(settings, measured, families, found, seen),
@@ -97,7 +98,7 @@ def verdict(
     sides = f"{settings.left.text} and {settings.right.text}"
     counts = ", ".join(f"{int(tests.tested.sum())} of {len(tests.labels)} {tests.name}" for tests in families)
     shares = [(tests.name, _largest_share(tests, least)) for tests, least in zip(families, seen, strict=True)]
-    precise = ", ".join(f"{share:.2g}% in {name}" for name, share in shares if share is not None)
+    precise = ", ".join(f"{_percent(share)} in {name}" for name, share in shares if share is not None)
     tested = f"tested: {counts}; " + (f"9 of 10 differences are found that reach {precise}; " if precise else "")
     tested += f"differences up to {settings.tolerance:g} of the RMS do not count"
     total = sum(int(alarm.sum()) for alarm in found)
@@ -120,6 +121,10 @@ def _apart(tests: Family, index: int) -> str:
     return f"{abs(value) / error:.1f} standard errors apart" if error > 0 else "without noise"
 
 
+def _percent(share: float) -> str:
+    return f"{share:.0f}%" if share >= 10 else f"{share:.2g}%"
+
+
 def _largest_share(tests: Family, least: np.ndarray) -> float | None:
     """In percent of their sizes, the largest of the detectable differences; None if there is none."""
     known = np.isfinite(least) & (tests.size > 0)
@@ -140,7 +145,7 @@ def not_tested(measured: Measured, families: Sequence[Family], seen: Sequence[np
         if not pair.left.values.any() and not pair.right.values.any()
     ]
     lines += [
-        f"the sign of the {label}: only differences of {100 * differs / size:.2g}% would be found; more --spp"
+        f"the sign of the {label}: only differences of {_percent(100 * differs / size)} would be found; more --spp"
         for tests, least in zip(families, seen, strict=True)
         if tests.name == "derivatives"
         for label, differs, size in zip(tests.labels, least, tests.size, strict=True)
