@@ -189,7 +189,7 @@ def test_images_as_large_as_those_of_smoke_raise_none() -> None:
     families = value_families("", noisy, Batches(np.ones((1, 20, *shape))), 0.0)
     assert not any(alarm.any() for alarm in alarms(families, 20 * FALSE_ALARMS))
     without = value_families("", Batches(noisy.values), Batches(np.ones((1, 20, *shape))), 0.0)
-    assert alarms(without)[2].sum() > 5, "by errors that leave out that light may have been missed"
+    assert any(alarm.any() for alarm in alarms(without, 20 * FALSE_ALARMS)), "by errors that leave out that light may have been missed"
 
 
 def test_the_bound_is_close_where_tests_are_few() -> None:
