@@ -114,7 +114,7 @@ def _subject(
         _require_no_smoke_flags(arguments)
         if not path.is_file():
             raise InputError(f"{path}: no such file, expected a Mitsuba scene")
-        return path, {"input": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}, None
+        return path, {"input": path.name, "sha256": _sha256(path)}, None
     views, _ = views_and_gammas(arguments)
     albedo = checked("albedo", flags.albedo or "0", Number(0.0, 1.0))
     anisotropy = checked("anisotropy", flags.anisotropy or "0", Number(-0.99, 0.99))
@@ -135,9 +135,14 @@ def _subject(
         "albedo": albedo,
         "anisotropy": anisotropy,
         "light": light if albedo else None,
+        "light_sha256": _sha256(file) if albedo and file.is_file() else None,
         "density_scale": found.unit.factor,
     }
     return smoke, described, found
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _require_no_smoke_flags(arguments: CompareArguments) -> None:
