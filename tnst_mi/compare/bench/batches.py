@@ -122,14 +122,14 @@ def comparable(left: Batches, right: Batches) -> np.ndarray:
     they are not tested. Nor are those that all have the same value against one free of noise, since such a path may
     have been missed altogether; see `missed`. But two noisy sides find about as many such paths, so that one on which
     all batches are the same can be held against one whose batches differ, or are all the same too. Where both are 0
-    there is nothing to see.
+    nothing is seen, unless neither side has noise.
     """
     seen = (left.values != 0).any(0) | (right.values != 0).any(0)
     sides = [side for side in (left, right) if not side.exact and side.rare]
     known = [side.varies for side in sides]
     if len(sides) == 2:
         known = [varies | (side.differing == 0) for varies, side in zip(known, sides, strict=True)]
-    return np.all([seen, *known], axis=0)
+    return np.all([seen, *known], axis=0) if sides else np.ones(left.mean.shape, bool)
 
 
 def missed(left: Batches, right: Batches, allowance: np.ndarray) -> np.ndarray:
