@@ -133,12 +133,14 @@ def _largest_share(tests: Family, least: np.ndarray) -> float | None:
 
 def not_tested(measured: Measured, families: Sequence[Family], seen: Sequence[np.ndarray]) -> list[str]:
     """What the verdict says nothing about, and why."""
-    lines = [
-        f"{int((~tests.tested).sum())} {tests.name}, where most batches have the same value, or both sides are 0: "
-        "more --spp"
-        for tests in families
-        if not tests.tested.all()
-    ]
+    lines = []
+    for tests in families:
+        black = ~tests.tested & (tests.left == 0) & (tests.right == 0)
+        reasons = {
+            "where both sides are 0": black,
+            "where most batches have the same value: more --spp, or an independent sampler": ~tests.tested & ~black,
+        }
+        lines += [f"{int(which.sum())} {tests.name}, {reason}" for reason, which in reasons.items() if which.any()]
     lines += [
         f"{pair.where} anything: both sides are black".strip()
         for pair in measured.images
