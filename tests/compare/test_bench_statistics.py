@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -188,8 +189,26 @@ def test_images_as_large_as_those_of_smoke_raise_none() -> None:
     noisy = Batches(found(rng, shape, 20), paths=PATHS, ends=LIGHT)
     families = value_families("", noisy, Batches(np.ones((1, 20, *shape))), 0.0)
     assert not any(alarm.any() for alarm in alarms(families, 20 * FALSE_ALARMS))
-    without = value_families("", Batches(noisy.values), Batches(np.ones((1, 20, *shape))), 0.0)
-    assert any(alarm.any() for alarm in alarms(without, 20 * FALSE_ALARMS)), "by errors that leave out that light may have been missed"
+    without = value_families("", Batches(noisy.values, rare=False), Batches(np.ones((1, 20, *shape))), 0.0)
+    assert any(alarm.any() for alarm in alarms(without, 20 * FALSE_ALARMS)), (
+        "by errors that leave out that light may have been missed"
+    )
+
+
+@pytest.mark.parametrize(("paths", "share"), [(2, 0.5), (8, 0.05), (8, 0.15), (64, 0.15)])
+def test_derivatives_that_few_paths_carry_raise_no_more_against_an_answer(paths: int, share: float) -> None:
+    """20 000 of them, without known ends, at the level that one of a family of four has: 5 alarms on average."""
+    rng = np.random.default_rng(12)
+    hits = rng.binomial(paths, share, (BATCHES, 20_000))
+    values = np.where(hits > 0, rng.gamma(np.maximum(hits, 1), 1 / (paths * share)), 0.0)
+    answer = Batches(np.ones((1, 20_000)))
+    tests = family(
+        "derivatives", [""] * 20_000, Batches(-values), replace(answer, values=-answer.values), np.array(0.0)
+    )
+    # There are more than 14 in 1 case of 5000.
+    assert (tests.tail <= FALSE_ALARMS / 4).sum() <= 14
+    naive = family("derivatives", [""] * 20_000, Batches(values, rare=False), answer, np.array(0.0))
+    assert (naive.tail <= FALSE_ALARMS / 4).sum() > 14 or paths == 64
 
 
 def test_the_bound_is_close_where_tests_are_few() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,12 +43,12 @@ class Batches:
         """Whether it has no noise."""
         return len(self.values) == 1
 
-    @property
+    @cached_property
     def mean(self) -> np.ndarray:
         """Of the batches."""
         return self.values.mean(0)
 
-    @property
+    @cached_property
     def standard_error(self) -> np.ndarray:
         """Of the mean; 0 if it has no noise."""
         if self.exact:
@@ -64,7 +65,7 @@ class Batches:
         """Degrees of freedom of the standard error."""
         return len(self.values) - 1
 
-    @property
+    @cached_property
     def differing(self) -> np.ndarray:
         """How many of the batches have another value than most have, up to the rounding of a film."""
         unit = _ROUNDING * float(np.abs(self.values).max(initial=0.0)) or 1.0
@@ -88,11 +89,20 @@ class Batches:
         does at most, if they only become more or larger; so the error is scaled by the distances from the end.
         """
         found, stretch = self.mean, np.ones(self.mean.shape)
-        for end in self.ends:
-            if math.isfinite(end):
-                near, far = np.abs(found - end), np.abs(mean - end)
-                stretch = np.maximum(stretch, np.divide(far, near, out=np.ones_like(far), where=near > 0))
+        ends = [found - end for end in self.ends if math.isfinite(end)] or [self._distance_of_a_gamma_law()]
+        for distance in ends:
+            further = np.divide(mean - found, distance, out=np.zeros(found.shape), where=distance != 0)
+            stretch = np.maximum(stretch, 1 + further)
         return self.standard_error * stretch
+
+    def _distance_of_a_gamma_law(self) -> np.ndarray:
+        """From the mean down to the end of a gamma law of the same scatter and skewness; up, where negative; ∞ of a law
+        that is symmetric. Means of few paths of one sign, such as derivatives, are not far from such a law."""
+        if self.exact or not self.rare:
+            return np.full(self.mean.shape, np.inf)
+        away = self.values - self.mean
+        second, third = (away**2).mean(0), (away**3).mean(0)
+        return np.divide(2 * second**2, third, out=np.full(third.shape, np.inf), where=third != 0)
 
     def first(self, count: int) -> Batches:
         """Of the first batches alone."""
