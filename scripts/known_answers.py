@@ -4,13 +4,16 @@
     python scripts/known_answers.py --spp 262144 --out variants.json --variants
 
 With --variants, the radiance in each of Mitsuba's variants that works here, in place of the one of a stylization.
-Each scene and integrator is kept in the JSON file as soon as it is done: the same command continues where it stopped.
+Each integrator has a seed of its own. Each scene and integrator is kept in the JSON file as soon as it is done: the
+same command continues where it stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +32,9 @@ from tnst_mi.io.atomic import written_whole
 
 def measured(path: Path, integrator: str, parameters: tuple[str, ...], spp: int) -> dict[str, Any]:
     """The radiance and its derivatives, each with its standard error."""
-    settings = BenchSettings(
-        side_of("left", integrator), side_of("right", ANSWER), (), spp, max(32, spp // 4), parameters, 1e-3, 0
-    )
+    sides = (side_of("left", integrator), side_of("right", ANSWER))
+    # Integrators share no random numbers, so that they agree or not independently of each other.
+    settings = BenchSettings(*sides, (), 0, 0, parameters, 1e-3, zlib.crc32(integrator.encode())).with_paths(spp)
     found = measure(prepare(path, settings), ("0",), settings, lambda name, share: None)
     (images,) = found.images
     rows = {"radiance": _estimate(images.left)}
@@ -120,6 +123,7 @@ def main() -> None:
             if chosen and key not in records and not (answer.scatters and ours):
                 # Ours is the same for every ray of these scenes, but for wavelengths.
                 spp = 32 if ours and "spectral" not in integrator else arguments.spp
+                print(f"{key}, {spp} paths", file=sys.stderr, flush=True)
                 records[key] = measured(path, integrator, parameters, spp)
                 with written_whole(arguments.out) as temporary:
                     temporary.write_text(json.dumps(records, indent=1) + "\n", "utf-8")

@@ -17,6 +17,8 @@ from tnst_mi.compare.bench.sides import side_of
 from tnst_mi.compare.bench.smoke_scene import SmokeScene, smoke_renderer
 from tnst_mi.compare.bench.variants import LUMINANCE
 from tnst_mi.errors import InputError
+from tnst_mi.frame import Frame
+from tnst_mi.io import save_frames
 from tnst_mi.machine.backend import activate
 from tnst_mi.resources import scene_file
 
@@ -59,11 +61,12 @@ def test_pixels_that_are_not_finite_are_not_agreed_on(run: Run, tmp_path: Path) 
     assert ran.errors[-1].startswith(f"tnst-mi: {message}"), ran.errors
 
 
-def test_two_that_are_black_agree_and_it_is_said(run: Run, tmp_path: Path) -> None:
+def test_two_that_are_black_do_not_agree_since_nothing_is_seen(run: Run, tmp_path: Path) -> None:
     path = scene(tmp_path / "black.xml", '<shape type="sphere"/>')
     out = tmp_path / "out"
     ran = run("compare", path, *SCALAR, "--out", out)
-    assert ran.code == 0 and "untested  anything: both sides are black" in ran.out
+    assert ran.code == 1 and "untested  anything: both sides are black" in ran.out
+    assert "verdict   INCONCLUSIVE: volpath@scalar_rgb and volpathmis@scalar_rgb: nothing could be tested" in ran.out
 
 
 def test_scenes_and_films_that_a_side_cannot_show_are_named(run: Run, tmp_path: Path) -> None:
@@ -111,11 +114,15 @@ def test_pictures_count_as_they_are_stored(tmp_path: Path) -> None:
     layers = {f"Smoke.{name}": value for name, value in colours.items()}
     write_channels(tmp_path / "b.exr", layers | {"Depth.Z": alpha})
     stored = np.stack(list(colours.values()), -1)
-    found = pictures(tmp_path, (1, 4, 5, 3))
-    np.testing.assert_array_equal(found.values, np.stack([stored[None]] * 2))
-    np.testing.assert_allclose(
-        pictures(tmp_path, (1, 4, 5, 1)).mean[0, ..., 0], (stored * LUMINANCE).sum(-1), rtol=1e-6
-    )
+    with pytest.raises(InputError, match=r"b\.exr: is the same picture as a\.exr, expected independent renders"):
+        pictures(tmp_path, (1, 4, 5, 3))
+    (other := tmp_path / "other").mkdir()
+    (tmp_path / "a.exr").rename(other / "a.exr")
+    for folder in (tmp_path, other):
+        np.testing.assert_array_equal(pictures(folder, (1, 4, 5, 3))[0].values, stored[None, None])
+    found, remarks = pictures(other, (1, 4, 5, 1))
+    np.testing.assert_allclose(found.mean[0, ..., 0], (stored * LUMINANCE).sum(-1), rtol=1e-6)
+    assert f"colours of {other}: luminance alone is compared" in remarks
     write_channels(tmp_path / "c.exr", {"Z": alpha})
     with pytest.raises(InputError, match=r"c\.exr: has the channels Z, expected R, G and B, or Y"):
         pictures(tmp_path, (1, 4, 5, 3))
@@ -124,14 +131,42 @@ def test_pictures_count_as_they_are_stored(tmp_path: Path) -> None:
 def test_a_single_picture_is_said_to_be_taken_as_exact(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "renders"
     folder.mkdir()
-    one = {name: np.full((1, 1), 0.36787944, np.float32) for name in "RGB"}
-    write_channels(folder / "a.exr", one)
+
+    def write(name: str, value: float) -> None:
+        write_channels(folder / name, {channel: np.full((1, 1), value, np.float32) for channel in "RGB"})
+
+    write("a.exr", 0.36787944)
     slab = scene_file("known/slab.xml")
     sides = ("--left", "emission_absorption", "--right", folder, "--spp", 32)
     ran = run("compare", slab, *sides, "--out", tmp_path / "out")
     assert ran.code == 0 and f"untested  noise of {folder}: it has one picture of each view, taken as exact" in ran.out
-    write_channels(folder / "b.exr", one)
-    assert "taken as exact" not in run("compare", slab, *sides, "--out", tmp_path / "two").out
+    write("b.exr", 0.367880)
+    ran = run("compare", slab, *sides, "--out", tmp_path / "two")
+    assert "taken as exact" not in ran.out and "2 renders tell little of their noise; 8 or more do" in ran.out
+
+
+def test_folders_of_which_it_is_not_clear_what_they_show_are_refused(run: Run, tmp_path: Path) -> None:
+    def folder(*names: str) -> Path:
+        made = tmp_path / "_".join(names)
+        made.mkdir()
+        for number, name in enumerate(names):
+            write_channels(made / name, {"Y": np.full((1, 1), number, np.float32)})
+        return made
+
+    views = (2, 1, 1, 1)
+    for names, message in (
+        (("0_a.exr", "1_a.exr", "2_a.exr"), r"2_a\.exr: is of none of the 2 views, expected 0_….exr to 1_….exr"),
+        (("0_a.exr", "1_a.exr", "b.exr"), r"b\.exr: is of none of the 2 views"),
+        (("0_left.exr", "1_right.exr"), "has pictures of a left and a right side, expected those of one renderer"),
+    ):
+        with pytest.raises(InputError, match=message):
+            pictures(folder(*names), views)
+    found, _ = pictures(folder("0.exr", "._0.exr"), (1, 1, 1, 1))
+    assert found.exact, "what a file system keeps beside a picture is none"
+    save_frames(tmp_path / "smoke.npz", Frame(np.ones((1, 1, 1), np.float32), name="smoke"))
+    sides = ["--left", "emission_absorption", "--right", tmp_path / "0.exr_._0.exr", "--views", "0,0"]
+    arguments = ["compare", tmp_path / "smoke.npz", *sides, "--out", tmp_path / "out"]
+    refused(run, tmp_path, arguments, r"its pictures are of one γ, expected one --gamma and not 0\.05, 0\.5, 2")
 
 
 def test_a_baseline_of_another_scene_is_refused_before_anything_is_rendered(
@@ -143,7 +178,10 @@ def test_a_baseline_of_another_scene_is_refused_before_anything_is_rendered(
     monkeypatch.setattr("tnst_mi.commands.compare_sides.prepare", lambda *arguments: pytest.fail("was prepared"))
     arguments = ["compare", scene_file("known/gaussian.xml"), *sides, "--out", tmp_path / "b"]
     refused(
-        run, tmp_path, [*arguments, "--baseline", tmp_path / "a" / "report.json"], r"its subject is .*slab\.xml.*, here"
+        run,
+        tmp_path,
+        [*arguments, "--baseline", tmp_path / "a" / "report.json"],
+        r"its subject's input is \"slab\.xml\", here it is \"gaussian",
     )
 
 

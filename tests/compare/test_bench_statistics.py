@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 from tnst_mi.compare.bench.batches import Batches, comparable, difference
+from tnst_mi.compare.bench.bench_settings import BATCHES
 from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, family, holm
 from tnst_mi.compare.bench.hypotheses import value_families
 from tnst_mi.compare.bench.student import quantile, two_sided_tail
@@ -90,7 +92,10 @@ def test_a_side_that_is_black_is_found() -> None:
 
 COMPARISONS = 2000
 SHAPE = (10, 8, 1)
-BATCHES, PATHS = 16, 32
+PATHS = 8
+
+#: What light cannot be: less than nothing.
+LIGHT = (0.0, math.inf)
 
 Law = Callable[[np.random.Generator], np.ndarray]
 
@@ -108,6 +113,12 @@ def skewed(rng: np.random.Generator) -> np.ndarray:
     )
 
 
+def found(rng: np.random.Generator, pixels: tuple[int, ...] = SHAPE, comparisons: int = COMPARISONS) -> np.ndarray:
+    """Light that few paths find, 15 in 100, and then as much as an exponential law says."""
+    hits = rng.binomial(PATHS, 0.15, (BATCHES, comparisons, *pixels))
+    return np.where(hits > 0, rng.gamma(np.maximum(hits, 1), 1 / (0.15 * PATHS)), 0.0)
+
+
 def common(rng: np.random.Generator) -> np.ndarray:
     """All pixels of a batch share most of their noise, as neighbours under a wide pixel filter do."""
     shared = rng.normal(1, 1, (BATCHES, COMPARISONS, 1, 1, 1))
@@ -119,10 +130,22 @@ def exact(rng: np.random.Generator) -> np.ndarray:
     return np.broadcast_to(np.linspace(0.0, 1.0, math.prod(SHAPE)).reshape(SHAPE), (1, COMPARISONS, *SHAPE))
 
 
+def exact_skewed(rng: np.random.Generator) -> np.ndarray:
+    """The mean of `skewed`."""
+    return np.broadcast_to(np.geomspace(1e-3, 1.0, math.prod(SHAPE)).reshape(SHAPE), (1, COMPARISONS, *SHAPE))
+
+
+def exact_found(rng: np.random.Generator) -> np.ndarray:
+    """The mean of `found`."""
+    return np.ones((1, COMPARISONS, *SHAPE))
+
+
 @functools.cache
 def fake_comparisons(left: Law, right: Law) -> list[Family]:
     rng = np.random.default_rng(5)
-    return value_families("", Batches(left(rng)), Batches(right(rng)), 0.0)
+    ends = {binomial: (0.0, 1.0), skewed: LIGHT, found: LIGHT}
+    sides = [Batches(law(rng), paths=PATHS, ends=ends.get(law, (-math.inf, math.inf))) for law in (left, right)]
+    return value_families("", *sides, 0.0)
 
 
 def false_alarms(left: Law, right: Law, most: float) -> int:
@@ -140,13 +163,52 @@ def false_alarms(left: Law, right: Law, most: float) -> int:
 
 
 @pytest.mark.parametrize(
-    ("left", "right"), [(binomial, binomial), (skewed, skewed), (common, common), (exact, binomial)]
+    ("left", "right"),
+    [
+        (binomial, binomial),
+        (skewed, skewed),
+        (found, found),
+        (common, common),
+        (exact, binomial),
+        (exact_skewed, skewed),
+        (exact_found, found),
+    ],
 )
 def test_two_that_agree_raise_an_alarm_once_in_a_thousand_comparisons_at_most(left: Law, right: Law) -> None:
-    """2000 comparisons of fake renders, each of its mean, tiles and pixels."""
+    """2000 comparisons of fake renders, each of its mean, tiles and pixels, with as many batches as the command has and
+    as few paths in each as it has by default."""
     count = false_alarms(left, right, FALSE_ALARMS)
     # With a probability of 1 in 1000, there are more than 8 in 1 case of 4000.
     assert count <= 8, f"{count} false alarms in {COMPARISONS} comparisons"
+
+
+def test_images_as_large_as_those_of_smoke_raise_none() -> None:
+    """Of 20 images of 96×64 pixels, whose smallest tails are a million times as far out as those of one number."""
+    rng = np.random.default_rng(11)
+    shape = (96, 64, 1)
+    noisy = Batches(found(rng, shape, 20), paths=PATHS, ends=LIGHT)
+    families = value_families("", noisy, Batches(np.ones((1, 20, *shape))), 0.0)
+    assert not any(alarm.any() for alarm in alarms(families, 20 * FALSE_ALARMS))
+    without = value_families("", Batches(noisy.values, rare=False), Batches(np.ones((1, 20, *shape))), 0.0)
+    assert any(alarm.any() for alarm in alarms(without, 20 * FALSE_ALARMS)), (
+        "by errors that leave out that light may have been missed"
+    )
+
+
+@pytest.mark.parametrize(("paths", "share"), [(2, 0.5), (8, 0.05), (8, 0.15), (64, 0.15)])
+def test_derivatives_that_few_paths_carry_raise_no_more_against_an_answer(paths: int, share: float) -> None:
+    """20 000 of them, without known ends, at the level that one of a family of four has: 5 alarms on average."""
+    rng = np.random.default_rng(12)
+    hits = rng.binomial(paths, share, (BATCHES, 20_000))
+    values = np.where(hits > 0, rng.gamma(np.maximum(hits, 1), 1 / (paths * share)), 0.0)
+    answer = Batches(np.ones((1, 20_000)))
+    tests = family(
+        "derivatives", [""] * 20_000, Batches(-values), replace(answer, values=-answer.values), np.array(0.0)
+    )
+    # There are more than 14 in 1 case of 5000.
+    assert (tests.tail <= FALSE_ALARMS / 4).sum() <= 14
+    naive = family("derivatives", [""] * 20_000, Batches(values, rare=False), answer, np.array(0.0))
+    assert (naive.tail <= FALSE_ALARMS / 4).sum() > 14 or paths == 64
 
 
 def test_the_bound_is_close_where_tests_are_few() -> None:
@@ -159,7 +221,7 @@ def test_the_normal_law_in_place_of_students_would_raise_many() -> None:
     rng = np.random.default_rng(7)
     count = 0
     for _ in range(500):
-        found = difference(Batches(rng.normal(0, 1, (BATCHES, 160))), Batches(np.zeros((1, 160))))
+        found = difference(Batches(rng.normal(0, 1, (16, 160))), Batches(np.zeros((1, 160))))
         z = np.abs(found.value / found.standard_error).max()
         count += 160 * 2 * NormalDist().cdf(-z) <= 1e-3
     assert count > 20

@@ -137,6 +137,8 @@ def test_what_is_wrong_with_answers_is_said(tmp_path: Path) -> None:
         ("[mine]\nradiance = nan", r"\[mine\] radiance is nan, expected a finite number"),
         ("[mine]\nderivatives = 3", r"\[mine\] derivatives is 3, expected a table of extinction"),
         ("[mine]\nradiance = 1\nderivatives = {g = 1}", r"expected a table of extinction, albedo, anisotropy, sensor"),
+        ("[mine]\nradiance = 1\nscatters = 'false'", r"\[mine\] scatters is 'false', expected true or false"),
+        ("[mine]\nradiance = 1\nderivative = {}", r"\[mine\] has the key 'derivative', expected some of derivatives, "),
         ("[mine", "cannot be read as TOML"),
     ):
         file.write_text(text)

@@ -131,7 +131,9 @@ def test_a_baseline_finds_what_has_changed_and_nothing_else(run: Run, smoke: Pat
     assert compared(run, smoke, tmp_path / "a", *paper, *flags)[0].code == 1
     baseline = tmp_path / "a" / "report.json"
     ran, report = compared(run, smoke, tmp_path / "b", *paper, *flags, "--seed", 5, "--baseline", baseline)
-    assert ran.code == 0 and not report["baseline"]["changed"] and not report["agree"], "they differ as they did"
+    assert ran.code == 0 and report["baseline"]["outcome"] == "unchanged" and not report["agree"], (
+        "they differ as they did"
+    )
     assert ran.out.splitlines()[-1].startswith("baseline  unchanged: none of ")
 
     # As if paths had become brighter by a fifth: "right" is noisy, "left" is not.
@@ -155,6 +157,7 @@ def test_a_baseline_finds_what_has_changed_and_nothing_else(run: Run, smoke: Pat
         ("[" * 100_000, "cannot be read as JSON"),
         ("[]", "its format is None, expected 'tnst_mi.compare/1'"),
         ('{"format": "tnst_mi.compare/1"}', "tests is null, expected a list of tables"),
+        ('{"format": "tnst_mi.compare/1", "tests": []}', "outcome is null, expected one of agree, disagree"),
         ('{"format": "tnst_mi.compare/1", "tests": [{"label": 3}]}', "test 0 lacks its label"),
         (
             '{"format": "tnst_mi.compare/1", "tests": [{"label": "a", "tested": true, "left": NaN}]}',

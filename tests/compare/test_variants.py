@@ -154,12 +154,12 @@ def test_a_film_of_colours_is_held_against_one_without_by_its_luminance(tmp_path
     settings = BenchSettings(*sides, (), 32, 32, ("extinction",), 1e-3, 0)
     (ready,) = prepare(path, settings)
     assert ready.shape == (1, 1, 2, 1)
-    left, right = (side.images(lambda share: None).mean for side in ready.sides)
+    left, right = (side.images(32, lambda share: None).mean for side in ready.sides)
     expected = np.exp(-1.0) * np.dot(LUMINANCE, (0.9, 0.5, 0.1))
     np.testing.assert_allclose(left, expected, rtol=1e-4)
     np.testing.assert_allclose(right, expected, rtol=1e-4)
     assert ready.sides[0].untested == ["colours: emission_absorption@mono has luminance alone"]
-    taken, _ = ready.sides[0].derivatives("extinction", lambda share: None)
+    taken, _ = ready.sides[0].derivatives("extinction", 32, lambda share: None)
     for way, found in taken.items():
         assert float(found.mean) == pytest.approx(-expected, rel=1e-3), way
     renderer = scene_renderer(path, sides[0])

@@ -24,7 +24,7 @@ _ReadingFlags = recipe_flags(("frames", *Reading.__annotations__, "fps"))
 
 @dataclass(kw_only=True)
 class SideFlags:
-    """Compare any two renderers, of which at least one of these is given."""
+    """Compare any two renderers: any of these flags does so, in place of the comparison of ours with its references."""
 
     left: Annotated[
         str | None, tyro.conf.arg(metavar=PLACEHOLDER, help_behavior_hint="(default: emission_absorption:exact)")
@@ -54,7 +54,8 @@ class SideFlags:
     baseline: Annotated[
         Path | None, tyro.conf.arg(metavar="REPORT.json", help_behavior_hint="(default: left and right)")
     ] = None
-    """Report of an earlier comparison of the same two: the exit code says whether either has changed since."""
+    """Report of an earlier comparison of the same two: the exit code says whether either has changed since, they have
+    ceased to agree, or something can no longer be tested."""
 
 
 @dataclass(kw_only=True)
@@ -63,9 +64,10 @@ class CompareArguments(Arguments):
 
     Without --left and --right: the quadrature exact against prbvolpath. The quadrature paper, which drives a
     stylization by default, is another one: it is compared with its own sum in float64, and its distance from the
-    continuous integral is stated for each γ. With --left or --right: any two renderers, on a density or on a Mitsuba
-    scene. Writes report.html, report.json, figures and EXR images, and ends with a verdict: exit code 0 if all checks
-    pass, 1 if not. Of a folder of numbered files, the first is compared.
+    continuous integral is stated for each γ. With --left or --right, or another flag of their group: any two renderers,
+    on a density or on a Mitsuba scene. Writes report.html, report.json, figures and EXR images, and ends with a
+    verdict: exit code 0 if all checks pass, 1 if not, or if of two renderers nothing could be tested. Of a folder of
+    numbered files, the first is compared.
     """
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
@@ -80,13 +82,14 @@ class CompareArguments(Arguments):
     gamma: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NUMBER…")] = ("0.05", "0.5", "2")
     """Extinction γ per cell at density 1, one or more."""
     spp: Annotated[str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_SPP})")] = None
-    """Paths per pixel, 32 or more; a quarter of them for gradients."""
+    """Paths per pixel, 32 or more; a quarter of them for gradients. With --left or --right in multiples of 32, and by
+    default more where an image has fewer than 4096 pixels."""
     directions: Annotated[
         str | None, tyro.conf.arg(metavar="INTEGER", help_behavior_hint=f"(default: {FULL_DIRECTIONS})")
     ] = None
     """Number of random smooth directions for derivatives, 3 or more; not with --left and --right."""
     quick: bool = False
-    """Fewer paths and directions, and gradients only at the middle γ."""
+    """Fewer paths and directions, and gradients only at the middle γ; with --left or --right, fewer paths."""
     seed: Annotated[str, tyro.conf.arg(metavar="INTEGER")] = "0"
     """Seed of the paths and directions."""
     density_scale: Annotated[str, tyro.conf.arg(metavar="NUMBER|auto")] = "1"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tnst_mi.commands.base import checked
 from tnst_mi.commands.compare_arguments import COMPARE_VIEWS, FULL_SPP, CompareArguments
 from tnst_mi.commands.compare_input import ComparedSmoke, read_smoke, views_and_gammas
-from tnst_mi.compare.bench.baseline import change_verdict, changes, read_baseline, require_same, require_same_tests
+from tnst_mi.compare.bench.baseline import held_against, read_baseline, require_same, require_same_tests
 from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.measurement import measure, prepare
 from tnst_mi.compare.bench.parameters import parameter_names
@@ -37,9 +37,6 @@ else:
 
 _QUICK_SPP, _LEAST_SPP = 64, 32
 
-#: Each derivative takes five times as many images.
-_GRADIENT_SHARE = 4
-
 
 def run_sides(arguments: CompareArguments) -> int:
     """Measure, write the report, print the verdict."""
@@ -51,9 +48,11 @@ def run_sides(arguments: CompareArguments) -> int:
     variant = activate()
     require_optix("compare")
     subject, described, smoke = _subject(arguments, settings)
-    if flags.baseline is not None and baseline is not None:
-        require_same(flags.baseline, baseline, described, settings.left.text, settings.right.text)
+    if baseline is not None:
+        require_same(baseline, described, settings)
     prepared = prepare(subject, settings)
+    if arguments.spp is None and not arguments.quick:
+        settings = settings.with_more_where_pixels_are_few(prepared[0].shape)
     views = ("0",)
     if smoke is not None:
         views = tuple(text_of(view) for view in smoke.views)
@@ -67,12 +66,12 @@ def run_sides(arguments: CompareArguments) -> int:
 
         measured = measure(prepared, views, settings, report)
         record = record_of(described, settings, measured)
-        passed = bool(record["agree"])
-        if flags.baseline is not None and baseline is not None:
-            require_same_tests(flags.baseline, baseline, record)
-            families, found = changes(baseline, record)
-            passed = not any(alarm.any() for alarm in found)
-            record["baseline"] = {"changed": not passed, "verdict": change_verdict(families, found)}
+        passed = record["outcome"] == "agree"
+        if baseline is not None:
+            families = measured.families()
+            require_same_tests(baseline, families)
+            record["baseline"] = held_against(baseline, families)
+            passed = record["baseline"]["outcome"] == "unchanged"
         record |= {"versions": versions(), "device": device(variant), "seconds": bar.format_dict["elapsed"]}
         report("report", 0.0)
         written.write_bench(arguments.out, settings, measured, record)
@@ -93,16 +92,17 @@ def _settings(arguments: CompareArguments) -> BenchSettings:
     _, gammas = views_and_gammas(arguments)
     spp = arguments.spp or str(_QUICK_SPP if arguments.quick else FULL_SPP)
     spp = checked("spp", spp, Integer(_LEAST_SPP, 1 << 24))
-    return BenchSettings(
+    settings = BenchSettings(
         left=side_of("left", flags.left or f"{OURS}:exact"),
         right=side_of("right", flags.right or "prbvolpath"),
         gammas=gammas,
-        spp=spp,
-        gradient_spp=max(_LEAST_SPP, spp // _GRADIENT_SHARE),
+        spp=0,
+        gradient_spp=0,
         parameters=parameter_names(flags.gradients),
         tolerance=checked("tolerance", flags.tolerance or "0.001", Number(0.0, 1.0)),
         seed=checked("seed", arguments.seed, KINDS["seed"]),
     )
+    return settings.with_paths(spp)
 
 
 def _subject(
@@ -114,7 +114,7 @@ def _subject(
         _require_no_smoke_flags(arguments)
         if not path.is_file():
             raise InputError(f"{path}: no such file, expected a Mitsuba scene")
-        return path, {"input": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}, None
+        return path, {"input": path.name, "sha256": _sha256(path)}, None
     views, _ = views_and_gammas(arguments)
     albedo = checked("albedo", flags.albedo or "0", Number(0.0, 1.0))
     anisotropy = checked("anisotropy", flags.anisotropy or "0", Number(-0.99, 0.99))
@@ -135,9 +135,14 @@ def _subject(
         "albedo": albedo,
         "anisotropy": anisotropy,
         "light": light if albedo else None,
+        "light_sha256": _sha256(file) if albedo and file.is_file() else None,
         "density_scale": found.unit.factor,
     }
     return smoke, described, found
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _require_no_smoke_flags(arguments: CompareArguments) -> None:

@@ -1,21 +1,26 @@
 """The output of a comparison of any two renderers.
 
 report.html   everything, with pictures       report.json   every number, see `record`
+pixels.npz    the numbers of every pixel, for a later comparison of which this is the baseline
 figures/*.png                                 images/*.exr  mean images of either side, and their difference
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import re
 from pathlib import Path
 from typing import Any
 
 from tnst_mi.compare.bench import plots
+from tnst_mi.compare.bench.baseline import pixel_columns
 from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.measurement import Measured
+from tnst_mi.compare.bench.record import PIXELS
 from tnst_mi.compare.figures import write_figure
+from tnst_mi.io.grids.npz import write_arrays
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.report_page import page, write_text
 
@@ -40,6 +45,9 @@ def write_bench(out: Path, settings: BenchSettings, measured: Measured, record: 
         path = out / "figures" / f"{name}.png"
         write_figure(path, figure)
         encoded[name] = base64.b64encode(path.read_bytes()).decode("ascii")
+    pixels = next(tests for tests in measured.families() if tests.name == "pixels")
+    write_arrays(out / PIXELS, pixel_columns(pixels))
+    record = record | {"pixels": hashlib.sha256((out / PIXELS).read_bytes()).hexdigest()}
     write_text(out / "report.html", page("compare_sides.html", record=record, figures=encoded))
     write_text(out / "report.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
 

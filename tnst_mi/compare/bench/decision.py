@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches, Difference, comparable, difference
-from tnst_mi.compare.bench.student import two_sided_tail
+from tnst_mi.compare.bench.batches import Batches, Difference, comparable, difference, missed
+from tnst_mi.compare.bench.student import quantile, two_sided_tail
 
 #: Probability that a comparison of two that agree finds fault.
 FALSE_ALARMS = 1e-3
+
+#: Twice the probability with which a difference that is stated as detectable is missed.
+_MISSES = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +35,9 @@ class Family:
         left_degrees, right_degrees: degrees of freedom of these; 0 if free of noise.
         difference: left minus right.
         allowance: the difference that does not count.
-        tested: False where the batches do not differ enough, see `batches.comparable`.
+        size: what differences are relative to where they are stated in percent.
+        missed: the probability of what batches that are all the same have found, see `batches.missed`; 1 elsewhere.
+        tested: False where nothing can be said, see `batches.comparable`.
     """
 
     name: str
@@ -44,6 +50,8 @@ class Family:
     right_degrees: np.ndarray
     difference: Difference
     allowance: np.ndarray
+    size: np.ndarray
+    missed: np.ndarray
     tested: np.ndarray
 
     @property
@@ -53,7 +61,8 @@ class Family:
         error = self.difference.standard_error
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.where(beyond > 0, beyond / error, 0.0)
-        return np.where(self.tested, two_sided_tail(t, self.difference.degrees), 1.0)
+        tail = np.where(self.missed < 1, self.missed, two_sided_tail(t, self.difference.degrees))
+        return np.where(self.tested, tail, 1.0)
 
     @property
     def scores(self) -> np.ndarray:
@@ -63,9 +72,42 @@ class Family:
         return np.where(noisy, self.difference.value / np.where(noisy, error, 1.0), np.nan)
 
 
-def family(name: str, labels: Sequence[str], left: Batches, right: Batches, allowance: np.ndarray) -> Family:
-    """Tests of the elements of two estimates, flattened; `allowance` is broadcast to their shape."""
+def detectable(families: Sequence[Family], most: float = FALSE_ALARMS) -> list[np.ndarray]:
+    """For each test of each family, the true difference that is found nine times in ten; NaN where none is tested.
+
+    By the first step of Holm's procedure, which allows least: further ones find smaller differences.
+    """
+    return [_detectable(member, most / max(len(families), 1) / max(len(member.labels), 1)) for member in families]
+
+
+def _detectable(tests: Family, level: float) -> np.ndarray:
+    degrees = np.floor(tests.difference.degrees).astype(int)
+    errors = np.zeros(degrees.shape)
+    for count in np.unique(degrees):
+        errors[degrees == count] = _quantile(level, int(count)) + _quantile(_MISSES, int(count))
+    # Without noise, degrees of freedom mean nothing.
+    noise = tests.difference.standard_error
+    found = tests.allowance + np.where(noise > 0, errors * noise, 0.0)
+    return np.where(tests.tested & (tests.missed == 1), found, np.nan)
+
+
+@lru_cache
+def _quantile(probability: float, degrees: int) -> float:
+    return quantile(probability, degrees)
+
+
+def family(
+    name: str,
+    labels: Sequence[str],
+    left: Batches,
+    right: Batches,
+    allowance: np.ndarray,
+    size: np.ndarray | float = 1.0,
+) -> Family:
+    """Tests of the elements of two estimates, flattened; `allowance` and `size` are broadcast to their shape."""
     found = difference(left, right)
+    allowance, size = (np.broadcast_to(each, left.mean.shape) for each in (allowance, size))
+    unlikely = missed(left, right, allowance)
     return Family(
         name,
         labels,
@@ -76,8 +118,10 @@ def family(name: str, labels: Sequence[str], left: Batches, right: Batches, allo
         np.full(left.mean.size, left.degrees),
         np.full(right.mean.size, right.degrees),
         Difference(found.value.ravel(), found.standard_error.ravel(), found.degrees.ravel()),
-        np.broadcast_to(allowance, left.mean.shape).ravel(),
-        comparable(left, right).ravel(),
+        allowance.ravel(),
+        size.ravel(),
+        unlikely.ravel(),
+        (comparable(left, right) | (unlikely <= FALSE_ALARMS)).ravel(),
     )
 
 
@@ -108,6 +152,8 @@ def _joined(name: str, members: Sequence[Family]) -> Family:
             together(lambda member: member.difference.degrees),
         ),
         together(lambda member: member.allowance),
+        together(lambda member: member.size),
+        together(lambda member: member.missed),
         together(lambda member: member.tested),
     )
 

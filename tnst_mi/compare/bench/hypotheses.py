@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class Derivative:
         parameter: one of `PARAMETERS`.
         left, right: by how they were taken: batches (n,).
         missing: why a side has none, or none of a kind.
+        steps: of central differences, of the left and the right; None where a side takes none. For the sensor, in the
+            units of the scene.
         size: of the mean itself, to which the tolerance is relative where the derivative is smaller.
     """
 
@@ -51,6 +53,7 @@ class Derivative:
     left: dict[str, Batches]
     right: dict[str, Batches]
     missing: tuple[str, ...]
+    steps: tuple[float | None, float | None]
     size: float
 
 
@@ -77,18 +80,21 @@ def value_families(
     size = np.sqrt(np.maximum(left.mean**2, right.mean**2).mean((1, 2, 3), keepdims=True))
     allowed = Batches((tolerance * size + (np.zeros(left.mean.shape) if slack is None else slack))[None])
     tiles = left.tiles()
+    sizes = Batches(np.broadcast_to(size, left.mean.shape)[None])
     kinds = {
-        "means": (left.means(), right.means(), allowed.means(), [""]),
+        "means": (left.means(), right.means(), allowed.means(), sizes.means(), [""]),
         "tiles": (
             tiles,
             right.tiles(),
             allowed.tiles(),
+            sizes.tiles(),
             [f", tile {y},{x}" for y, x in np.ndindex(*tiles.values.shape[2:4])],
         ),
         "pixels": (
             left,
             right,
             allowed,
+            sizes,
             [f", row {y}, column {x}" for y, x in np.ndindex(rows, columns)],
         ),
     }
@@ -99,8 +105,9 @@ def value_families(
             one,
             other,
             allowance.mean,
+            scale.mean,
         )
-        for kind, (one, other, allowance, places) in kinds.items()
+        for kind, (one, other, allowance, scale, places) in kinds.items()
     ]
 
 
@@ -121,10 +128,11 @@ def derivative_tests(derivative: Derivative, tolerance: float) -> Family:
     prefix = f"{derivative.where}, " if derivative.where else ""
     tests = []
     for label, one, another in pairs:
-        size = max(abs(float(one.mean)), abs(float(another.mean)), derivative.size)
-        one, another = (Batches(side.values[:, None], side.rare) for side in (one, another))
+        own = max(abs(float(one.mean)), abs(float(another.mean)))
+        one, another = (replace(side, values=side.values[:, None]) for side in (one, another))
         label = f"{prefix}derivative with respect to {derivative.parameter}, {label}"
-        tests.append(family("derivatives", [label], one, another, np.array(tolerance * size)))
+        allowance = np.array(tolerance * max(own, derivative.size))
+        tests.append(family("derivatives", [label], one, another, allowance, own))
     return merged(tests)[0] if tests else _no_tests()
 
 

@@ -21,6 +21,8 @@ ANSWERS = "answers.toml"
 #: The largest file of answers that is read, in bytes.
 _LARGEST = 1 << 20
 
+_KEYS = {"radiance", "derivatives", "scatters", "formula", "source"}
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -80,13 +82,17 @@ def _answer(file: Path, name: str, table: Any) -> Answer:
     where = f"{file}: [{name}]"
     if not isinstance(table, dict):
         raise InputError(f"{where} is {table!r}, expected a table with radiance and derivatives")
-    derivatives = table.get("derivatives", {})
+    if unknown := sorted(table.keys() - _KEYS):
+        raise InputError(f"{where} has the key {unknown[0]!r}, expected some of {', '.join(sorted(_KEYS))}")
+    derivatives, scatters = table.get("derivatives", {}), table.get("scatters", True)
+    if not isinstance(scatters, bool):
+        raise InputError(f"{where} scatters is {scatters!r}, expected true or false")
     if not isinstance(derivatives, dict) or not set(derivatives) <= set(PARAMETERS):
         raise InputError(f"{where} derivatives is {derivatives!r}, expected a table of {', '.join(PARAMETERS)}")
     return Answer(
         _number(where, "radiance", table.get("radiance")),
         {key: _number(where, key, value) for key, value in derivatives.items()},
-        bool(table.get("scatters", True)),
+        scatters,
         str(table.get("formula", "")),
         str(table.get("source", "")),
     )

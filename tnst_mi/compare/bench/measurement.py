@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ class Measured:
         derivatives: of each γ and parameter.
         tolerance: difference that does not count.
         variants: of Mitsuba, of the left and the right; None of what it does not render.
+        traced: paths per pixel of the images, of the left and the right; None of what has no noise or is not rendered.
         untested: what images do not show, or not certainly.
     """
 
@@ -45,17 +47,30 @@ class Measured:
     derivatives: list[Derivative]
     tolerance: float
     variants: tuple[str | None, str | None]
+    traced: tuple[int | None, int | None]
     untested: tuple[str, ...]
+
+    @cached_property
+    def tests(self) -> dict[str, list[Family]]:
+        """By what they are of, each image pair and derivative, with the families of each."""
+        found = {
+            f"{pair.where} images".strip(): value_families(
+                pair.where, pair.left, pair.right, self.tolerance, self.views, pair.slack
+            )
+            for pair in self.images
+        }
+        for derivative in self.derivatives:
+            what = f"{derivative.where} derivative with respect to {derivative.parameter}".strip()
+            found[what] = [derivative_tests(derivative, self.tolerance)]
+        return found
 
     def families(self) -> list[Family]:
         """All tests."""
-        found = [
-            tests
-            for pair in self.images
-            for tests in value_families(pair.where, pair.left, pair.right, self.tolerance, self.views, pair.slack)
-        ]
-        found += [derivative_tests(derivative, self.tolerance) for derivative in self.derivatives]
-        return merged([tests for tests in found if len(tests.labels)])
+        return merged([member for members in self.tests.values() for member in members if len(member.labels)])
+
+    def unseen(self) -> list[str]:
+        """Of what nothing could be tested: of images, no mean."""
+        return [what for what, (first, *_) in self.tests.items() if not first.tested.any()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +99,11 @@ def prepare(subject: SmokeScene | Path, settings: BenchSettings) -> list[ReadySi
     Raises:
         InputError: a side cannot show it, or what it needs cannot be read.
     """
-    places = [(f"γ {gamma:g}", gamma) for gamma in settings.gammas] if isinstance(subject, SmokeScene) else [("", 0.0)]
+    places = (
+        [(f"γ {_positional(gamma)}", gamma) for gamma in settings.gammas]
+        if isinstance(subject, SmokeScene)
+        else [("", 0.0)]
+    )
     prepared = []
     for number, (where, gamma) in enumerate(places):
         left = PreparedSide(subject, gamma, settings.left, settings, (settings.seed, number, 0))
@@ -110,7 +129,7 @@ def measure(
     for place in prepared:
         working = _working(progress, place.where, share)
         left, right = (
-            side.images(working) if fixed is None else fixed
+            side.images(settings.spp, working) if fixed is None else fixed
             for side, fixed in zip(place.sides, place.fixed, strict=True)
         )
         images.append(ImagePair(place.where, left, right, place.slack, place.arbiters))
@@ -118,13 +137,25 @@ def measure(
         for name in settings.parameters:
             working = _working(progress, f"{place.where} {name}".strip(), share)
             (left_found, left_missing), (right_found, right_missing) = (
-                side.derivatives(name, working) for side in place.sides
+                side.derivatives(name, settings.gradient_spp, working) for side in place.sides
             )
             missing = (*left_missing, *right_missing)
-            derivatives.append(Derivative(place.where, name, left_found, right_found, missing, size))
+            steps = (place.sides[0].step(name), place.sides[1].step(name))
+            derivatives.append(Derivative(place.where, name, left_found, right_found, missing, steps, size))
     left, right = prepared[0].sides
     untested = dict.fromkeys(line for place in prepared for side in place.sides for line in side.untested)
-    return Measured(images, views, derivatives, settings.tolerance, (left.variant, right.variant), tuple(untested))
+    traced = (_traced(left, images[0].left), _traced(right, images[0].right))
+    variants = (left.variant, right.variant)
+    return Measured(images, views, derivatives, settings.tolerance, variants, traced, tuple(untested))
+
+
+def _traced(side: PreparedSide, images: Batches) -> int | None:
+    return None if side.renderer is None or images.exact else len(images.values) * images.paths
+
+
+def _positional(number: float) -> str:
+    """With all its digits, so that no two are written alike."""
+    return np.format_float_positional(number, trim="-")
 
 
 def _working(progress: Progress, name: str, share: float) -> Callable[[float], None]:

@@ -27,7 +27,8 @@ _KEYS = {
     "anisotropy": re.compile(r"(^|\.)phase_function\.g$"),
 }
 
-#: Steps of central differences; that of the sensor relative to the diagonal of the scene.
+#: Steps of central differences; that of the sensor relative to the diagonal of the media, of which a scene's ground may
+#: be far larger.
 _STEPS = {"extinction": 0.05, "albedo": 0.02, "anisotropy": 0.02, "sensor": 0.005}
 
 #: Between these the albedo and g remain, twice the step included.
@@ -44,17 +45,14 @@ class SceneParameters:
     def __init__(self, scene: mi.Scene) -> None:
         self._all = mi.traverse(scene)
         self._sensor = scene.sensors()[0]
-        box = scene.bbox()
-        self._diagonal = float(np.linalg.norm(np.ravel(box.max) - np.ravel(box.min))) if box.valid() else 1.0
+        self._diagonal = _diagonal_of_media(scene)
         keys = [str(key) for key in self._all.keys()]
         self.keys = {name: [key for key in keys if pattern.search(key)] for name, pattern in _KEYS.items()}
-        to_world = f"{self._sensor.id()}.to_world"
-        self._to_world = next(
-            (key for key in keys if key == to_world), next((k for k in keys if "to_world" in k), None)
-        )
+        # Of the sensor alone: in the scene, it may have no name of its own, and others have places too.
+        self._placement = mi.traverse(self._sensor)
         #: Before any displacement.
         self._values = {key: _copy(self._all[key]) for found in self.keys.values() for key in found}
-        self._place = None if self._to_world is None else mi.Transform4f(self._all[self._to_world])
+        self._place = mi.Transform4f(self._placement["to_world"]) if "to_world" in self._placement else None
 
     @property
     def scatters(self) -> bool:
@@ -98,7 +96,9 @@ class SceneParameters:
             if hasattr(self._sensor, "displacement"):
                 self._sensor.displacement = mi.Vector3f(offset) if amount else None
                 return
-            self._all[self._to_world] = mi.Transform4f().translate(offset) @ self._place
+            self._placement["to_world"] = mi.Transform4f().translate(offset) @ self._place
+            self._placement.update()
+            return
         for key in self.keys.get(name, ()):
             value = self._values[key]
             self._all[key] = value * (1 + amount) if name == "extinction" else value + amount
@@ -124,6 +124,17 @@ class SceneParameters:
             gradient = dr.grad(self._all[key]).numpy().astype(np.float64)
             total += float((gradient * self._values[key].numpy()).sum() if name == "extinction" else gradient.sum())
         return total
+
+
+def _diagonal_of_media(scene: mi.Scene) -> float:
+    """Of the box around all media, or around the scene where no shape has one; 1 where that is empty."""
+    media = [shape.bbox() for shape in scene.shapes() if shape.is_medium_transition()]
+    box = scene.bbox()
+    if media:
+        box = mi.ScalarBoundingBox3f()
+        for each in media:
+            box.expand(each)
+    return float(np.linalg.norm(np.ravel(box.max) - np.ravel(box.min))) if box.valid() else 1.0
 
 
 def _copy(value: Any) -> Any:

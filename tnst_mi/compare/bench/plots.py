@@ -79,6 +79,8 @@ def derivative_figure(derivatives: Sequence[dict[str, Any]]) -> Figure:
         place.set_ylim(-len(estimates) + 0.4, 0.6)
         place.set_title(f"{derivative['where']} {derivative['parameter']}".strip(), fontsize=9)
         place.tick_params(labelsize=8)
+        place.locator_params(axis="x", nbins=4)
+        place.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
     for place in axes[len(derivatives) :]:
         place.set_axis_off()
     return figure

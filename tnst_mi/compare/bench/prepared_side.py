@@ -100,9 +100,11 @@ class PreparedSide:
                 )
             return None
         if self.side.kind == "pictures":
-            found = pictures(self.side.path, shape)
-            if found.exact:
-                self.untested.append(f"noise of {self.side.text}: it has one picture of each view, taken as exact")
+            if isinstance(self.subject, SmokeScene) and len(self.settings.gammas) > 1:
+                gammas = ", ".join(f"{gamma:g}" for gamma in self.settings.gammas)
+                raise InputError(f"{self.side.path}: its pictures are of one γ, expected one --gamma and not {gammas}")
+            found, remarks = pictures(self.side.path, shape)
+            self.untested += remarks
             return found
         if self.side.kind == ANSWER:
             return Batches(np.full((1, *shape), self._answer().radiance))
@@ -110,10 +112,9 @@ class PreparedSide:
             raise InputError(f"{self.side.text}: is of smoke that emits and absorbs, expected a density and --albedo 0")
         return Batches(float64_images(self.subject, self.gamma, self.side.quadrature)[0][None])
 
-    def images(self, traced: Callable[[float], None]) -> Batches:
-        """Its rendered images."""
+    def images(self, spp: int, traced: Callable[[float], None]) -> Batches:
+        """Its rendered images, of so many paths per pixel or as many more as its sampler can draw."""
         assert self.renderer is not None and self.variant is not None, "others are fixed"
-        spp = self.settings.spp
         with within(self.variant):
             found = self.renderer.images(spp, BATCHES, (*self._seed, 0), lambda paths: traced(paths / spp))
         if not np.isfinite(found.values).all():
@@ -125,7 +126,7 @@ class PreparedSide:
             )
         return found
 
-    def derivatives(self, name: str, traced: Callable[[float], None]) -> tuple[dict[str, Batches], list[str]]:
+    def derivatives(self, name: str, spp: int, traced: Callable[[float], None]) -> tuple[dict[str, Batches], list[str]]:
         """By how they were taken, and why others were not."""
         if self.side.kind == ANSWER:
             known = self._answer().derivatives.get(name)
@@ -135,18 +136,23 @@ class PreparedSide:
         if self.renderer is None or self.variant is None:
             return {}, [f"{self.side.text}: has images alone"]
         with within(self.variant):
-            found, missing = self._taken(self.renderer, name, traced)
+            found, missing = self._taken(self.renderer, name, spp, traced)
         for way, estimate in found.items():
             if not np.isfinite(estimate.values).all():
                 raise InputError(f"{self.side.text}: the derivative with respect to {name} by {way} is not finite")
         return found, missing
 
+    def step(self, name: str) -> float | None:
+        """Of its central differences with respect to a parameter; None if it takes none."""
+        if self.renderer is None or self._parameters.missing(name):
+            return None
+        return self._parameters.step(name)
+
     def _taken(
-        self, renderer: SideRenderer, name: str, traced: Callable[[float], None]
+        self, renderer: SideRenderer, name: str, spp: int, traced: Callable[[float], None]
     ) -> tuple[dict[str, Batches], list[str]]:
         if reason := self._parameters.missing(name):
             return {}, [f"{self.side.text}: {reason}"]
-        spp = self.settings.gradient_spp
         number = 1 + self.settings.parameters.index(name)
         part = 1 / (spp * (_IMAGES + 1))
         arguments = (self._parameters, name, spp, BATCHES)

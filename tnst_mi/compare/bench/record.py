@@ -9,12 +9,17 @@ import numpy as np
 
 from tnst_mi.compare.bench.batches import Batches, difference
 from tnst_mi.compare.bench.bench_settings import BATCHES, BenchSettings
-from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms
+from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, detectable
 from tnst_mi.compare.bench.hypotheses import ImagePair
 from tnst_mi.compare.bench.measurement import Measured
 from tnst_mi.compare.values import relative_rms
 
 FORMAT = "tnst_mi.compare/1"
+
+#: The file beside report.json with the numbers of every pixel, for `baseline`.
+PIXELS = "pixels.npz"
+
+OUTCOMES = ("agree", "disagree", "inconclusive")
 
 #: The family that is too large to be written test by test, and how many of its alarms are named.
 _LARGE, _NAMED = "pixels", 20
@@ -28,7 +33,8 @@ METHOD = (
 def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measured) -> dict[str, Any]:
     """All numbers; `subject` says what was rendered."""
     families = measured.families()
-    found = alarms(families)
+    found, seen = alarms(families), detectable(families)
+    outcome = outcome_of(measured, found)
     record = {
         "format": FORMAT,
         "subject": subject,
@@ -43,16 +49,18 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
             "seed": settings.seed,
             "parameters": list(settings.parameters),
         },
-        "agree": not any(alarm.any() for alarm in found),
-        "verdict": verdict(settings, families, found),
-        "not_tested": not_tested(measured, families),
+        "traced": dict(zip(("left", "right"), measured.traced, strict=True)),
+        "outcome": outcome,
+        "agree": outcome == "agree",
+        "verdict": verdict(settings, measured, families, found, seen),
+        "not_tested": not_tested(measured, families, seen),
         "false_alarms": {"probability": FALSE_ALARMS, "method": METHOD},
-        "families": [_summary(tests, alarm) for tests, alarm in zip(families, found, strict=True)],
+        "families": [_summary(*row) for row in zip(families, found, seen, strict=True)],
         "tests": [
             test
-            for tests, alarm in zip(families, found, strict=True)
+            for tests, alarm, least in zip(families, found, seen, strict=True)
             if tests.name != _LARGE
-            for test in _tests(tests, alarm)
+            for test in _tests(tests, alarm, least)
         ],
         "convergence": [row for pair in measured.images for row in convergence(pair, settings.spp)],
         "arbiters": [row for pair in measured.images for row in _arbiters(pair)],
@@ -63,6 +71,7 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
                 "left": _estimates(derivative.left),
                 "right": _estimates(derivative.right),
                 "missing": list(derivative.missing),
+                "steps": dict(zip(("left", "right"), derivative.steps, strict=True)),
             }
             for derivative in measured.derivatives
         ],
@@ -70,12 +79,31 @@ def record_of(subject: dict[str, Any], settings: BenchSettings, measured: Measur
     return record
 
 
-def verdict(settings: BenchSettings, families: Sequence[Family], found: Sequence[np.ndarray]) -> str:
-    """One line: whether the sides agree, otherwise the clearest difference, and what was tested."""
+def outcome_of(measured: Measured, found: Sequence[np.ndarray]) -> str:
+    """ "disagree" if any test alarms, "inconclusive" if of something that was asked for nothing could be tested, or
+    "agree"."""
+    if any(alarm.any() for alarm in found):
+        return "disagree"
+    return "inconclusive" if measured.unseen() else "agree"
+
+
+def verdict(
+    settings: BenchSettings,
+    measured: Measured,
+    families: Sequence[Family],
+    found: Sequence[np.ndarray],
+    seen: Sequence[np.ndarray],
+) -> str:
+    """One line: whether the sides agree, otherwise the clearest difference, what was tested, and how precisely."""
     sides = f"{settings.left.text} and {settings.right.text}"
     counts = ", ".join(f"{int(tests.tested.sum())} of {len(tests.labels)} {tests.name}" for tests in families)
-    tested = f"tested: {counts}; differences up to {settings.tolerance:g} of the RMS do not count"
+    shares = [(tests.name, _largest_share(tests, least)) for tests, least in zip(families, seen, strict=True)]
+    precise = ", ".join(f"{_percent(share)} in {name}" for name, share in shares if share is not None)
+    tested = f"tested: {counts}; " + (f"9 of 10 differences are found that reach {precise}; " if precise else "")
+    tested += f"differences up to {settings.tolerance:g} of the RMS do not count"
     total = sum(int(alarm.sum()) for alarm in found)
+    if not total and (unseen := measured.unseen()):
+        return f"INCONCLUSIVE: {sides}: nothing could be tested of the {', the '.join(unseen)}; {tested}"
     if not total:
         return f"agree: {sides} do not differ by more than chance explains; {tested}"
     # A mean says more than a tile, and that more than a pixel.
@@ -93,17 +121,37 @@ def _apart(tests: Family, index: int) -> str:
     return f"{abs(value) / error:.1f} standard errors apart" if error > 0 else "without noise"
 
 
-def not_tested(measured: Measured, families: Sequence[Family]) -> list[str]:
+def _percent(share: float) -> str:
+    return f"{share:.0f}%" if share >= 10 else f"{share:.2g}%"
+
+
+def _largest_share(tests: Family, least: np.ndarray) -> float | None:
+    """In percent of their sizes, the largest of the detectable differences; None if there is none."""
+    known = np.isfinite(least) & (tests.size > 0)
+    return 100 * float((least[known] / tests.size[known]).max()) if known.any() else None
+
+
+def not_tested(measured: Measured, families: Sequence[Family], seen: Sequence[np.ndarray]) -> list[str]:
     """What the verdict says nothing about, and why."""
-    lines = [
-        f"{int((~tests.tested).sum())} {tests.name}, where most batches have the same value: more --spp"
-        for tests in families
-        if not tests.tested.all()
-    ]
+    lines = []
+    for tests in families:
+        black = ~tests.tested & (tests.left == 0) & (tests.right == 0)
+        reasons = {
+            "where both sides are 0": black,
+            "where most batches have the same value: more --spp, or an independent sampler": ~tests.tested & ~black,
+        }
+        lines += [f"{int(which.sum())} {tests.name}, {reason}" for reason, which in reasons.items() if which.any()]
     lines += [
         f"{pair.where} anything: both sides are black".strip()
         for pair in measured.images
         if not pair.left.values.any() and not pair.right.values.any()
+    ]
+    lines += [
+        f"the sign of the {label}: only differences of {_percent(100 * differs / size)} would be found; more --spp"
+        for tests, least in zip(families, seen, strict=True)
+        if tests.name == "derivatives"
+        for label, differs, size in zip(tests.labels, least, tests.size, strict=True)
+        if differs > size > 0
     ]
     lines += measured.untested
     lines += list(dict.fromkeys(reason for derivative in measured.derivatives for reason in derivative.missing))
@@ -162,7 +210,8 @@ def _estimates(found: dict[str, Batches]) -> dict[str, Any]:
     }
 
 
-def _summary(tests: Family, alarm: np.ndarray) -> dict[str, Any]:
+def _summary(tests: Family, alarm: np.ndarray, least: np.ndarray) -> dict[str, Any]:
+    share = _largest_share(tests, least)
     scores = tests.scores[np.isfinite(tests.scores)]
     return {
         "name": tests.name,
@@ -171,12 +220,13 @@ def _summary(tests: Family, alarm: np.ndarray) -> dict[str, Any]:
         "alarms": int(alarm.sum()),
         "named": [tests.labels[i] for i in np.flatnonzero(alarm)[np.argsort(tests.tail[alarm])][:_NAMED]],
         "smallest_tail": float(tests.tail.min()),
+        "detectable": None if share is None else share / 100,
         "z_mean": float(scores.mean()) if len(scores) else None,
         "z_rms": float(np.sqrt(np.mean(scores**2))) if len(scores) else None,
     }
 
 
-def _tests(tests: Family, alarm: np.ndarray) -> list[dict[str, Any]]:
+def _tests(tests: Family, alarm: np.ndarray, least: np.ndarray) -> list[dict[str, Any]]:
     width = tests.difference.half_width
     return [
         {
@@ -191,6 +241,7 @@ def _tests(tests: Family, alarm: np.ndarray) -> list[dict[str, Any]]:
             "difference": float(tests.difference.value[i]),
             "half_width": float(width[i]),
             "allowance": float(tests.allowance[i]),
+            "detectable": float(least[i]) if np.isfinite(least[i]) else None,
             "tail": float(tests.tail[i]),
             "tested": bool(tests.tested[i]),
             "alarm": bool(alarm[i]),

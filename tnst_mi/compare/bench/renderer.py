@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,7 @@ class SideRenderer:
         free_of_noise: whether one path per pixel is all there is.
         traces_paths: whether paths are random, and not only their places in pixels.
         offset, factor: an image is `offset` + `factor` times what the film holds.
+        brightest: what no path in the film exceeds.
         of_luminance: whether a film of red, green and blue is shown by its luminance.
         remark: what its images do not show precisely; "" if there is nothing to say.
     """
@@ -48,6 +50,7 @@ class SideRenderer:
     traces_paths: bool = True
     offset: float = 0.0
     factor: float = 1.0
+    brightest: float = math.inf
     of_luminance: bool = False
     remark: str = ""
 
@@ -76,7 +79,12 @@ class SideRenderer:
         for batch in range(count):
             batches.append(self._image(paths, (*seed, batch)))
             traced(paths)
-        return Batches(np.stack(batches), self.traces_paths)
+        values = np.stack(batches)
+        low, high = sorted(self.offset + self.factor * light for light in (0.0, self.brightest))
+        # A filter of pixels may have negative weights.
+        inside = values.min(initial=0.0) >= low if self.factor > 0 else values.max(initial=0.0) <= high
+        ends = (low, high) if self.traces_paths and inside else (-math.inf, math.inf)
+        return Batches(values, self.traces_paths, paths, ends)
 
     def derivatives(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
@@ -99,7 +107,7 @@ class SideRenderer:
                     total += part / paths * parameters.gradient(name)
             batches.append(total)
             traced(paths)
-        return Batches(np.array(batches), self.traces_paths)
+        return Batches(np.array(batches), self.traces_paths, paths)
 
     def differences(
         self, parameters: SceneParameters, name: str, spp: int, count: int, seed: Sequence[int], traced: Traced
@@ -122,11 +130,15 @@ class SideRenderer:
                 slopes.append((values[0] - values[1]) / (2 * steps * step))
             batches.append((4 * slopes[0] - slopes[1]) / 3)
             traced(4 * paths)
-        return Batches(np.array(batches), self.traces_paths)
+        return Batches(np.array(batches), self.traces_paths, paths)
 
     def _divided(self, spp: int, count: int) -> tuple[int, int]:
-        """Paths per pixel of a batch, and the number of batches."""
-        return (1, 1) if self.free_of_noise else (max(1, spp // count), count)
+        """Paths per pixel of a batch, as many as the sampler can draw, and the number of batches."""
+        if self.free_of_noise:
+            return 1, 1
+        sampler = self.scene.sensors()[0].sampler()
+        sampler.set_sample_count(-(-spp // count))
+        return int(sampler.sample_count()), count
 
     def _launches(self, paths: int) -> list[int]:
         views, rows, columns, _ = self.shape

@@ -44,6 +44,11 @@ class Side:
     variant: str = ""
 
 
+def spelled_out(text: str) -> str:
+    """The text of a side with the quadrature that it has if it names none."""
+    return re.sub(rf"^({OURS}|{FLOAT64})(?=@|$)", r"\1:exact", text)
+
+
 def side_of(flag: str, text: str) -> Side:
     """The side that a text names.
 

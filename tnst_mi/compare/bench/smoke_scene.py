@@ -83,7 +83,9 @@ def smoke_renderer(smoke: SmokeScene, gamma: float, side: Side, tolerance: float
     if smoke.light is None:
         # The spectrum that ours emits: a plain number would be daylight in spectral variants.
         description["environment"] = {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}
-        return _renderer(description, smoke.views, False, 1 / gamma, -1 / gamma)
+        renderer = _renderer(description, smoke.views, False, 1 / gamma, -1 / gamma)
+        # A path passes or does not; in spectral variants, with wavelengths that count differently.
+        return renderer if mi.is_spectral else replace(renderer, brightest=1.0)
     # The scene keeps the emitters alive, of which some refer to the one that they were loaded with.
     emitters = load_light(smoke.light).emitters()
     description |= {f"light_{index}": emitter for index, emitter in enumerate(emitters)}
