@@ -58,6 +58,15 @@ def test_what_paths_cannot_have_missed_is_found() -> None:
     assert missed(Batches(np.array([[0.1]])), black, np.array(0.2)) == 1, "allowed"
 
 
+def test_rounding_beyond_an_end_is_no_light() -> None:
+    """Where all paths come through, float32 leaves opacities a hair below 0 or above."""
+    opacity = np.random.default_rng(2).choice([-4e-7, 0.0, 2e-7, 1e-6], (32, 6))
+    opacity[:, 5], opacity[0, :5] = 0.3, [-4e-7, -4e-7, 1e-6, 1e-6, 0.0]
+    exact, allowance = Batches(np.array([[6e-4, 0.0, 6e-4, 0.0, 0.0, 0.3]])), np.array([1e-3, 0.0, 1e-3, 0.0, 0.0, 0.0])
+    tail = missed(exact, Batches(opacity, paths=8, ends=(0.0, 1.0)), allowance)
+    np.testing.assert_allclose(tail, 1.0, atol=1e-12)
+
+
 def test_light_may_be_missed_but_not_found_where_there_is_none() -> None:
     """Without an upper end, paths that count for any amount may have been missed. Between the ends, Markov's bound."""
     answer = Batches(np.full((1, 2), 0.5))

@@ -65,11 +65,15 @@ class Batches:
         """Degrees of freedom of the standard error."""
         return len(self.values) - 1
 
+    @property
+    def rounding(self) -> float:
+        """The difference up to which numbers are the same."""
+        return _ROUNDING * float(np.abs(self.values).max(initial=0.0))
+
     @cached_property
     def differing(self) -> np.ndarray:
         """How many of the batches have another value than most have, up to the rounding of a film."""
-        unit = _ROUNDING * float(np.abs(self.values).max(initial=0.0)) or 1.0
-        ordered = np.sort(np.rint(self.values / unit), axis=0)
+        ordered = np.sort(np.rint(self.values / (self.rounding or 1.0)), axis=0)
         longest, run = np.ones(ordered.shape[1:], int), np.ones(ordered.shape[1:], int)
         for before, after in itertools.pairwise(ordered):
             run = np.where(before == after, run + 1, 1)
@@ -154,6 +158,9 @@ def missed(left: Batches, right: Batches, allowance: np.ndarray) -> np.ndarray:
         return np.ones(left.mean.shape)
     noisy, exact = (right, left) if left.exact else (left, right)
     same, mean = noisy.values[0], exact.mean
+    for end in noisy.ends:
+        # Rounding leaves a hair from an end, also beyond it, of what is there.
+        same = np.where(np.abs(same - end) <= noisy.rounding, end, same)
     mean = np.clip(mean + np.clip(same - mean, -allowance, allowance), *noisy.ends)
     tail = np.ones(mean.shape)
     for end in noisy.ends:
