@@ -96,6 +96,9 @@ class FrameByFrame:
                 if interrupt.requested:
                     break
         assert descent is not None
+        # Before the light is fitted to what was found, which the next step would not have begun with.
+        self.progress.seconds = time.perf_counter() - begun
+        self.progress.write(self._state, descent)
         extinction = frame.full_extinction(descent)
         finished = self.progress.level == last and descent.done == descent.steps
         colours = None
@@ -112,8 +115,6 @@ class FrameByFrame:
             self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
         else:
-            self.progress.seconds = seconds
-            self.progress.write(self._state, descent)
             self.unfinished, self.interrupted = (record,), True
 
     def _find_velocity(self, index: int, interrupt: Interrupt) -> None:
