@@ -52,7 +52,8 @@ class ReconstructArguments(Arguments):
     resume: bool = False
     """Continue the reconstruction in --out where it stopped, to the same bits."""
     overwrite: bool = False
-    """Write into a folder that is not empty, replacing files of the same names."""
+    """Write into a folder that is not empty, replacing files of the same names; the frames of an earlier reconstruction
+    there are removed."""
     settings: Annotated[Any, tyro.conf.arg(constructor=_SettingFlags)] = field(default_factory=_SettingFlags)
     """What pictures show, how fine the grid is, and how it is found."""
     device: Annotated[Any, tyro.conf.arg(constructor=_VariantFlag)] = field(default_factory=_VariantFlag)

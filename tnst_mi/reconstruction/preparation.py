@@ -14,6 +14,7 @@ import numpy as np
 from tnst_mi.errors import InputError, naming
 from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.io.sequence import FrameFiles, open_frames
+from tnst_mi.recipe.paths import located, shipped_lights
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
@@ -52,6 +53,7 @@ class Preparation:
         frames: their numbers; a single None where pictures have none.
         velocities: of the simulation, frame by frame; None where they are not known.
         estimates: whether those that are not known are estimated, from each frame to the next.
+        format: of the densities that are written, such as "npz".
         remarks: what was assumed, to be said.
     """
 
@@ -63,15 +65,34 @@ class Preparation:
     frames: Sequence[int | None]
     velocities: FrameFiles | None
     estimates: bool
+    format: str
     remarks: tuple[str, ...]
 
     @property
     def identity(self) -> str:
-        """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
+        """Tells reconstructions apart: a hash of the settings, of where cameras stand, and of what files there are."""
         cameras = [(view.name, *_files(view), view.layer, view.held_out, _numbers(view)) for view in self.views]
-        known = self.estimates if self.velocities is None else "known"
-        told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames), known], default=str)
-        return hashlib.sha256(told.encode("utf-8")).hexdigest()
+        known = self.estimates if self.velocities is None else str(self.velocities.source.absolute())
+        told = [asdict(self.settings), cameras, self.place.shape, list(self.frames), known, self.format]
+        return hashlib.sha256(json.dumps(told, default=str).encode("utf-8")).hexdigest()
+
+    def require_pictures(self) -> None:
+        """Check that the pictures, masks and backgrounds of all frames are there, before hours go into the first.
+
+        Raises:
+            InputError: some are not, or the name of a picture has no place for the number of the frame.
+        """
+        missing: dict[Path, str] = {}
+        for number in self.frames:
+            of_frame = "" if number is None else f" in frame {number}"
+            for view in self.views:
+                files = (file for file in _files_of_frame(view, number) if not file.is_file())
+                missing |= {file: f"view {view.name}{of_frame}" for file in files if file not in missing}
+        if missing:
+            file, wanted = next(iter(missing.items()))
+            more = f", and {len(missing) - 1} more are missing" if len(missing) > 1 else ""
+            remedy = "" if self.frames == [None] else ", or give other --frames"
+            raise InputError(f"{file}: no such file, expected for {wanted}{more}; put it there{remedy}")
 
     def sources(self, index: int) -> list[Path]:
         """The files that a frame is made from, by its place among the frames; those of its cameras are known already.
@@ -80,16 +101,13 @@ class Preparation:
             InputError: the name of a picture has no place for the number of the frame.
         """
         number = self.frames[index]
-        found = [file_of_frame(view.image, number) for view in self.views]
-        found += [_of_frame(view.mask, number) for view in self.views if view.mask is not None]
-        found += [view.background for view in self.views if view.background is not None]
+        found = [file for view in self.views for file in _files_of_frame(view, number)]
         before = self.frames[index - 1] if index else None
         if self.velocities is not None and before in self.velocities.numbers:
             found += self.velocities.sources(self.velocities.numbers.index(before))
-        if self.settings.integrator == "prbvolpath":
+        if self.settings.integrator == "prbvolpath" and self.settings.light not in shipped_lights():
             found.append(Path(self.settings.light))
-        # Of a frame's velocity, some files need not exist; a light may be a name; a picture that is missing is told of
-        # by whoever reads it.
+        # Of a frame's velocity, some files need not exist; a picture that is missing is told of by whoever reads it.
         return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def photographs(self, number: int | None) -> list[Photograph]:
@@ -142,7 +160,11 @@ class Preparation:
 
 
 def prepare(
-    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: str | Path | None
+    cameras: Path,
+    given: Mapping[str, Any] | ReconstructionSettings,
+    frames: str | None,
+    velocities: str | Path | None,
+    format: str = "npz",
 ) -> Preparation:
     """Read the file of cameras and check all that can be checked before pictures are read.
 
@@ -151,6 +173,7 @@ def prepare(
         given: settings that win over those of the file; or all of them.
         frames: "FIRST:LAST", the numbers of the frames; None for pictures without numbers.
         velocities: a folder of frames with velocities, ESTIMATE, or NONE, which None is too.
+        format: of the densities that will be written.
 
     Raises:
         InputError: something cannot be used.
@@ -161,6 +184,8 @@ def prepare(
     else:
         settings = ReconstructionSettings().updated(found.settings, f"{cameras}: reconstruction: ").updated(given)
     settings.require_consistent()
+    if settings.integrator == "prbvolpath":
+        settings = replace(settings, light=located("light", settings.light, "", Path.cwd()))
     if settings.box is None:
         raise InputError(
             f"{cameras}: does not say where the smoke is; give the box around it in the cameras' scene, as "
@@ -182,6 +207,7 @@ def prepare(
         numbers,
         known,
         velocities == ESTIMATE,
+        format,
         (*found.remarks, *said, *((_COLOUR_SAID,) if settings.channel == "rgb" else ()), *said_of_velocities),
     )
 
@@ -236,8 +262,14 @@ def _numbers_of(frames: str | None) -> list[int | None]:
     return list(span)
 
 
+def _files_of_frame(view: PosedView, number: int | None) -> list[Path]:
+    """The picture of a view in a frame, its mask and its background."""
+    beside = [_of_frame(file, number) for file in (view.mask, view.background) if file is not None]
+    return [file_of_frame(view.image, number), *beside]
+
+
 def _of_frame(path: Path, number: int | None) -> Path:
-    """The file of a mask, which may be the same for all frames."""
+    """The file of a mask or a background, which may be the same for all frames."""
     return file_of_frame(path, number) if "#" in path.name else path
 
 
