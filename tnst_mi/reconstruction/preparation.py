@@ -15,7 +15,13 @@ from tnst_mi.errors import InputError, naming
 from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.recipe.paths import located, shipped_lights
-from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
+from tnst_mi.reconstruction.camera_sets.posed_view import (
+    CameraSet,
+    PosedView,
+    file_of_any_frame,
+    file_of_frame,
+    require_files,
+)
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.settings import ReconstructionSettings
@@ -82,17 +88,7 @@ class Preparation:
         Raises:
             InputError: some are not, or the name of a picture has no place for the number of the frame.
         """
-        missing: dict[Path, str] = {}
-        for number in self.frames:
-            of_frame = "" if number is None else f" in frame {number}"
-            for view in self.views:
-                files = (file for file in _files_of_frame(view, number) if not file.is_file())
-                missing |= {file: f"view {view.name}{of_frame}" for file in files if file not in missing}
-        if missing:
-            file, wanted = next(iter(missing.items()))
-            more = f", and {len(missing) - 1} more are missing" if len(missing) > 1 else ""
-            remedy = "" if self.frames == [None] else ", or give other --frames"
-            raise InputError(f"{file}: no such file, expected for {wanted}{more}; put it there{remedy}")
+        require_files(self.views, self.frames)
 
     def sources(self, index: int) -> list[Path]:
         """The files that a frame is made from, by its place among the frames; those of its cameras are known already.
@@ -101,7 +97,7 @@ class Preparation:
             InputError: the name of a picture has no place for the number of the frame.
         """
         number = self.frames[index]
-        found = [file for view in self.views for file in _files_of_frame(view, number)]
+        found = [file for view in self.views for file in view.files(number)]
         before = self.frames[index - 1] if index else None
         if self.velocities is not None and before in self.velocities.numbers:
             found += self.velocities.sources(self.velocities.numbers.index(before))
@@ -117,8 +113,17 @@ class Preparation:
             InputError: one cannot be used, or none that is used has anything in it.
         """
         found = [self._photograph(view, number) for view in self.views]
-        if not any((photograph.weights > 0).any() for photograph in found if not photograph.held_out):
-            raise InputError(f"{self.cameras.file}: masks leave nothing of any picture that is not held out")
+        used = [photograph for photograph in found if not photograph.held_out]
+        of_frame = "" if number is None else f" of frame {number}"
+        if not any((photograph.weights > 0).any() for photograph in used):
+            raise InputError(f"{self.cameras.file}: masks leave nothing of any picture{of_frame} that is not held out")
+        if not any((photograph.values[photograph.weights > 0] > 0).any() for photograph in used):
+            first = next(file_of_frame(view.image, number) for view in self.views if not view.held_out)
+            remedy = "" if number is None else f"; give --frames without {number}"
+            raise InputError(
+                f"{first}: it and all other pictures{of_frame} are black, expected smoke that is brighter than what is "
+                f"behind it{remedy}"
+            )
         return found
 
     def velocity(self, number: int | None) -> np.ndarray | None:
@@ -139,15 +144,16 @@ class Preparation:
 
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer))
+        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer_in(file)))
         rows, columns = values.shape
         weights = np.ones_like(values)
         if view.mask is not None:
-            weights = read_weights(_of_frame(view.mask, number), values.shape)
+            weights = read_weights(file_of_any_frame(view.mask, number), values.shape, view.layer_in(view.mask))
         background, behind = None, None
         if view.background is not None:
-            background, behind = _split(read_values(view.background, s.channel, s.transfer))
-            require_size(view.background, background, values.shape)
+            empty = file_of_any_frame(view.background, number)
+            background, behind = _split(read_values(empty, s.channel, s.transfer, view.layer_in(empty)))
+            require_size(empty, background, values.shape)
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
@@ -260,17 +266,6 @@ def _numbers_of(frames: str | None) -> list[int | None]:
     if not 0 < len(span) <= 100_000:
         raise InputError(f"--frames {frames}: expected FIRST:LAST, such as 49:72")
     return list(span)
-
-
-def _files_of_frame(view: PosedView, number: int | None) -> list[Path]:
-    """The picture of a view in a frame, its mask and its background."""
-    beside = [_of_frame(file, number) for file in (view.mask, view.background) if file is not None]
-    return [file_of_frame(view.image, number), *beside]
-
-
-def _of_frame(path: Path, number: int | None) -> Path:
-    """The file of a mask or a background, which may be the same for all frames."""
-    return file_of_frame(path, number) if "#" in path.name else path
 
 
 def _cells(shape: Sequence[int]) -> str:

@@ -48,6 +48,7 @@ def require_sound_record(record: Any, number: int | None, format: str, judges: C
     _require(record["brightness"] is None or (_is_number(record["brightness"]) and record["brightness"] > 0))
     views, colour = record["psnr_of_views"], record["mean_colour"]
     _require(isinstance(views, dict) and set(views) <= set(judges))
+    _require(isinstance(record["masked_views"], list) and set(record["masked_views"]) <= set(judges))
     # A PSNR may be negative, and there is none of images that are the same.
     _require(all(value is None or _is_finite(value) for value in (record["psnr"], *views.values())))
     _require(colour is None or (isinstance(colour, list) and len(colour) == 3 and all(map(_is_number, colour))))

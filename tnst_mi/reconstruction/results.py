@@ -73,9 +73,11 @@ def write_frame_results(
         "density": str(file),
         "finished": finished,
         "psnr": _finite(value),
-        "psnr_of_views": {view.name: _finite(view.psnr) for view in views},
+        "psnr_of_views": {view.name: _finite(view.psnr) for view in views if view.psnr is not None},
+        "masked_views": [view.name for view in views if view.psnr is None],
         "gamma": gamma,
-        "brightness": frame.brightness,
+        # How bright smoke is that scatters light is up to the light.
+        "brightness": None if prepared.settings.integrator == "prbvolpath" else frame.brightness,
         "background": frame.background,
         "peak": frame.peak,
         "noise": frame.noise,
