@@ -15,6 +15,7 @@ import tnst_mi
 from tnst_mi.cli import main
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.io.pictures.png import write_png
+from tnst_mi.machine.backend import activate
 from tnst_mi.reconstruction.preparation import prepare
 from tnst_mi.reconstruction.reconstruct import reconstruct
 
@@ -151,8 +152,14 @@ def test_a_light_is_beside_the_file_that_names_it(views, tmp_path, monkeypatch):
     shutil.copytree(views.parent, lit.parent)
     lit.write_text(re.sub("gamma = .*", scattering, views.read_text()))
     lamp = lit.with_name("lamp.xml")
-    lamp.write_text('<scene version="3.0.0"><emitter type="constant"/></scene>')
+    write_exr(lit.with_name("sky.exr"), np.ones((4, 8, 3), np.float32), {})
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+    lit.with_name("sky.xml").write_text(f'<scene version="3.0.0">{sky}</scene>')
+    lamp.write_text('<scene version="3.0.0"><include filename="sky.xml"/></scene>')
     monkeypatch.chdir(tmp_path)
+    activate()
+    read = {file.name for file in prepare(lit, {}, None, None).sources(0)}
+    assert {"lamp.xml", "sky.xml", "sky.exr"} <= read  # other contents of any of them are another light
     assert prepare(Path("lit/cameras.toml"), {}, None, None).settings.light == str(lamp)
     identity = prepare(lit, {}, None, None).identity
     monkeypatch.chdir(lit.parent)

@@ -23,6 +23,7 @@ from tnst_mi.reconstruction.camera_sets.posed_view import (
     require_files,
 )
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
+from tnst_mi.reconstruction.light_files import light_files
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
@@ -102,7 +103,7 @@ class Preparation:
         if self.velocities is not None and before in self.velocities.numbers:
             found += self.velocities.sources(self.velocities.numbers.index(before))
         if self.settings.integrator == "prbvolpath" and self.settings.light not in shipped_lights():
-            found.append(Path(self.settings.light))
+            found += light_files(Path(self.settings.light))
         # Of a frame's velocity, some files need not exist; a picture that is missing is told of by whoever reads it.
         return [file for file in dict.fromkeys(found) if file.is_file()]
 

@@ -59,7 +59,8 @@ def reconstruct(
 
     Grids go from coarse to fine. On each, Adam lowers the difference between views of the smoke and their pictures,
     with derivatives by the adjoint of the renderer (docs/reconstruction.md). The same call gives the same bits on the
-    same machine, also if it was stopped and resumed.
+    same machine, also if it was stopped and resumed; with prbvolpath nearly the same, since Mitsuba adds up what paths
+    find in an order that changes.
 
     Args:
         cameras: our TOML, a NeRF's `transforms.json`, or a Mitsuba scene with sensors.

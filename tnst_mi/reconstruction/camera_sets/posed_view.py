@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -106,7 +107,7 @@ def require_files(views: Sequence[PosedView], numbers: Sequence[int | None]) -> 
     for number in numbers:
         of_frame = "" if number is None else f" in frame {number}"
         for view in views:
-            gone = [file for file in view.files(number) if file not in missing and not file.is_file()]
+            gone = [file for file in view.files(number) if file not in missing and not os.path.isfile(file)]
             missing |= dict.fromkeys(gone, f"view {view.name}{of_frame}")
     if missing:
         file, wanted = next(iter(missing.items()))
