@@ -56,7 +56,7 @@ def test_info_tells_of_a_model_what_its_card_does(model, smoke, capsys):
     before, after = card["loss_before"], card["curve"][-1]["loss"]
     assert (
         said[3]
-        == f"  loss of what it learned from: {before:.4g} without it, {after:.4g} after 30 updates (less is better)"
+        == f"  loss of what it learned from (less is better): {before:.4g} without it, {after:.4g} after 30 updates"
     )
 
 
