@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tnst_mi.compare.bench.batches import comparable, difference
-from tnst_mi.compare.bench.decision import FALSE_ALARMS
-from tnst_mi.compare.bench.hypotheses import ImagePair
+from tnst_mi.compare.bench.statistics.batches import comparable, difference
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS
+from tnst_mi.compare.bench.statistics.hypotheses import ImagePair
 from tnst_mi.compare.figures import Sheet
 
 _DIFFERENCES = "RdBu_r"
