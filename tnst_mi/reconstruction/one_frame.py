@@ -99,7 +99,7 @@ class FrameReconstruction:
         self._estimated = max(estimated_noise(fitted), _LEAST_NOISE)
         self.noise = self._noise = self._estimated if settings.noise == "auto" else float(settings.noise)
         self._renderers = RendererChoice(settings, self.peak)
-        border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
+        border = float(np.median(np.concatenate([_border(photograph) for photograph in self._used])))
         self._model = ImageModel(
             BRIGHTER if brightness is None else brightness / self.peak,
             border if background is None else background / self.peak,
@@ -254,10 +254,12 @@ class FrameReconstruction:
             brightness, background = self._model.brightness, self._model.background
             spread = brightness - background
             opacity = [
-                (one.values - (background if one.background is None else one.background)) / (spread or 1.0)
+                ((one.values - (background if one.background is None else one.background)) / (spread or 1.0))[
+                    one.weights > 0
+                ]
                 for one in self._used
             ]
-            thickest = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in opacity])), 1 - _THICKEST))
+            thickest = float(np.quantile(np.abs(np.concatenate(opacity)), 1 - _THICKEST))
             depth = -math.log(1 - min(thickest, _OPAQUE))
         return max(depth, 1e-4) / (max(self._levels[-1].shape) / 4)
 
@@ -277,9 +279,11 @@ def mean_psnr(views: Sequence[HeldOutView]) -> float | None:
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
-def _border(values: np.ndarray) -> np.ndarray:
-    """The pixels at the edges of a picture."""
-    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+def _border(photograph: Photograph) -> np.ndarray:
+    """The pixels at the edges of a picture that count; where none does, all others that count."""
+    counts, edges = photograph.weights > 0, np.zeros(photograph.values.shape, bool)
+    edges[[0, -1]] = edges[:, [0, -1]] = True
+    return photograph.values[counts & edges if (counts & edges).any() else counts]
 
 
 def _to(octave: Octave) -> tuple[tuple[int, int, int], float]:

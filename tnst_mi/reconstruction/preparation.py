@@ -121,15 +121,17 @@ class Preparation:
 
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer))
-        rows, columns = values.shape
-        weights = np.ones_like(values)
+        image = read_values(file, s.channel, s.transfer, view.layer)
+        rows, columns = image.shape[:2]
+        weights = np.ones((rows, columns), np.float32)
         if view.mask is not None:
-            weights = read_weights(_of_frame(view.mask, number), values.shape)
+            weights = read_weights(_of_frame(view.mask, number), weights.shape)
+        values, colours = _split(image, weights)
         background, behind = None, None
         if view.background is not None:
-            background, behind = _split(read_values(view.background, s.channel, s.transfer))
-            require_size(view.background, background, values.shape)
+            empty = read_values(view.background, s.channel, s.transfer)
+            require_size(view.background, empty[..., 0] if empty.ndim == 3 else empty, weights.shape)
+            background, behind = _split(empty, weights)
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
@@ -245,9 +247,9 @@ def _cells(shape: Sequence[int]) -> str:
     return " × ".join(map(str, shape))
 
 
-def _split(image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _split(image: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """What is taken for the light of white smoke, and the colours of a picture that has some."""
-    return (image, None) if image.ndim == 2 else (strength(image), image)
+    return (image, None) if image.ndim == 2 else (strength(image, weights), image)
 
 
 def _files(view: PosedView) -> list[str | None]:
