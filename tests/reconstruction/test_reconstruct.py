@@ -12,6 +12,7 @@ import pytest
 from render_views import write_views
 
 import tnst_mi
+from tnst_mi.cli import main
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
@@ -51,6 +52,23 @@ def test_the_density_is_found(views, cloud, tmp_path):
     picture, peak = read_exr(views.with_name("held_out_01.exr")), found.records[0]["peak"]
     again = -10 * np.log10(np.mean(((seen - picture) / peak) ** 2))
     assert again == pytest.approx(found.records[0]["psnr_of_views"]["held_out_01"], abs=1e-3)
+
+
+def test_pictures_of_render_say_how_bright_their_smoke_is(views, cloud, tmp_path, capsys):
+    (tmp_path / "exposed").mkdir()
+    for file in views.parent.glob("*.exr"):
+        attributes = {"gamma": GAMMA, "exposure": 0.2, "quadrature": "exact"}
+        write_exr(tmp_path / "exposed" / file.name, 0.2 * read_exr(file), attributes)
+    cameras = tmp_path / "exposed" / "cameras.toml"
+    cameras.write_text(views.read_text())
+    command = ["reconstruct", str(cameras), "--out", str(tmp_path / "out"), "--iterations", "60", "--levels", "1"]
+    assert main(command) == 2
+    told = capsys.readouterr().err
+    assert "multiplied by the exposure 0.2, " in told and told.count("\n") == 1
+    remedy = re.search("give (--gamma [0-9.]+ --brightness [0-9.]+),", told)[1].split()
+    assert main([*command, *remedy]) == 0
+    with np.load(tmp_path / "out" / "density" / "smoke.npz") as file:
+        assert np.linalg.norm(file["density"] - cloud) < 0.15 * np.linalg.norm(cloud)
 
 
 def test_a_background_is_found_or_given_as_a_picture(views, cloud, tmp_path):

@@ -16,6 +16,7 @@ from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
+from tnst_mi.reconstruction.exposure import require_brightness
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
@@ -175,6 +176,7 @@ def prepare(
     if known is not None and numbers == [None]:
         raise InputError(f"--velocities {velocities}: is of sequences; give --frames FIRST:LAST")
     said_of_velocities = _said_of_velocities(numbers, known, velocities)
+    require_brightness(file_of_frame(views[0].image, numbers[0]), settings)
     return Preparation(
         settings,
         found,

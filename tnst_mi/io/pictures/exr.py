@@ -33,6 +33,16 @@ def write_exr(path: Path, image: np.ndarray, attributes: Mapping[str, float | st
             raise write_failure(temporary, str(error)) from error
 
 
+def header_numbers(path: Path) -> dict[str, float]:
+    """The numbers in the header of a picture, by name, such as the exposure of one of ours.
+
+    Raises:
+        Exception: whatever the library does of files that it cannot read.
+    """
+    with OpenEXR.File(str(path), header_only=True) as file:
+        return {name: float(value) for name, value in file.header().items() if isinstance(value, int | float)}
+
+
 def read_linear(path: Path, most: int) -> np.ndarray:
     """Read the colours of a picture of any program: (H, W, 3) float32, or (H, W, 4) with alpha, not premultiplied.
 
