@@ -18,6 +18,7 @@ from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, 
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.exposure import require_brightness
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
+from tnst_mi.reconstruction.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
@@ -97,11 +98,12 @@ class Preparation:
         """The pictures of a frame.
 
         Raises:
-            InputError: one cannot be used, or none that is used has anything in it.
+            InputError: one cannot be used, has values that no smoke has, or none that is used has anything in it.
         """
         found = [self._photograph(view, number) for view in self.views]
         if not any((photograph.weights > 0).any() for photograph in found if not photograph.held_out):
             raise InputError(f"{self.cameras.file}: masks leave nothing of any picture that is not held out")
+        require_plausible([file_of_frame(view.image, number) for view in self.views], found, self.settings)
         return found
 
     def velocity(self, number: int | None) -> np.ndarray | None:
