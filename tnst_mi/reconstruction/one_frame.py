@@ -25,6 +25,7 @@ from tnst_mi.reconstruction.smoke_colours import (
     coloured_images,
     smoke_colours,
 )
+from tnst_mi.reconstruction.usable_views import require_contrast
 
 #: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
 #: and a little of the prior decides what the pictures leave open.
@@ -74,7 +75,7 @@ class FrameReconstruction:
         first_level: the grid to begin with.
 
     Raises:
-        InputError: the pictures show nothing.
+        InputError: the pictures show nothing, or nothing but one value.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class FrameReconstruction:
         self.peak = max(float((photograph.values * (photograph.weights > 0)).max()) for photograph in used)
         if not (self.peak > 0 and math.isfinite(self.peak)):
             raise InputError("the pictures are black, expected smoke that is brighter than what is behind it")
+        require_contrast(photographs, settings)
         self._used = [photograph.in_units_of(self.peak) for photograph in used]
         self._judges = [one.in_units_of(self.peak) for one in photographs if one.held_out]
         # Of the pixels that are fitted in the end: a mean over several has less noise than each.

@@ -20,6 +20,11 @@ from tnst_mi.reconstruction.exposure import require_brightness
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.settings import ReconstructionSettings
+from tnst_mi.reconstruction.usable_views import (
+    remarks_of_views,
+    require_backgrounds_of_use,
+    require_box_in_sight,
+)
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
 from tnst_mi.resources import expanded
@@ -98,11 +103,13 @@ class Preparation:
         """The pictures of a frame.
 
         Raises:
-            InputError: one cannot be used, has values that no smoke has, or none that is used has anything in it.
+            InputError: one cannot be used, or has values that no smoke has; or none that is used shows anything.
         """
         found = [self._photograph(view, number) for view in self.views]
         if not any((photograph.weights > 0).any() for photograph in found if not photograph.held_out):
             raise InputError(f"{self.cameras.file}: masks leave nothing of any picture that is not held out")
+        with naming(self.cameras.file):
+            require_box_in_sight(found, self.place.shape)
         require_plausible([file_of_frame(view.image, number) for view in self.views], found, self.settings)
         return found
 
@@ -171,8 +178,10 @@ def prepare(
             f"{cameras}: does not say where the smoke is; give the box around it in the cameras' scene, as "
             "--box X0,Y0,Z0,X1,Y1,Z1 or as box under [reconstruction]"
         )
+    require_backgrounds_of_use(found, settings)
     views, said = _held_out(found.views, settings.hold_out)
     place = grid_in_box(settings.box, settings.cells, found.up)
+    said += remarks_of_views(found, views, place)
     numbers = _numbers_of(frames)
     known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
     if known is not None and numbers == [None]:
