@@ -18,6 +18,8 @@ from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.usable_views import require_box_in_sight, require_contrast, without_contrast
 
+QUICK = {"iterations": 12, "levels": 1, "batch": 3}
+
 
 @pytest.fixture
 def copied(views, tmp_path) -> Path:
@@ -99,7 +101,19 @@ def test_pictures_of_one_value_are_refused(copied, tmp_path):
     require_contrast(prepare(white, {}, None, None).photographs(None), ReconstructionSettings(background=0.5))
 
 
-def test_views_that_show_nothing_are_told_from_others(copied):
+def test_views_that_show_nothing_are_told_from_others(copied, tmp_path):
     pictures = prepare(changed(copied, lambda i, name: i * (name != "view_03")), {}, None, None).photographs(None)
     assert without_contrast(pictures) == ["view_03"]
+    found = reconstruct(copied, tmp_path / "out", QUICK, progress=False)
+    assert [remark for remark in found.remarks if "all pixels are alike" in remark] == found.records[0]["remarks"]
+    assert "views: view_03: all pixels are alike" in (tmp_path / "out" / "report.json").read_text()
     assert without_contrast([replace(one, values=0 * one.values) for one in pictures]) == []
+
+
+def test_smoke_that_explains_nothing_is_said(copied, tmp_path):
+    """The box is beside the smoke, and views still see it."""
+    beside = {**QUICK, "box": (12, -8, -6, 16, 8, 6)}
+    found = reconstruct(copied, tmp_path / "a", beside, progress=False)
+    assert any("explains the pictures hardly better than none; check --box" in remark for remark in found.remarks)
+    found = reconstruct(copied, tmp_path / "b", QUICK, progress=False)
+    assert found.records[0]["remarks"] == []

@@ -25,7 +25,7 @@ from tnst_mi.reconstruction.smoke_colours import (
     coloured_images,
     smoke_colours,
 )
-from tnst_mi.reconstruction.usable_views import require_contrast
+from tnst_mi.reconstruction.usable_views import require_contrast, without_contrast
 
 #: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
 #: and a little of the prior decides what the pictures leave open.
@@ -42,6 +42,9 @@ _OPAQUE = 0.98
 
 #: Optical depth of the thickest smoke where pictures do not show it directly, since light is scattered.
 _SCATTERING_DEPTH = 3.0
+
+#: The part of the square difference of pictures from no smoke that smoke has to leave at most, to explain them at all.
+_NO_BETTER = 0.9
 
 #: The extinction that a path tracer begins with, over a typical one: where there is nothing, no path scatters, and
 #: there is no derivative either.
@@ -109,6 +112,7 @@ class FrameReconstruction:
             background is None,
         )
         self._typical = self._typical_extinction()
+        self._explains = True
         self.first_level = 0 if start is None else len(levels) - 1
 
     def descent(self, level: int, coarser: Descent | None) -> Descent:
@@ -157,8 +161,22 @@ class FrameReconstruction:
     def full_extinction(self, descent: Descent) -> np.ndarray:
         """What a descent has found, on the full grid: (D, H, W) float32, per cell; and the light that goes with it."""
         descent.fit_background()
+        misfit, of_nothing = descent.misfits()
+        self._explains = misfit < _NO_BETTER * of_nothing
         found = descent.extinction.detach().cpu().numpy()
         return np.array(resample_density(found, descent.octave.cell_size, *_to(self._levels[-1])), np.float32)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be said of the pictures, and of what was found."""
+        dark = without_contrast(self._used)
+        said = [f"views: {', '.join(dark)}: all pixels are alike, as if no smoke were there"] if dark else []
+        if not self._explains:
+            said.append(
+                "the smoke that was found explains the pictures hardly better than none; check --box, the cameras, "
+                "--brightness and --background"
+            )
+        return said
 
     @property
     def brightness(self) -> float:
