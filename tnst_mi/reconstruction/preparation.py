@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from tnst_mi.io.sequence import FrameFiles, open_frames
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.exposure import require_brightness
+from tnst_mi.reconstruction.needed_memory import require_memory_for_cells, require_memory_for_pictures
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.settings import ReconstructionSettings
@@ -129,10 +131,18 @@ class Preparation:
             )
         return frame.velocity
 
+    @property
+    def _numbers_of_pixel(self) -> int:
+        """Of a picture, and of what is behind the smoke: its value, and in colour three more."""
+        pictures = 1 + any(view.background is not None for view in self.views)
+        return pictures * (4 if self.settings.channel == "rgb" else 1)
+
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
         image = read_values(file, s.channel, s.transfer, view.layer)
         rows, columns = image.shape[:2]
+        if view is self.views[0]:
+            require_memory_for_pictures(len(self.views), (rows, columns), self._numbers_of_pixel)
         weights = np.ones((rows, columns), np.float32)
         if view.mask is not None:
             weights = read_weights(_of_frame(view.mask, number), weights.shape)
@@ -181,6 +191,7 @@ def prepare(
     require_backgrounds_of_use(found, settings)
     views, said = _held_out(found.views, settings.hold_out)
     place = grid_in_box(settings.box, settings.cells, found.up)
+    require_memory_for_cells(math.prod(place.shape))
     said += remarks_of_views(found, views, place)
     numbers = _numbers_of(frames)
     known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
