@@ -151,6 +151,27 @@ def test_what_was_stopped_goes_on_to_the_same_bits(views, tmp_path, monkeypatch)
         reconstruct(views, tmp_path / "parts", {**keys, "seed": 1}, progress=False, resume=True)
 
 
+def test_a_background_that_is_not_looked_for_yet_goes_on_to_the_same_bits(views, tmp_path, monkeypatch):
+    """Pictures have what no background explains; stopped before it is looked for, it is not known yet either."""
+    across = np.linspace(0.2, 0.9, 20, dtype=np.float32)[None, :].repeat(20, 0)
+    uneven = changed(views, tmp_path / "uneven", lambda image, name: image + across * (1 - GAMMA * image))
+    keys = {"iterations": 12, "levels": 1, "batch": 3, "background": "auto"}
+    whole = reconstruct(uneven, tmp_path / "whole", keys, progress=False)
+    step = Descent.step
+
+    def stopped_in_the_first_third(descent):
+        loss = step(descent)
+        if descent.done == 2:
+            signal.raise_signal(signal.SIGINT)
+        return loss
+
+    monkeypatch.setattr(Descent, "step", stopped_in_the_first_third)
+    assert reconstruct(uneven, tmp_path / "parts", keys, progress=False).interrupted
+    found = reconstruct(uneven, tmp_path / "parts", keys, progress=False, resume=True)
+    with np.load(whole.densities[0]) as a, np.load(found.densities[0]) as b:
+        assert np.array_equal(a["density"], b["density"])
+
+
 def test_each_frame_starts_from_the_one_before(cloud, renderer, tmp_path):
     """Smoke that moves by 3 cells to +y: a few steps suffice for the second frame where the velocity is known."""
     moved = np.zeros_like(cloud)

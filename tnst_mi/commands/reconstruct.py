@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
 from tnst_mi.commands.base import given, say
 from tnst_mi.commands.reconstruct_arguments import ReconstructArguments
@@ -33,10 +35,25 @@ def run(arguments: ReconstructArguments) -> int:
     )
     say(found.remarks)
     for record, file in zip(found.records, found.densities, strict=True):
-        psnr = "no view was held out" if record["psnr"] is None else f"held-out views {record['psnr']:.1f} dB"
-        light = f", gamma {record['gamma']:.4g}, brightness {record['brightness']:.4g}"
-        print(f"density   {file}: {psnr}{light}, background {record['background']:.3g}")
+        print(f"density   {file}: {_judgement(record)}, gamma {record['gamma']:.4g}{_light(record)}")
     print(f"report    {arguments.out / 'report.html'}")
     if found.interrupted:
         raise StoppedError(f"interrupted; {found.densities[-1]} is as far as it got, --resume continues")
     return 0
+
+
+def _judgement(record: Mapping[str, Any]) -> str:
+    """How well the views of a frame that were held out are shown."""
+    masked = ", ".join(record["masked_views"])
+    nothing = f"; masks leave nothing of {masked}" if masked else ""
+    if not record["psnr_of_views"]:
+        return f"no view judges it{nothing}" if masked else "no view was held out"
+    same = record["psnr"] is None
+    return f"held-out views {'are the same' if same else format(record['psnr'], '.1f') + ' dB'}{nothing}"
+
+
+def _light(record: Mapping[str, Any]) -> str:
+    """The brightness and the background of a frame, which smoke that scatters light does not have."""
+    if record["brightness"] is None:
+        return ""
+    return f", brightness {record['brightness']:.4g}, background {record['background']:.3g}"

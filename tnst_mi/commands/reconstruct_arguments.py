@@ -50,9 +50,10 @@ class ReconstructArguments(Arguments):
     format: Annotated[str, tyro.conf.arg(metavar="npz|vol|uni|vdb")] = "npz"
     """Format of the densities; vdb keeps their place in the scene."""
     resume: bool = False
-    """Continue the reconstruction in --out where it stopped, to the same bits."""
+    """Continue the reconstruction in --out where it stopped, to the same bits (with prbvolpath nearly)."""
     overwrite: bool = False
-    """Write into a folder that is not empty, replacing files of the same names."""
+    """Write into a folder that is not empty, replacing files of the same names; the frames of an earlier reconstruction
+    there are removed."""
     settings: Annotated[Any, tyro.conf.arg(constructor=_SettingFlags)] = field(default_factory=_SettingFlags)
     """What pictures show, how fine the grid is, and how it is found."""
     device: Annotated[Any, tyro.conf.arg(constructor=_VariantFlag)] = field(default_factory=_VariantFlag)

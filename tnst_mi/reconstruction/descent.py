@@ -104,6 +104,8 @@ class Descent:
     def remember(self, tensors: Mapping[str, Tensor]) -> None:
         """Go on with what was `remembered`."""
         self.model.brightness, self.model.background = tensors["light"].tolist()
+        if not self.model.brightness > 0:
+            raise ValueError("no brightness")
         self.search.points = [(place, value) for place, value in tensors["search"].tolist()]
 
     def step(self) -> float:

@@ -33,7 +33,6 @@ class FrameByFrame:
     Args:
         prepared: what it is of.
         out: folder for the results.
-        format: of the densities.
         state: the file from which it goes on.
         progress: how far it is.
         shown: whether there is a progress bar.
@@ -45,9 +44,9 @@ class FrameByFrame:
     """
 
     def __init__(
-        self, prepared: Preparation, out: Path, format: str, state: Path, progress: ReconstructionState, shown: bool
+        self, prepared: Preparation, out: Path, state: Path, progress: ReconstructionState, shown: bool
     ) -> None:
-        self._prepared, self._out, self._format, self._state, self._shown = prepared, out, format, state, shown
+        self._prepared, self._out, self._state, self._shown = prepared, out, state, shown
         self.progress = progress
         self.unfinished: tuple[dict[str, Any], ...] = ()
         self.interrupted = False
@@ -96,6 +95,9 @@ class FrameByFrame:
                 if interrupt.requested:
                     break
         assert descent is not None
+        # Before the light is fitted to what was found, which the next step would not have begun with.
+        self.progress.seconds = time.perf_counter() - begun
+        self.progress.write(self._state, descent)
         extinction = frame.full_extinction(descent)
         finished = self.progress.level == last and descent.done == descent.steps
         colours = None
@@ -104,17 +106,13 @@ class FrameByFrame:
             finished = found is not None
             extinction, colours = found or (extinction, None)
         seconds = time.perf_counter() - begun
-        record = write_frame_results(
-            self._out, self._format, prepared, number, frame, extinction, colours, seconds, finished
-        )
+        record = write_frame_results(self._out, prepared, number, frame, extinction, colours, seconds, finished)
         record["convergence"] = self.progress.convergence
         record["remarks"] = frame.remarks
         if finished:
             self.progress = self.progress.after(record)
             self.progress.write(self._state, None)
         else:
-            self.progress.seconds = seconds
-            self.progress.write(self._state, descent)
             self.unfinished, self.interrupted = (record,), True
 
     def _find_velocity(self, index: int, interrupt: Interrupt) -> None:

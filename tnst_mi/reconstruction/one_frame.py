@@ -53,12 +53,15 @@ _BEGINNING = 0.3
 
 @dataclass(frozen=True)
 class HeldOutView:
-    """A view that judges: its picture, what is seen of the result, and how near they are."""
+    """A view that judges: its picture, what is seen of the result, and how near they are in dB.
+
+    The last is infinite where they are the same, and None where no pixel counts, so that it judges nothing.
+    """
 
     name: str
     picture: np.ndarray
     rendering: np.ndarray
-    psnr: float
+    psnr: float | None
 
 
 class FrameReconstruction:
@@ -284,18 +287,21 @@ class FrameReconstruction:
         return max(depth, 1e-4) / (max(self._levels[-1].shape) / 4)
 
 
-def psnr(image: np.ndarray, picture: np.ndarray, weights: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in dB of an image whose peak is 1, over the pixels that count."""
+def psnr(image: np.ndarray, picture: np.ndarray, weights: np.ndarray) -> float | None:
+    """Peak signal-to-noise ratio in dB of an image whose peak is 1, over the pixels that count; None if none does."""
     weights = np.broadcast_to(weights, picture.shape)
-    error = float((weights * (image - picture) ** 2).sum(dtype=np.float64) / max(float(weights.sum()), 1e-12))
+    if not (total := float(weights.sum(dtype=np.float64))) > 0:
+        return None
+    error = float((weights * (image - picture) ** 2).sum(dtype=np.float64) / total)
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
 def mean_psnr(views: Sequence[HeldOutView]) -> float | None:
-    """That of all views together, by their mean square error; None if there is no view."""
-    if not views:
+    """That of all views together, by their mean square error; None if none has pixels that count."""
+    errors = [10 ** (-view.psnr / 10) for view in views if view.psnr is not None]
+    if not errors:
         return None
-    error = float(np.mean([10 ** (-view.psnr / 10) for view in views]))
+    error = float(np.mean(errors))
     return math.inf if error == 0 else -10 * math.log10(error)
 
 

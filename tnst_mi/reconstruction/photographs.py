@@ -179,14 +179,19 @@ def read_values(path: Path, channel: str, transfer: str, layer: int | None = Non
     return np.ascontiguousarray(grey)
 
 
-def read_weights(path: Path, size: tuple[int, int]) -> np.ndarray:
+def read_weights(path: Path, size: tuple[int, int], layer: int | None = None) -> np.ndarray:
     """A mask as weights from 0 to 1, (rows, columns) float32: its alpha, or of an opaque one the mean of its colours.
+
+    Args:
+        path: the file.
+        size: of the picture that it belongs to, (rows, columns).
+        layer: which of the pictures of an npz file; None for files of one.
 
     Raises:
         InputError: it cannot be read, or has another size than (rows, columns).
     """
     with opening(path, "a mask"), silenced():
-        pixels, _ = _decoded(path, None)
+        pixels, _ = _decoded(path, layer)
     if pixels.ndim == 3:
         # Painting programs save masks in black and white with an alpha of 1 everywhere.
         cut_out = pixels.shape[2] == 4 and bool((pixels[..., 3] < 1).any())

@@ -15,9 +15,17 @@ import numpy as np
 from tnst_mi.errors import InputError, naming
 from tnst_mi.fields.grid import Octave, octaves
 from tnst_mi.io.sequence import FrameFiles, open_frames
-from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView, file_of_frame
+from tnst_mi.recipe.paths import located, shipped_lights
+from tnst_mi.reconstruction.camera_sets.posed_view import (
+    CameraSet,
+    PosedView,
+    file_of_any_frame,
+    file_of_frame,
+    require_files,
+)
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.exposure import require_brightness
+from tnst_mi.reconstruction.light_files import light_files
 from tnst_mi.reconstruction.needed_memory import require_memory_for_cells, require_memory_for_pictures
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
 from tnst_mi.reconstruction.plausible_pictures import require_plausible
@@ -61,6 +69,7 @@ class Preparation:
         frames: their numbers; a single None where pictures have none.
         velocities: of the simulation, frame by frame; None where they are not known.
         estimates: whether those that are not known are estimated, from each frame to the next.
+        format: of the densities that are written, such as "npz".
         remarks: what was assumed, to be said.
     """
 
@@ -72,15 +81,24 @@ class Preparation:
     frames: Sequence[int | None]
     velocities: FrameFiles | None
     estimates: bool
+    format: str
     remarks: tuple[str, ...]
 
     @property
     def identity(self) -> str:
-        """Tells reconstructions apart: a hash of the settings, and of where cameras stand."""
+        """Tells reconstructions apart: a hash of the settings, of where cameras stand, and of what files there are."""
         cameras = [(view.name, *_files(view), view.layer, view.held_out, _numbers(view)) for view in self.views]
-        known = self.estimates if self.velocities is None else "known"
-        told = json.dumps([asdict(self.settings), cameras, self.place.shape, list(self.frames), known], default=str)
-        return hashlib.sha256(told.encode("utf-8")).hexdigest()
+        known = self.estimates if self.velocities is None else str(self.velocities.source.absolute())
+        told = [asdict(self.settings), cameras, self.place.shape, list(self.frames), known, self.format]
+        return hashlib.sha256(json.dumps(told, default=str).encode("utf-8")).hexdigest()
+
+    def require_pictures(self) -> None:
+        """Check that the pictures, masks and backgrounds of all frames are there, before hours go into the first.
+
+        Raises:
+            InputError: some are not, or the name of a picture has no place for the number of the frame.
+        """
+        require_files(self.views, self.frames)
 
     def sources(self, index: int) -> list[Path]:
         """The files that a frame is made from, by its place among the frames; those of its cameras are known already.
@@ -89,16 +107,13 @@ class Preparation:
             InputError: the name of a picture has no place for the number of the frame.
         """
         number = self.frames[index]
-        found = [file_of_frame(view.image, number) for view in self.views]
-        found += [_of_frame(view.mask, number) for view in self.views if view.mask is not None]
-        found += [view.background for view in self.views if view.background is not None]
+        found = [file for view in self.views for file in view.files(number)]
         before = self.frames[index - 1] if index else None
         if self.velocities is not None and before in self.velocities.numbers:
             found += self.velocities.sources(self.velocities.numbers.index(before))
-        if self.settings.integrator == "prbvolpath":
-            found.append(Path(self.settings.light))
-        # Of a frame's velocity, some files need not exist; a light may be a name; a picture that is missing is told of
-        # by whoever reads it.
+        if self.settings.integrator == "prbvolpath" and self.settings.light not in shipped_lights():
+            found += light_files(Path(self.settings.light))
+        # Of a frame's velocity, some files need not exist; a picture that is missing is told of by whoever reads it.
         return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def photographs(self, number: int | None) -> list[Photograph]:
@@ -108,8 +123,17 @@ class Preparation:
             InputError: one cannot be used, or has values that no smoke has; or none that is used shows anything.
         """
         found = [self._photograph(view, number) for view in self.views]
-        if not any((photograph.weights > 0).any() for photograph in found if not photograph.held_out):
-            raise InputError(f"{self.cameras.file}: masks leave nothing of any picture that is not held out")
+        used = [photograph for photograph in found if not photograph.held_out]
+        of_frame = "" if number is None else f" of frame {number}"
+        if not any((photograph.weights > 0).any() for photograph in used):
+            raise InputError(f"{self.cameras.file}: masks leave nothing of any picture{of_frame} that is not held out")
+        if not any((photograph.values[photograph.weights > 0] > 0).any() for photograph in used):
+            first = next(file_of_frame(view.image, number) for view in self.views if not view.held_out)
+            remedy = "" if number is None else f"; give --frames without {number}"
+            raise InputError(
+                f"{first}: it and all other pictures{of_frame} are black, expected smoke that is brighter than what is "
+                f"behind it{remedy}"
+            )
         with naming(self.cameras.file):
             require_box_in_sight(found, self.place.shape)
         require_plausible([file_of_frame(view.image, number) for view in self.views], found, self.settings)
@@ -139,19 +163,20 @@ class Preparation:
 
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        image = read_values(file, s.channel, s.transfer, view.layer)
+        image = read_values(file, s.channel, s.transfer, view.layer_in(file))
         rows, columns = image.shape[:2]
         if view is self.views[0]:
             require_memory_for_pictures(len(self.views), (rows, columns), self._numbers_of_pixel)
         weights = np.ones((rows, columns), np.float32)
         if view.mask is not None:
-            weights = read_weights(_of_frame(view.mask, number), weights.shape)
+            weights = read_weights(file_of_any_frame(view.mask, number), weights.shape, view.layer_in(view.mask))
         values, colours = _split(image, weights)
         background, behind = None, None
         if view.background is not None:
-            empty = read_values(view.background, s.channel, s.transfer)
-            require_size(view.background, empty[..., 0] if empty.ndim == 3 else empty, weights.shape)
-            background, behind = _split(empty, weights)
+            empty = file_of_any_frame(view.background, number)
+            seen = read_values(empty, s.channel, s.transfer, view.layer_in(empty))
+            require_size(empty, seen[..., 0] if seen.ndim == 3 else seen, weights.shape)
+            background, behind = _split(seen, weights)
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
@@ -164,7 +189,11 @@ class Preparation:
 
 
 def prepare(
-    cameras: Path, given: Mapping[str, Any] | ReconstructionSettings, frames: str | None, velocities: str | Path | None
+    cameras: Path,
+    given: Mapping[str, Any] | ReconstructionSettings,
+    frames: str | None,
+    velocities: str | Path | None,
+    format: str = "npz",
 ) -> Preparation:
     """Read the file of cameras and check all that can be checked before pictures are read.
 
@@ -173,6 +202,7 @@ def prepare(
         given: settings that win over those of the file; or all of them.
         frames: "FIRST:LAST", the numbers of the frames; None for pictures without numbers.
         velocities: a folder of frames with velocities, ESTIMATE, or NONE, which None is too.
+        format: of the densities that will be written.
 
     Raises:
         InputError: something cannot be used.
@@ -183,6 +213,8 @@ def prepare(
     else:
         settings = ReconstructionSettings().updated(found.settings, f"{cameras}: reconstruction: ").updated(given)
     settings.require_consistent()
+    if settings.integrator == "prbvolpath":
+        settings = replace(settings, light=located("light", settings.light, "", Path.cwd()))
     if settings.box is None:
         raise InputError(
             f"{cameras}: does not say where the smoke is; give the box around it in the cameras' scene, as "
@@ -208,6 +240,7 @@ def prepare(
         numbers,
         known,
         velocities == ESTIMATE,
+        format,
         (*found.remarks, *said, *((_COLOUR_SAID,) if settings.channel == "rgb" else ()), *said_of_velocities),
     )
 
@@ -260,11 +293,6 @@ def _numbers_of(frames: str | None) -> list[int | None]:
     if not 0 < len(span) <= 100_000:
         raise InputError(f"--frames {frames}: expected FIRST:LAST, such as 49:72")
     return list(span)
-
-
-def _of_frame(path: Path, number: int | None) -> Path:
-    """The file of a mask, which may be the same for all frames."""
-    return file_of_frame(path, number) if "#" in path.name else path
 
 
 def _cells(shape: Sequence[int]) -> str:

@@ -13,6 +13,7 @@ from tnst_mi.machine.backend import activate, own_variant
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import locked
+from tnst_mi.reconstruction.earlier import remove_earlier
 from tnst_mi.reconstruction.frame_by_frame import FrameByFrame
 from tnst_mi.reconstruction.preparation import ESTIMATE, prepare
 from tnst_mi.reconstruction.report import remarks_of_frames
@@ -59,7 +60,8 @@ def reconstruct(
 
     Grids go from coarse to fine. On each, Adam lowers the difference between views of the smoke and their pictures,
     with derivatives by the adjoint of the renderer (docs/reconstruction.md). The same call gives the same bits on the
-    same machine, also if it was stopped and resumed.
+    same machine, also if it was stopped and resumed; with prbvolpath nearly the same, since Mitsuba adds up what paths
+    find in an order that changes.
 
     Args:
         cameras: our TOML, a NeRF's `transforms.json`, or a Mitsuba scene with sensors.
@@ -71,7 +73,7 @@ def reconstruct(
             same grid; or "none", so that it starts from the one before as it is.
         format: of the densities: npz, vol, uni or vdb, of which vdb keeps their place in the scene.
         resume: go on where an earlier call stopped.
-        overwrite: write into a folder that is not empty.
+        overwrite: write into a folder that is not empty, and remove the frames of a reconstruction from there.
         progress: show a progress bar on stderr.
 
     Raises:
@@ -111,14 +113,15 @@ def reconstruct(
         )
     with own_variant():
         activate()
-        prepared = prepare(cameras, settings or {}, frames, velocities)
+        prepared = prepare(cameras, settings or {}, frames, velocities, format)
         state = out / "state.safetensors"
-        before = (
-            ReconstructionState.read(state, prepared.identity) if resume else ReconstructionState(prepared.identity)
-        )
+        before = ReconstructionState.read(state, prepared) if resume else ReconstructionState(prepared.identity)
+        prepared.require_pictures()
         out.mkdir(parents=True, exist_ok=True)
         with locked(out), deferred_interrupt() as interrupt:
-            run = FrameByFrame(prepared, out, format, state, before, progress)
+            if not resume:
+                remove_earlier(out, state)
+            run = FrameByFrame(prepared, out, state, before, progress)
             run.go_on(interrupt)
         records = (*run.progress.records, *run.unfinished)
         files = tuple(out / record["density"] for record in records)

@@ -18,6 +18,7 @@ from tnst_mi.machine.interrupt import Interrupt
 from tnst_mi.machine.progress_bar import progress_bar
 from tnst_mi.reconstruction.one_frame import FrameReconstruction, HeldOutView, mean_psnr
 from tnst_mi.reconstruction.preparation import Preparation
+from tnst_mi.reconstruction.records import density_file, frame_name
 from tnst_mi.reconstruction.sides import three_sides
 from tnst_mi.reconstruction.smoke_colours import colour_steps
 
@@ -43,7 +44,6 @@ def in_colour(
 
 def write_frame_results(
     out: Path,
-    format: str,
     prepared: Preparation,
     number: int | None,
     frame: FrameReconstruction,
@@ -57,11 +57,10 @@ def write_frame_results(
     Raises:
         OSError: something cannot be written.
     """
-    name = "smoke" if number is None else f"smoke_{number:04d}"
+    name, file = frame_name(number), density_file(number, prepared.format)
     views = frame.judged(extinction, colours)
     gamma = prepared.settings.gamma_of(frame.brightness)
     density = extinction / np.float32(gamma)
-    file = Path("density") / f"{name}.{format}"
     others = None if colours is None else OtherGrids.of_arrays({COLOUR: colours}, density.shape, name)
     write_frame(out / file, density, placement=prepared.place.placement, others=others)
     write_png(out / "images" / f"{name}_sides.png", srgb(np.clip(three_sides(extinction, colours), 0, 1)))
@@ -71,12 +70,14 @@ def write_frame_results(
     return {
         "name": name,
         "number": number,
-        "density": file.as_posix(),
+        "density": str(file),
         "finished": finished,
         "psnr": _finite(value),
-        "psnr_of_views": {view.name: _finite(view.psnr) for view in views},
+        "psnr_of_views": {view.name: _finite(view.psnr) for view in views if view.psnr is not None},
+        "masked_views": [view.name for view in views if view.psnr is None],
         "gamma": gamma,
-        "brightness": frame.brightness,
+        # How bright smoke is that scatters light is up to the light.
+        "brightness": None if prepared.settings.integrator == "prbvolpath" else frame.brightness,
         "background": frame.background,
         "peak": frame.peak,
         "noise": frame.noise,

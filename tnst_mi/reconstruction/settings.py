@@ -41,6 +41,10 @@ class Corners:
         return "not set" if value is None else ",".join(f"{number:g}" for number in value)
 
 
+#: What only light that is scattered has.
+_OF_SCATTERING = ("albedo", "anisotropy", "light", "spp")
+
+
 @dataclass(frozen=True)
 class ReconstructionSettings:
     """Every key with its kind and its default; the texts below them are those of --help.
@@ -139,6 +143,18 @@ class ReconstructionSettings:
             raise InputError(
                 "quadrature = paper: its sum has no transmittance that a background could be seen through; take exact"
             )
+        if self.channel == "alpha" and (self.gamma == "auto" or self.brightness not in ("1/gamma", 1.0)):
+            name = "gamma" if self.gamma == "auto" else "brightness"
+            raise InputError(
+                f"{name} = {getattr(self, name)}: with channel = alpha, pictures are opacities, whose brightness is 1 "
+                f"and by which γ cannot be found; leave {name} out"
+            )
+        if self.integrator == "emission_absorption":
+            for name in _OF_SCATTERING:
+                if (value := getattr(self, name)) != getattr(type(self), name):
+                    raise InputError(
+                        f"{name} = {value}: is of scattered light; add integrator = prbvolpath, or leave {name} out"
+                    )
         if self.integrator == "prbvolpath":
             given = {"brightness": self.brightness != "1/gamma", "background": self.background != 0}
             given |= {"channel": self.channel in ("alpha", "rgb"), "quadrature": self.quadrature != "exact"}

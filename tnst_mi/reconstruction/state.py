@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.gate import opening
+from tnst_mi.reconstruction.preparation import Preparation
+from tnst_mi.reconstruction.records import require_sound_record
 from tnst_mi.reconstruction.resumable import ResumableDescent
 from tnst_mi.reconstruction.sources import digest, require_unchanged
 
@@ -25,6 +28,9 @@ _TOLD = ("identity", "records", "level", "seconds", "sources", "errors")
 
 #: Numbers that a record keeps of the errors on a grid, at most.
 _KEPT_ERRORS = 50
+
+#: What reading a file raises that is not what was written: RuntimeError is torch's.
+_DAMAGED = (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError)
 
 #: Adam's moments by torch's names of them.
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -90,8 +96,8 @@ class ReconstructionState:
             temporary.write_bytes(save(tensors, {"progress": json.dumps(told)}))
 
     @classmethod
-    def read(cls, path: Path, identity: str) -> ReconstructionState:
-        """Read how far an earlier reconstruction got.
+    def read(cls, path: Path, prepared: Preparation) -> ReconstructionState:
+        """Read how far an earlier reconstruction of the same got.
 
         Raises:
             InputError: there is none, it is damaged, it was of something else, or of files that were changed since.
@@ -103,14 +109,21 @@ class ReconstructionState:
                 told = json.loads(file.metadata()["progress"])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
             progress = cls(**{name: told[name] for name in _TOLD}, tensors=tensors)
-            _require_sound(progress)
-        except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError):
-            raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
-        if progress.identity != identity:
+            ours = progress.identity == prepared.identity
+            if ours:
+                _require_sound(progress, prepared)
+        except _DAMAGED:
+            raise _damaged(path) from None
+        if not ours:
             raise InputError(
-                f"{path.parent}: was reconstructed with other settings, cameras or frames; give the same to go on, or "
-                "begin anew with --overwrite"
+                f"{path.parent}: was reconstructed with other settings, cameras or frames, other velocities or another "
+                "format; give the same to go on, or begin anew with --overwrite"
             )
+        for record in progress.records:
+            if not (file := path.parent / record["density"]).is_file():
+                raise InputError(
+                    f"{file}: is gone, and was written before; put it back, or begin anew with --overwrite"
+                )
         require_unchanged(progress.sources)
         return progress
 
@@ -118,31 +131,50 @@ class ReconstructionState:
         """Bring a descent to where the earlier one was.
 
         Raises:
-            InputError: the file is of another grid.
+            InputError: the file is of another grid, or holds what no descent comes to.
         """
         try:
+            if not all(bool(tensor.isfinite().all()) for tensor in self.tensors.values()):
+                raise ValueError("not finite")
             unknown = descent.unknown
             with torch.no_grad():
                 unknown.copy_(_fitting(self.tensors["unknown"], unknown))
             moments = {name: _fitting(self.tensors[name], unknown) for name in _MOMENTS}
             descent.done = int(self.tensors["done"])
+            if not 0 <= descent.done <= descent.steps:
+                raise ValueError("another number of steps")
             descent.adam.state[unknown] = {"step": torch.tensor(float(descent.done)), **moments}
             descent.remember(self.tensors)
-        except (KeyError, ValueError, TypeError):
-            raise InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite") from None
+        except _DAMAGED:
+            raise _damaged(path) from None
 
 
-def _require_sound(progress: ReconstructionState) -> None:
-    """Check the types of what a file says.
+def _require_sound(progress: ReconstructionState, prepared: Preparation) -> None:
+    """Check that what a file says is how far the reconstruction can have got.
 
     Raises:
-        ValueError: one is another.
+        KeyError, TypeError, ValueError: it is not.
     """
-    levels = [error for errors in progress.errors for error in errors]
-    numbers = isinstance(progress.level, int) and all(isinstance(n, int | float) for n in [progress.seconds, *levels])
-    texts = [progress.identity, *(record["density"] for record in progress.records), *progress.sources.values()]
-    if not numbers or not all(isinstance(text, str) and text for text in texts):
+    frames, levels, records = prepared.frames, prepared.levels, progress.records
+    # JSON makes of True and of NaN what Python's numbers are.
+    numbers = [progress.level, progress.seconds, *(error for errors in progress.errors for error in errors)]
+    if not all(type(number) in (int, float) and math.isfinite(number) and number >= 0 for number in numbers):
+        raise ValueError("not a number")
+    if type(progress.level) is not int or progress.level >= len(levels) or len(progress.errors) > len(levels):
+        raise ValueError("more grids than there are")
+    if not isinstance(records, list) or len(records) > len(frames):
+        raise ValueError("more frames than there are")
+    judges = [view.name for view in prepared.views if view.held_out]
+    for number, record in zip(frames, records, strict=False):
+        require_sound_record(record, number, prepared.format, judges)
+    if not all("velocity" in record for record in records[:-1]):
+        raise ValueError("no velocity to the next frame")
+    if not all(isinstance(text, str) for source in progress.sources.items() for text in source):
         raise ValueError("another type")
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(f"{path}: damaged, so nothing can go on from there; begin anew with --overwrite")
 
 
 def _tensors(descent: ResumableDescent) -> dict[str, Tensor]:

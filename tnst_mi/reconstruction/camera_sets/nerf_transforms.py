@@ -46,7 +46,7 @@ def read_transforms(path: Path) -> CameraSet:
             raise InputError('expected the transforms.json of a NeRF, with a list "frames" of views')
         shared = {key: value for key, value in values.items() if key != "frames"}
         views = [_view(number, shared | frame, path.parent) for number, frame in enumerate(frames)]
-        if len({view.name for view in views}) < len(views):
+        if len({view.name.casefold() for view in views}) < len(views):
             views = [PosedView(f"{number:04d}_{v.name}", v.image, v.camera, v.mask) for number, v in enumerate(views)]
     return CameraSet(path, "z", views, remarks=("its scene is taken with z up, as NeRFs have it",))
 

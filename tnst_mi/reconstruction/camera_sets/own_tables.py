@@ -12,8 +12,10 @@ from tnst_mi.errors import InputError, naming
 from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.io.cameras.scene_camera import SceneCamera
 from tnst_mi.io.cameras.tables import camera_of
+from tnst_mi.recipe.paths import shipped_lights
 from tnst_mi.reconstruction.camera_sets.pixel_rays import RayCamera, read_ray_camera
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView
+from tnst_mi.resources import expanded
 
 #: Longest file in bytes, for which Python's reader takes seconds.
 _LONGEST = 1 << 20
@@ -49,13 +51,21 @@ def read_own_tables(path: Path) -> CameraSet:
         by_rays = {name: _rays(name, table, path.parent) for name, table in tables.items() if "rays" in table}
         found = [_view(name, table, up, path.parent, by_rays.get(name)) for name, table in tables.items()]
         assumed = (*assumed, *_said_of_rays(by_rays, len(found)))
-        return CameraSet(path, up, found, _table("reconstruction", settings or {}), assumed)
+        return CameraSet(path, up, found, _settings(_table("reconstruction", settings or {}), path.parent), assumed)
 
 
 def _table(name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputError(f"{name}: is {reprlib.repr(value)}, expected a table of keys")
     return value
+
+
+def _settings(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The settings, of which a light is beside the file that names it, as pictures are."""
+    light = table.get("light")
+    if not isinstance(light, str) or light in shipped_lights():
+        return table
+    return {**table, "light": str(folder / expanded(Path(light)))}
 
 
 def _rays(name: str, table: Mapping[str, Any], folder: Path) -> RayCamera:

@@ -10,6 +10,7 @@ from tnst_mi.reconstruction.camera_sets.mitsuba_sensors import read_sensors
 from tnst_mi.reconstruction.camera_sets.nerf_transforms import read_transforms
 from tnst_mi.reconstruction.camera_sets.own_tables import read_own_tables
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet
+from tnst_mi.reconstruction.camera_sets.view_names import require_usable_names
 
 _READERS = {".toml": read_own_tables, ".json": read_transforms, ".xml": read_sensors}
 
@@ -26,4 +27,6 @@ def read_camera_set(path: Path) -> CameraSet:
             f"{path}: expected a file of cameras: our .toml, a NeRF's transforms.json, or a Mitsuba scene (.xml)"
         )
     with opening(path, "a file of cameras"):
-        return _READERS[suffix](path)
+        found = _READERS[suffix](path)
+    require_usable_names(path, [view.name for view in found.views])
+    return found
