@@ -21,11 +21,11 @@ import mitsuba as mi
 
 import tnst_mi
 from tnst_mi.compare.bench.bench_settings import BenchSettings
-from tnst_mi.compare.bench.hypotheses import DIFFERENCED, DIFFERENTIATED
-from tnst_mi.compare.bench.known_answers import known_scenes
 from tnst_mi.compare.bench.measurement import measure, prepare
-from tnst_mi.compare.bench.sides import ANSWER, OURS, PATH_TRACERS, side_of
-from tnst_mi.compare.bench.variants import SPECTRAL_WHITE, variant_of
+from tnst_mi.compare.bench.renderers.known_answers import known_scenes
+from tnst_mi.compare.bench.renderers.sides import ANSWER, OURS, PATH_TRACERS, side_of
+from tnst_mi.compare.bench.renderers.variants import SPECTRAL_WHITE, variant_of
+from tnst_mi.compare.bench.statistics.hypotheses import DIFFERENCED, DIFFERENTIATED
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 

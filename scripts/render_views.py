@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,10 +22,12 @@ import mitsuba as mi
 import numpy as np
 
 import tnst_mi
+from tnst_mi.errors import InputError
 from tnst_mi.io import open_frames
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.io.cameras.scene_camera import looking
 from tnst_mi.io.pictures.exr import write_exr
+from tnst_mi.machine.disk import require_writable
 from tnst_mi.recipe.paths import LIGHTS
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 from tnst_mi.rendering.renderer import Renderer
@@ -116,24 +119,59 @@ def _images(frame: tnst_mi.Frame, renderer: Renderer, cameras: Sequence[tnst_mi.
     return renderer.colour_images(density, mi.TensorXf(colours_of(frame.grids, name, frame.name)), cameras).numpy()
 
 
-def main() -> None:
-    """Render the views that the command line asks for."""
+def main() -> int:
+    """Render the views that the command line asks for, and return the exit code."""
+    try:
+        print(_written(_parsed()))
+    except InputError as error:
+        print(f"render_views.py: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("input", type=Path, help="density file or folder of numbered ones")
     parser.add_argument("--out", type=Path, required=True, help="folder for pictures and cameras.toml")
-    parser.add_argument("--frames", help="FIRST:LAST of a sequence")
-    parser.add_argument("--views", type=int, default=36, help="cameras to reconstruct from")
-    parser.add_argument("--held-out", type=int, default=8, help="cameras that judge")
-    parser.add_argument("--size", type=int, help="rows and columns of a picture; by default the grid's longest edge")
-    parser.add_argument("--gamma", type=float, default=0.1, help="extinction per unit of density and cell")
-    parser.add_argument("--noise", default="0%", help="standard deviation, such as 1%%, of the largest value")
-    parser.add_argument("--integrator", choices=("emission_absorption", "prbvolpath"), default="emission_absorption")
-    parser.add_argument("--albedo", type=float, default=0.9)
-    parser.add_argument("--light", default="key", help="prbvolpath: key or environment")
-    parser.add_argument("--spp", type=int, default=256, help="prbvolpath: paths per pixel")
-    given = parser.parse_args()
+    parser.add_argument("--frames", help="FIRST:LAST of a sequence (default: all)")
+    parser.add_argument("--views", type=int, default=36, help="cameras to reconstruct from (default: %(default)s)")
+    parser.add_argument("--held-out", type=int, default=8, help="cameras that judge (default: %(default)s)")
+    parser.add_argument("--size", type=int, help="rows and columns of a picture (default: the grid's longest edge)")
+    parser.add_argument(
+        "--gamma", type=float, default=0.1, help="extinction per unit of density and cell (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--noise", default="0%", help="standard deviation, in parts of the largest value (default: 0%%)"
+    )
+    parser.add_argument(
+        "--integrator",
+        choices=("emission_absorption", "prbvolpath"),
+        default="emission_absorption",
+        help="what smoke does with light (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--albedo", type=float, default=0.9, help="prbvolpath: share of light that is scattered (default: %(default)s)"
+    )
+    parser.add_argument("--light", default="key", help="prbvolpath: key or environment (default: %(default)s)")
+    parser.add_argument("--spp", type=int, default=256, help="prbvolpath: paths per pixel (default: %(default)s)")
+    parser.add_argument("--overwrite", action="store_true", help="write into a folder that is not empty")
+    return parser.parse_args()
+
+
+def _written(given: argparse.Namespace) -> Path:
+    """Write what was asked for; gives the file of cameras.
+
+    Raises:
+        InputError: something cannot be used.
+    """
+    require_writable(given.out, given.input, None if given.overwrite else "give another folder, or --overwrite")
+    try:
+        span = None if given.frames is None else tuple(int(part) for part in given.frames.split(":"))
+        noise = float(given.noise.rstrip("%")) / (100 if given.noise.endswith("%") else 1)
+    except ValueError:
+        told = f"--frames {given.frames}, --noise {given.noise}"
+        raise InputError(f"{told}: expected two numbers such as 49:72, and one such as 1%") from None
     tnst_mi.activate()
-    span = None if given.frames is None else tuple(int(part) for part in given.frames.split(":"))
     frames = list(open_frames(given.input, span))
     shape = frames[0].density.shape
     side = given.size or max(shape)
@@ -144,9 +182,8 @@ def main() -> None:
     else:
         renderer = ColouredRenderer(shape, given.gamma, "exact", 1.0, size=(side, side))
         others = "" if colour_name(frames[0].grids) is None else 'channel = "rgb"\n'
-    noise = float(given.noise.rstrip("%")) / (100 if given.noise.endswith("%") else 1)
-    print(write_views(given.out, frames, renderer, (given.views, given.held_out), noise, given.gamma, others))
+    return write_views(given.out, frames, renderer, (given.views, given.held_out), noise, given.gamma, others)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -54,7 +54,15 @@ def test_info_tells_of_a_model_what_its_card_does(model, smoke, capsys):
     assert said[1] == '  trained for: style = ["spirals"], octaves = 1'
     assert said[2] == f"  learned from: {smoke.name} (3 frames)"
     before, after = card["loss_before"], card["curve"][-1]["loss"]
-    assert said[3] == f"  loss of what it learned from: {before:.4g} without it, {after:.4g} after 30 updates"
+    assert (
+        said[3]
+        == f"  loss of what it learned from (less is better): {before:.4g} without it, {after:.4g} after 30 updates"
+    )
+
+
+def test_info_knows_models_that_ship_by_their_names(capsys):
+    assert main(["info", "flower"]) == 0
+    assert '--model flower)\n  trained for: tag = ["flower"]' in capsys.readouterr().out
 
 
 def test_info_refuses_weights_that_are_no_model(weights, capsys):

@@ -10,12 +10,12 @@ import OpenEXR
 import pytest
 from command_line import Run, refused, run
 
-from tnst_mi.compare.bench.batches import Batches, certain_beside, comparable
-from tnst_mi.compare.bench.pictures import pictures
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import side_of
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, smoke_renderer
-from tnst_mi.compare.bench.variants import LUMINANCE
+from tnst_mi.compare.bench.renderers.pictures import pictures
+from tnst_mi.compare.bench.renderers.scene_file import scene_renderer
+from tnst_mi.compare.bench.renderers.sides import side_of
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene, smoke_renderer
+from tnst_mi.compare.bench.renderers.variants import LUMINANCE
+from tnst_mi.compare.bench.statistics.batches import Batches, certain_beside, comparable
 from tnst_mi.errors import InputError
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
@@ -37,7 +37,7 @@ SCENE = """<scene version="3.0.0">{before}
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few batches, and no figures."""
-    monkeypatch.setattr("tnst_mi.compare.bench.prepared_side.BATCHES", 8)
+    monkeypatch.setattr("tnst_mi.compare.bench.renderers.prepared_side.BATCHES", 8)
 
     def empty(path: Path, figure: object) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

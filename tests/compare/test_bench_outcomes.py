@@ -12,11 +12,11 @@ import pytest
 from command_line import Ran, Run, refused, run
 
 from tnst_mi.compare.bench.baseline import Baseline, held_against, pixel_columns
-from tnst_mi.compare.bench.batches import Batches, difference, missed
-from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, detectable, family
-from tnst_mi.compare.bench.hypotheses import value_families
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.sides import spelled_out
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.sides import spelled_out
+from tnst_mi.compare.bench.statistics.batches import Batches, difference, missed
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS, Family, alarms, detectable, family
+from tnst_mi.compare.bench.statistics.hypotheses import value_families
 from tnst_mi.machine.backend import activate
 from tnst_mi.resources import scene_file
 

@@ -11,11 +11,11 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from tnst_mi.compare.bench.batches import Batches, comparable, difference
 from tnst_mi.compare.bench.bench_settings import BATCHES
-from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, family, holm
-from tnst_mi.compare.bench.hypotheses import value_families
-from tnst_mi.compare.bench.student import quantile, two_sided_tail
+from tnst_mi.compare.bench.statistics.batches import Batches, comparable, difference
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS, Family, alarms, family, holm
+from tnst_mi.compare.bench.statistics.hypotheses import value_families
+from tnst_mi.compare.bench.statistics.student import quantile, two_sided_tail
 
 
 @pytest.mark.parametrize(

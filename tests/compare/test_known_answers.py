@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tnst_mi.compare.bench.known_answers import Answer, answer_of, known_scenes
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import OURS, PATH_TRACERS, side_of
+from tnst_mi.compare.bench.renderers.known_answers import Answer, answer_of, known_scenes
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.scene_file import scene_renderer
+from tnst_mi.compare.bench.renderers.sides import OURS, PATH_TRACERS, side_of
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.vol import read_vol
 from tnst_mi.resources import scene_file

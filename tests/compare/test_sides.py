@@ -13,10 +13,10 @@ import pytest
 from command_line import Ran, Run, refused, run
 from fields import smooth_noise
 
-from tnst_mi.compare.bench.parameters import PARAMETERS, SceneParameters
-from tnst_mi.compare.bench.renderer import ramp
-from tnst_mi.compare.bench.sides import side_of
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
+from tnst_mi.compare.bench.renderers.parameters import PARAMETERS, SceneParameters
+from tnst_mi.compare.bench.renderers.renderer import ramp
+from tnst_mi.compare.bench.renderers.sides import side_of
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene, float64_images, smoke_renderer
 from tnst_mi.frame import Frame
 from tnst_mi.io import save_frames
 from tnst_mi.io.pictures.exr import write_exr
@@ -45,7 +45,7 @@ def smoke(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few batches, and no figures, which take longer than the rest for so small a frame."""
-    monkeypatch.setattr("tnst_mi.compare.bench.prepared_side.BATCHES", 8)
+    monkeypatch.setattr("tnst_mi.compare.bench.renderers.prepared_side.BATCHES", 8)
     monkeypatch.setattr("tnst_mi.compare.bench.bench_report.write_figure", lambda path, figure: _empty(path))
 
 

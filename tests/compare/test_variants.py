@@ -11,13 +11,13 @@ import pytest
 from command_line import Run, refused, run
 
 from tnst_mi.compare.bench.bench_settings import BenchSettings
-from tnst_mi.compare.bench.known_answers import answer_of
 from tnst_mi.compare.bench.measurement import prepare
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import side_of
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, smoke_renderer
-from tnst_mi.compare.bench.variants import LUMINANCE, SPECTRAL_WHITE, variant_of, within
+from tnst_mi.compare.bench.renderers.known_answers import answer_of
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.scene_file import scene_renderer
+from tnst_mi.compare.bench.renderers.sides import side_of
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene, smoke_renderer
+from tnst_mi.compare.bench.renderers.variants import LUMINANCE, SPECTRAL_WHITE, variant_of, within
 from tnst_mi.errors import InputError
 from tnst_mi.machine.backend import activate
 from tnst_mi.resources import scene_file

@@ -12,9 +12,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import side_of
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.scene_file import scene_renderer
+from tnst_mi.compare.bench.renderers.sides import side_of
 from tnst_mi.compare.path_tracing import PathTracer
 from tnst_mi.machine.garbage import collection_paused
 from tnst_mi.recipe.paths import LIGHTS

@@ -86,7 +86,14 @@ def test_sensors_of_a_scene_see_what_their_cameras_see(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("image = ", "picture = ", "view view_00: image: is not there, expected a file"),
+        ("image = ", "# image = ", "view view_00: image: is not there, expected a file"),
+        ("held_out = true", "heldout = true", "view held_out_00: unknown key 'heldout'; did you mean 'held_out'?"),
+        ("fov = ", "fovv = ", "unknown key 'fovv'; did you mean 'fov'?"),
+        (
+            "image = ",
+            "picture = ",
+            "unknown key 'picture'; expected one of image, mask, background, held_out, rays, layer",
+        ),
         ("fov = 36.0", "fov = 300", "fov = 300: expected a number from 0.01 to 179"),
         ("cells = 16", "cell = 16", "reconstruction: unknown key 'cell'; did you mean 'cells'?"),
         ("cells = 16", "cells = 1", "reconstruction: cells = 1: expected an integer from 4 to 2048"),

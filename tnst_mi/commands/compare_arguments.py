@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from tnst_mi.commands.base import Arguments, Folder, recipe_flags
-from tnst_mi.compare.bench.sides import PLACEHOLDER
+from tnst_mi.compare.bench.renderers.sides import PLACEHOLDER
 from tnst_mi.recipe.sections import Reading
 
 #: Views, unless others or a camera are given.

@@ -12,10 +12,10 @@ from tnst_mi.commands.compare_input import ComparedSmoke, read_smoke, views_and_
 from tnst_mi.compare.bench.baseline import held_against, read_baseline, require_same, require_same_tests
 from tnst_mi.compare.bench.bench_settings import BenchSettings
 from tnst_mi.compare.bench.measurement import measure, prepare
-from tnst_mi.compare.bench.parameters import parameter_names
 from tnst_mi.compare.bench.record import record_of
-from tnst_mi.compare.bench.sides import OURS, side_of
-from tnst_mi.compare.bench.smoke_scene import SmokeScene
+from tnst_mi.compare.bench.renderers.parameters import parameter_names
+from tnst_mi.compare.bench.renderers.sides import OURS, side_of
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene
 from tnst_mi.errors import InputError
 from tnst_mi.machine.backend import activate
 from tnst_mi.machine.disk import require_writable

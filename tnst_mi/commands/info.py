@@ -24,6 +24,7 @@ from tnst_mi.io.interpretation.conventions import Conventions, StoredFrame
 from tnst_mi.io.sequence import FrameFiles, checked_shapes
 from tnst_mi.machine.lazy import LazyModule
 from tnst_mi.machine.terminal import printable
+from tnst_mi.recipe.paths import MODELS
 from tnst_mi.recipe.recipe import Recipe
 from tnst_mi.run.inputs import conventions_of
 from tnst_mi.run.readable import Readable
@@ -37,8 +38,9 @@ def run(arguments: InfoArguments) -> int:
     if not arguments.files:
         raise InputError("info: expected one or more files or folders")
     recipe = Recipe().updated_by_flags(given(arguments.reading))
+    shipped = {path.stem for path in MODELS.glob("*.safetensors")}
     for path in arguments.files:
-        if path.suffix.lower() == ".safetensors":
+        if path.suffix.lower() == ".safetensors" or (str(path) in shipped and not path.exists()):
             _show(info_model.lines_of_model(path))
             continue
         try:

@@ -35,7 +35,8 @@ def _training(trained: Mapping[str, Any]) -> Iterator[str]:
         yield f"learned from: {_names(trained['inputs'])}"
         judges = f"of {_names(trained['held_out'])}" if trained["held_out"] else "of what it learned from"
         before, after = (float(trained[key]) for key in ("loss_before", "loss"))
-        yield f"loss {judges}: {before:.4g} without it, {after:.4g} after {int(trained['updates'])} updates"
+        updates = int(trained["updates"])
+        yield f"loss {judges} (less is better): {before:.4g} without it, {after:.4g} after {updates} updates"
     except (KeyError, TypeError, ValueError):
         yield "says nothing else of its training"
 

@@ -18,10 +18,7 @@ from tnst_mi.machine.backend import torch_device
 from tnst_mi.machine.terminal import quoted
 from tnst_mi.network.download import file_hash
 from tnst_mi.realtime.potential_network import Architecture, PotentialNetwork
-from tnst_mi.resources import DATA
-
-#: Models that come with the package.
-_SHIPPED = DATA / "models"
+from tnst_mi.recipe.paths import MODELS
 
 #: What the metadata of these files has, apart from those of other programs.
 _KEY = "tnst_mi_model"
@@ -72,7 +69,7 @@ def write_model(path: Path, network: PotentialNetwork, recipe: Mapping[str, Any]
 
 def shipped_models() -> dict[str, Path]:
     """The models that come with the package, by name."""
-    return {path.stem: path for path in sorted(_SHIPPED.glob("*.safetensors"))}
+    return {path.stem: path for path in sorted(MODELS.glob("*.safetensors"))}
 
 
 def read_model(path: Path) -> Model:

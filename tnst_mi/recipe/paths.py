@@ -23,6 +23,9 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", 
 #: Mitsuba scenes whose emitters light the smoke, named likewise.
 LIGHTS = DATA / "lights"
 
+#: Models that ship with the package.
+MODELS = DATA / "models"
+
 
 def shipped_styles() -> list[str]:
     """Names of the style pictures that ship with the package."""

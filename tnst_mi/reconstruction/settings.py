@@ -146,8 +146,8 @@ class ReconstructionSettings:
         if self.channel == "alpha" and (self.gamma == "auto" or self.brightness not in ("1/gamma", 1.0)):
             name = "gamma" if self.gamma == "auto" else "brightness"
             raise InputError(
-                f"{name} = {getattr(self, name)}: with channel = alpha, pictures are opacities, whose brightness is 1 "
-                f"and by which γ cannot be found; leave {name} out"
+                f"{name} = {getattr(self, name)}: with channel = alpha, pictures are opacities, whose brightness is 1, "
+                f"so that there is nothing to find or to choose; leave {name} out"
             )
         if self.integrator == "emission_absorption":
             for name in _OF_SCATTERING:

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import welch
 from tnst_mi.compare.bench.bench_settings import BenchSettings
-from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, merged
 from tnst_mi.compare.bench.record import FORMAT, OUTCOMES, PIXELS
-from tnst_mi.compare.bench.sides import spelled_out
+from tnst_mi.compare.bench.renderers.sides import spelled_out
+from tnst_mi.compare.bench.statistics.batches import welch
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS, Family, alarms, merged
 from tnst_mi.errors import InputError
 from tnst_mi.io.grids.npz import read_arrays
 from tnst_mi.machine.gate import opening

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from tnst_mi.compare.bench.sides import Side
+from tnst_mi.compare.bench.renderers.sides import Side
 
 #: Independent estimates into which the paths of a noisy side are divided.
 BATCHES = 32

@@ -9,19 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches
 from tnst_mi.compare.bench.bench_settings import BenchSettings
-from tnst_mi.compare.bench.decision import Family, merged
-from tnst_mi.compare.bench.hypotheses import (
+from tnst_mi.compare.bench.renderers.prepared_side import PreparedSide
+from tnst_mi.compare.bench.renderers.renderer import ramp
+from tnst_mi.compare.bench.renderers.sides import FLOAT64, OURS
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene, float64_images
+from tnst_mi.compare.bench.statistics.batches import Batches
+from tnst_mi.compare.bench.statistics.decision import Family, merged
+from tnst_mi.compare.bench.statistics.hypotheses import (
     Derivative,
     ImagePair,
     derivative_tests,
     value_families,
 )
-from tnst_mi.compare.bench.prepared_side import PreparedSide
-from tnst_mi.compare.bench.renderer import ramp
-from tnst_mi.compare.bench.sides import FLOAT64, OURS
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images
 from tnst_mi.errors import InputError
 
 #: Called with the name of the current measurement and the share of all work, 0 to 1, done since the last call.

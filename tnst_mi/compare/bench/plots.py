@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tnst_mi.compare.bench.batches import comparable, difference
-from tnst_mi.compare.bench.decision import FALSE_ALARMS
-from tnst_mi.compare.bench.hypotheses import ImagePair
+from tnst_mi.compare.bench.statistics.batches import comparable, difference
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS
+from tnst_mi.compare.bench.statistics.hypotheses import ImagePair
 from tnst_mi.compare.figures import Sheet
 
 _DIFFERENCES = "RdBu_r"
@@ -95,7 +95,8 @@ def tail_figure(families: Sequence[Any]) -> Figure:
         if len(tails):
             axes.loglog((np.arange(len(tails)) + 1) / len(tails), np.maximum(tails, 1e-15), ".", label=tests.name)
     axes.plot([1e-4, 1], [1e-4, 1], color="black", linewidth=1, label="if the sides agree")
-    axes.axhline(FALSE_ALARMS, color="grey", linestyle=":", linewidth=1)
-    axes.set(xlabel="rank / number of tests", ylabel="tail probability", title="below the line: more than chance")
+    axes.axhline(FALSE_ALARMS, color="grey", linestyle=":", linewidth=1, label=f"by chance {FALSE_ALARMS:g}")
+    axes.set(xlabel="rank / number of tests", ylabel="tail probability")
+    axes.set_title("far below the line, and below the dots: more than chance", fontsize=10)
     axes.legend(fontsize=8)
     return figure

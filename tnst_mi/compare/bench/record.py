@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches, difference
 from tnst_mi.compare.bench.bench_settings import BATCHES, BenchSettings
-from tnst_mi.compare.bench.decision import FALSE_ALARMS, Family, alarms, detectable
-from tnst_mi.compare.bench.hypotheses import ImagePair
 from tnst_mi.compare.bench.measurement import Measured
+from tnst_mi.compare.bench.statistics.batches import Batches, difference
+from tnst_mi.compare.bench.statistics.decision import FALSE_ALARMS, Family, alarms, detectable
+from tnst_mi.compare.bench.statistics.hypotheses import ImagePair
 from tnst_mi.compare.values import relative_rms
 
 FORMAT = "tnst_mi.compare/1"

@@ -26,7 +26,7 @@ _LONGEST = {".toml": 1 << 20, ".json": 1 << 25}
 _POSES = ("matrix", "position", "target", "up")
 _LENSES = ("fov", "focal_length", "sensor_height", "sensor_width", "height")
 _OTHERS = ("aspect", "resolution", "shift")
-_KEYS = (*_POSES, *_LENSES, *_OTHERS)
+KEYS = (*_POSES, *_LENSES, *_OTHERS)
 
 #: What a file has beside cameras.
 _OF_THE_FILE = ("up_axis", "frames")
@@ -129,9 +129,9 @@ def camera_of(table: Mapping[str, Any], up: str) -> SceneCamera:
     Raises:
         InputError: a key is missing, unknown or contradicts another, or its value is none.
     """
-    if unknown := [key for key in table if key not in _KEYS]:
-        near = difflib.get_close_matches(unknown[0], (*_KEYS, *_OF_THE_FILE), 1, 0.7)
-        remedy = f"did you mean {near[0]!r}?" if near else f"the keys of a camera are {', '.join(_KEYS)}"
+    if unknown := [key for key in table if key not in KEYS]:
+        near = difflib.get_close_matches(unknown[0], (*KEYS, *_OF_THE_FILE), 1, 0.7)
+        remedy = f"did you mean {near[0]!r}?" if near else f"the keys of a camera are {', '.join(KEYS)}"
         raise InputError(
             f"unknown key {reprlib.repr(unknown[0])}; {remedy} (beside these, a file has {' and '.join(_OF_THE_FILE)})"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
 from collections.abc import Mapping
 from functools import partial
@@ -11,7 +12,7 @@ from typing import Any
 from tnst_mi.errors import InputError, naming
 from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.io.cameras.scene_camera import SceneCamera
-from tnst_mi.io.cameras.tables import camera_of
+from tnst_mi.io.cameras.tables import KEYS, camera_of
 from tnst_mi.recipe.paths import shipped_lights
 from tnst_mi.reconstruction.camera_sets.pixel_rays import RayCamera, read_ray_camera
 from tnst_mi.reconstruction.camera_sets.posed_view import CameraSet, PosedView
@@ -22,6 +23,9 @@ _LONGEST = 1 << 20
 
 #: Keys of a view beside those of its camera.
 _PICTURES = ("image", "mask", "background")
+
+#: The other keys that a camera has not.
+_OTHERS = ("held_out", "rays", "layer")
 
 #: Most pictures in a file of several.
 _LAYERS = 10_000
@@ -47,11 +51,27 @@ def read_own_tables(path: Path) -> CameraSet:
         if not isinstance(views, dict) or not views:
             raise InputError("expected a table [views.NAME] for each view, with image and the keys of a camera")
         up, assumed = up or "y", () if up else ('up_axis: is not there, taken as "y"',)
+        for name, table in [("", shared), *views.items()]:
+            _require_known(name, _table(name, table))
         tables = {name: shared | _table(name, table) for name, table in views.items()}
         by_rays = {name: _rays(name, table, path.parent) for name, table in tables.items() if "rays" in table}
         found = [_view(name, table, up, path.parent, by_rays.get(name)) for name, table in tables.items()]
         assumed = (*assumed, *_said_of_rays(by_rays, len(found)))
         return CameraSet(path, up, found, _settings(_table("reconstruction", settings or {}), path.parent), assumed)
+
+
+def _require_known(name: str, table: Mapping[str, Any]) -> None:
+    """Check that all keys are those of a view, whose table has a name, or such keys above all of them.
+
+    Raises:
+        InputError: one is not.
+    """
+    known = (*_PICTURES, *_OTHERS, *KEYS)
+    if unknown := [key for key in table if key not in known]:
+        near = difflib.get_close_matches(unknown[0], (*known, "up_axis", "reconstruction", "views"), 1)
+        remedy = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+        where = f"view {name}: " if name else ""
+        raise InputError(f"{where}unknown key {reprlib.repr(unknown[0])}; {remedy}")
 
 
 def _table(name: str, value: Any) -> dict[str, Any]:
@@ -70,7 +90,7 @@ def _settings(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _rays(name: str, table: Mapping[str, Any], folder: Path) -> RayCamera:
     with naming(Path(f"view {name}")):
-        if other := [key for key in table if key not in (*_PICTURES, "rays", "layer", "held_out")]:
+        if other := [key for key in table if key in KEYS]:
             raise InputError(f"{other[0]}: is of another camera than rays, which say all of it; leave it out")
         return read_ray_camera(_path("rays", table["rays"], folder))
 

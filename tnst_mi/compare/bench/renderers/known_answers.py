@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tnst_mi.compare.bench.parameters import PARAMETERS
+from tnst_mi.compare.bench.renderers.parameters import PARAMETERS
 from tnst_mi.errors import InputError
 from tnst_mi.io.bounded_toml import toml_values
 from tnst_mi.machine.gate import opening

@@ -15,9 +15,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.compare.bench.renderer import SideRenderer
-from tnst_mi.compare.bench.sides import OURS, Side
-from tnst_mi.compare.bench.variants import SPECTRAL_WHITE
+from tnst_mi.compare.bench.renderers.renderer import SideRenderer
+from tnst_mi.compare.bench.renderers.sides import OURS, Side
+from tnst_mi.compare.bench.renderers.variants import SPECTRAL_WHITE
 from tnst_mi.compare.closed_form import closed_form, column_density
 from tnst_mi.compare.inclusive_sum import inclusive_sums
 from tnst_mi.compare.path_tracing import smoke_region

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches
-from tnst_mi.compare.bench.variants import LUMINANCE
+from tnst_mi.compare.bench.renderers.variants import LUMINANCE
+from tnst_mi.compare.bench.statistics.batches import Batches
 from tnst_mi.errors import InputError
 from tnst_mi.io.pictures.exr import read_premultiplied
 

@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches, Difference, comparable, difference, missed
-from tnst_mi.compare.bench.student import quantile, two_sided_tail
+from tnst_mi.compare.bench.statistics.batches import Batches, Difference, comparable, difference, missed
+from tnst_mi.compare.bench.statistics.student import quantile, two_sided_tail
 
 #: Probability that a comparison of two that agree finds fault.
 FALSE_ALARMS = 1e-3

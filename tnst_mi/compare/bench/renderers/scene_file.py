@@ -7,8 +7,8 @@ from typing import Any
 
 import mitsuba as mi
 
-from tnst_mi.compare.bench.renderer import SideRenderer
-from tnst_mi.compare.bench.sides import OURS, PATH_TRACERS, Side
+from tnst_mi.compare.bench.renderers.renderer import SideRenderer
+from tnst_mi.compare.bench.renderers.sides import OURS, PATH_TRACERS, Side
 from tnst_mi.errors import InputError
 from tnst_mi.machine.optix import require_optix
 

@@ -11,9 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.variants import LUMINANCE
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.variants import LUMINANCE
+from tnst_mi.compare.bench.statistics.batches import Batches
 from tnst_mi.compare.values import seed_of
 from tnst_mi.machine.garbage import collection_paused
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import drjit as dr
 import mitsuba as mi
 
-from tnst_mi.compare.bench.sides import OURS, Side
+from tnst_mi.compare.bench.renderers.sides import OURS, Side
 from tnst_mi.errors import InputError
 from tnst_mi.machine.loaded_llvm import check_llvm
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches
-from tnst_mi.compare.bench.decision import Family, family, merged
+from tnst_mi.compare.bench.statistics.batches import Batches
+from tnst_mi.compare.bench.statistics.decision import Family, family, merged
 
 #: How derivatives are taken.
 DIFFERENTIATED, DIFFERENCED, KNOWN = "differentiation", "central differences", "a known answer"

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tnst_mi.compare.bench.student import quantile
+from tnst_mi.compare.bench.statistics.student import quantile
 
 #: The scatter of batches is trusted if so many of them, or half of them, differ from the commonest value.
 _LEAST_DIFFERING = 8

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tnst_mi.compare.bench.batches import Batches, certain_beside
 from tnst_mi.compare.bench.bench_settings import BATCHES, BenchSettings
-from tnst_mi.compare.bench.hypotheses import DIFFERENCED, DIFFERENTIATED, KNOWN
-from tnst_mi.compare.bench.known_answers import Answer, answer_of
-from tnst_mi.compare.bench.parameters import SceneParameters
-from tnst_mi.compare.bench.pictures import pictures
-from tnst_mi.compare.bench.renderer import SideRenderer
-from tnst_mi.compare.bench.scene_file import scene_renderer
-from tnst_mi.compare.bench.sides import ANSWER, FLOAT64, OURS, Side
-from tnst_mi.compare.bench.smoke_scene import SmokeScene, float64_images, smoke_renderer
-from tnst_mi.compare.bench.variants import variant_of, within
+from tnst_mi.compare.bench.renderers.known_answers import Answer, answer_of
+from tnst_mi.compare.bench.renderers.parameters import SceneParameters
+from tnst_mi.compare.bench.renderers.pictures import pictures
+from tnst_mi.compare.bench.renderers.renderer import SideRenderer
+from tnst_mi.compare.bench.renderers.scene_file import scene_renderer
+from tnst_mi.compare.bench.renderers.sides import ANSWER, FLOAT64, OURS, Side
+from tnst_mi.compare.bench.renderers.smoke_scene import SmokeScene, float64_images, smoke_renderer
+from tnst_mi.compare.bench.renderers.variants import variant_of, within
+from tnst_mi.compare.bench.statistics.batches import Batches, certain_beside
+from tnst_mi.compare.bench.statistics.hypotheses import DIFFERENCED, DIFFERENTIATED, KNOWN
 from tnst_mi.errors import InputError
 
 #: Images that a batch of central differences takes.

@@ -1,0 +1,1 @@
+"""What can be compared, and how images and derivatives of it are taken."""

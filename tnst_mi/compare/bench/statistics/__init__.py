@@ -1,0 +1,1 @@
+"""Whether two that were measured in batches are equal."""
