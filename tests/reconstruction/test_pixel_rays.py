@@ -127,6 +127,10 @@ def test_mistakes_in_tables_are_told(captured, old, new, message, tmp_path, caps
         ("40 40\n1 2 0 0 0 0 nan\n", "line 2: expected a pixel and its ray"),
         ("40 40\n" + "1 2 0 0 0 0 1\n" * 5, "has 5 rays, expected at least 12"),
         ("40 40\n" + "40 2 0 0 0 0 1\n" * 20, "has pixels beyond its 40 × 40"),
+        ("40 40\n1 2 0 0 0 1e-320 0\n", "line 2: its direction is 1e-320 long, expected about 1"),
+        ("40 40\n1 2 0 0 1e200 1e300 -1e300\n", "line 2: its direction is 1.41e+300 long, expected about 1"),
+        ("40 40\n1 2 0 -1e300 0 0 1\n", "line 2: its ray starts at 0, -1e+300, expected metres from the scene"),
+        ("40 40\n" + "1 2 1e6 1e-6 1e-6 0 0\n" * 20, "from those of any pinhole"),
         ("40 40\n" + "1 2 0 0 0 0 1\n" * 20, "from those of any pinhole"),
     ],
 )
@@ -134,3 +138,23 @@ def test_what_is_no_file_of_rays(text, message, tmp_path):
     (tmp_path / "rays.txt").write_text(text)
     with pytest.raises(tnst_mi.InputError, match=re.escape(message)):
         read_ray_camera(tmp_path / "rays.txt")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "line",
+    [
+        "{x} {y} {sy} {sx} 0 0 -1",  # parallel rays
+        "{x} {y} 0 0 0 0 1",  # one ray for all pixels
+        "1 1 0 0 {sy} {sx} -1",  # one pixel for all rays
+        "{x} 0 0 0 0 {sx} -1",  # one line of pixels
+        "{x} {y} 1e5 {x}e4 1e-6 {sx} 1e-5",
+        "{x} {y} 0 0 {sy} {sx} 0",  # no ray leaves a plane
+    ],
+)
+def test_rays_of_no_camera_are_refused_in_one_line_and_without_warnings(line, tmp_path, capfd):
+    lines = [line.format(x=x, y=y, sx=(x - 8) / 20 or 1e-3, sy=(y - 8) / 20) for x in range(16) for y in range(16)]
+    (tmp_path / "rays.txt").write_text("16 16\n" + "\n".join(lines))
+    with pytest.raises(tnst_mi.InputError, match=r"rays\.txt: ") as told:
+        read_ray_camera(tmp_path / "rays.txt")
+    assert "\n" not in str(told.value) and capfd.readouterr() == ("", "")

@@ -116,13 +116,31 @@ def test_what_cells_get_from_pixels_is_the_adjoint_of_what_these_show(cloud):
 def test_the_strength_of_pixels():
     """Smoke of one colour shows in its strongest channel what white smoke would; noise of black stays noise."""
     opacity = np.outer(np.hanning(40), np.hanning(40)).astype(np.float32)
-    assert np.allclose(strength(opacity[..., None] * np.float32(BLUE)), opacity, atol=0.03)
+    ones = np.ones((40, 40), np.float32)
+    assert np.allclose(strength(opacity[..., None] * np.float32(BLUE), ones), opacity, atol=0.03)
     grey = np.repeat(opacity[..., None], 3, axis=2)
-    assert np.allclose(strength(grey), opacity, atol=1e-6)
+    assert np.allclose(strength(grey, ones), opacity, atol=1e-6)
     noisy = opacity[..., None] * np.float32(BLUE) + np.random.default_rng(1).normal(0, 0.01, (40, 40, 3))
     black = opacity < 1e-3
-    assert abs(strength(noisy)[black].mean()) < 1e-3 < noisy.max(-1)[black].mean()
+    assert abs(strength(noisy, ones)[black].mean()) < 1e-3 < noisy.max(-1)[black].mean()
     assert LUMINANCE.sum() == pytest.approx(1)
+
+
+def test_masked_pixels_change_no_others(cloud):
+    """A lamp of any brightness and colour, covered by a mask, in front of a picture and of what is behind the smoke."""
+    opacity = np.outer(np.hanning(20), np.hanning(20)).astype(np.float32)
+    blue, weights = opacity[..., None] * np.float32(BLUE), np.ones((20, 20), np.float32)
+    weights[8:12, :3] = weights[9, 9] = weights[0] = 0
+    lit = np.where(weights[..., None] > 0, blue, np.float32((1e4, 3e4, 2e4)))
+    counts = weights > 0
+    assert np.array_equal(strength(lit, weights)[counts], strength(blue, weights)[counts])
+    camera = camera_at(places(1, radius_around(cloud.shape))[0])
+    pictures = [
+        Photograph("", camera, strength(one, weights), weights, strength(one, weights), False, one, one).averaged(2.5)
+        for one in (lit, blue)
+    ]
+    for name in ("values", "background", "colours", "background_colours"):
+        assert np.array_equal(*(getattr(picture, name) for picture in pictures))
 
 
 def test_three_sides_in_colour():

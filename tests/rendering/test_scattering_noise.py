@@ -86,7 +86,7 @@ def test_light_scattered_once_in_a_uniform_box() -> None:
 
 def test_derivative_of_light_scattered_once(density: np.ndarray, weights: np.ndarray) -> None:
     """Against central differences, along directions that change smoke, and that put smoke beside it."""
-    lights = draw_lights(load_light(LIGHTS / "key.xml"), seed=1)
+    lights = draw_lights(load_light(LIGHTS / "key.xml"), seed=1, spp=4)
     once = SingleScattering(SHAPE, GAMMA, 1.0, 0.8, SHAPE[1:], 1.0)
     found = once.gradient(mi.TensorXf(density), VIEWS, lights, mi.TensorXf(weights)).numpy()
 
@@ -106,7 +106,7 @@ def test_derivative_of_light_scattered_once(density: np.ndarray, weights: np.nda
 def test_drawn_lights_are_all_of_an_environment(tmp_path: Path) -> None:
     """Σ E_i is the integral of the radiance over all directions."""
     tnst_mi.activate()
-    assert draw_lights(load_light(LIGHTS / "environment.xml"), 0).irradiance.sum() == pytest.approx(
+    assert draw_lights(load_light(LIGHTS / "environment.xml"), 0, 4).irradiance.sum() == pytest.approx(
         4 * math.pi, rel=1e-5
     )
     rows = np.linspace(0.2, 3.0, 16, dtype=np.float32)[:, None, None]
@@ -119,8 +119,33 @@ def test_drawn_lights_are_all_of_an_environment(tmp_path: Path) -> None:
     si = dr.zeros(mi.SurfaceInteraction3f, 1 << 16)
     si.wi = -directions
     whole = 4 * math.pi * float(np.mean(mi.luminance(sky.environment().eval(si)).numpy()))
-    sums = [draw_lights(sky, seed).irradiance.sum() for seed in range(64)]
+    sums = [draw_lights(sky, seed, 4).irradiance.sum() for seed in range(64)]
     assert np.mean(sums) == pytest.approx(whole, rel=0.01)
+
+
+def test_more_paths_come_with_more_directions_of_an_environment(density: np.ndarray) -> None:
+    """So that noise falls as that of paths does, or faster: directions are spread evenly."""
+    tnst_mi.activate()
+    light = load_light(LIGHTS / "environment.xml")
+    once = SingleScattering(SHAPE, GAMMA, 1.0, 0.8, SHAPE[1:], 1.0)
+
+    def noise(spp: int) -> float:
+        drawn = [draw_lights(light, seed, spp) for seed in range(6)]
+        images = [once.images(mi.TensorXf(density), VIEWS[:1], lights).numpy() for lights in drawn]
+        return float(np.sqrt(np.var(images, axis=0).mean()) / np.mean(images))
+
+    assert noise(512) < noise(64) / math.sqrt(512 / 64)
+    assert [len(draw_lights(light, 0, spp).irradiance) for spp in (1, 64, 128, 1 << 20)] == [8, 8, 16, 64]
+
+
+def test_nothing_has_the_derivative_of_the_first_smoke() -> None:
+    """An empty grid against a difference to thin smoke; light that is scattered twice is of second order there."""
+    empty, spread = np.zeros(SHAPE, np.float32), np.random.default_rng(6).random(SHAPE).astype(np.float32)
+    one = np.ones((len(VIEWS), *SHAPE[1:]), np.float32)
+    few = renderer(ScatteringRenderer, 0.9, 4)
+    found = np.mean([(gradient(few, empty, one, seed) * spread).sum(dtype=np.float64) for seed in range(4)])
+    thin = few.render(mi.TensorXf(1e-3 * spread), VIEWS, [1]).numpy()
+    assert found == pytest.approx(thin.sum(dtype=np.float64) / 1e-3, rel=0.02)
 
 
 def test_nothing_is_left_to_chance_where_nothing_is_scattered(density: np.ndarray, weights: np.ndarray) -> None:

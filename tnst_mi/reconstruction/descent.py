@@ -132,6 +132,18 @@ class Descent:
         if self.model.find_background:
             self.model.fit_background(self._seen_in_all())
 
+    def misfits(self) -> tuple[float, float]:
+        """The mean square difference of all pictures from what is found, and from what is seen without any smoke."""
+        found, nothing = 0.0, 0.0
+        for image, values, weights, background in self._seen_in_all():
+            of_found, of_nothing = (
+                float((weights * (self._renderers.pixels(shown, background, self.model) - values) ** 2).sum())
+                for shown in (image, torch.zeros_like(image))
+            )
+            found, nothing = found + of_found, nothing + of_nothing
+        pixels = sum(view.values.numel() for view in self._views)
+        return found / pixels, nothing / pixels
+
     def _search_brightness(self) -> None:
         """Change the brightness towards the best one; emission, which thin smoke shows, stays the same."""
         before = 1 / self.model.brightness

@@ -108,6 +108,7 @@ class FrameByFrame:
         seconds = time.perf_counter() - begun
         record = write_frame_results(self._out, prepared, number, frame, extinction, colours, seconds, finished)
         record["convergence"] = self.progress.convergence
+        record["remarks"] = frame.remarks
         if finished:
             self.progress = self.progress.after(record)
             self.progress.write(self._state, None)

@@ -25,6 +25,7 @@ from tnst_mi.reconstruction.smoke_colours import (
     coloured_images,
     smoke_colours,
 )
+from tnst_mi.reconstruction.usable_views import require_contrast, without_contrast
 
 #: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
 #: and a little of the prior decides what the pictures leave open.
@@ -41,6 +42,9 @@ _OPAQUE = 0.98
 
 #: Optical depth of the thickest smoke where pictures do not show it directly, since light is scattered.
 _SCATTERING_DEPTH = 3.0
+
+#: The part of the square difference of pictures from no smoke that smoke has to leave at most, to explain them at all.
+_NO_BETTER = 0.9
 
 #: The extinction that a path tracer begins with, over a typical one: where there is nothing, no path scatters, and
 #: there is no derivative either.
@@ -77,7 +81,7 @@ class FrameReconstruction:
         first_level: the grid to begin with.
 
     Raises:
-        InputError: the pictures show nothing.
+        InputError: the pictures show nothing, or nothing but one value.
     """
 
     def __init__(
@@ -95,6 +99,7 @@ class FrameReconstruction:
         self.peak = max(float((photograph.values * (photograph.weights > 0)).max()) for photograph in used)
         if not (self.peak > 0 and math.isfinite(self.peak)):
             raise InputError("the pictures are black, expected smoke that is brighter than what is behind it")
+        require_contrast(photographs, settings)
         self._used = [photograph.in_units_of(self.peak) for photograph in used]
         self._judges = [one.in_units_of(self.peak) for one in photographs if one.held_out]
         # Of the pixels that are fitted in the end: a mean over several has less noise than each.
@@ -102,7 +107,7 @@ class FrameReconstruction:
         self._estimated = max(estimated_noise(fitted), _LEAST_NOISE)
         self.noise = self._noise = self._estimated if settings.noise == "auto" else float(settings.noise)
         self._renderers = RendererChoice(settings, self.peak)
-        border = float(np.median(np.concatenate([_border(photograph.values) for photograph in self._used])))
+        border = float(np.median(np.concatenate([_border(photograph) for photograph in self._used])))
         self._model = ImageModel(
             BRIGHTER if brightness is None else brightness / self.peak,
             border if background is None else background / self.peak,
@@ -110,6 +115,7 @@ class FrameReconstruction:
             background is None,
         )
         self._typical = self._typical_extinction()
+        self._explains = True
         self.first_level = 0 if start is None else len(levels) - 1
 
     def descent(self, level: int, coarser: Descent | None) -> Descent:
@@ -158,8 +164,22 @@ class FrameReconstruction:
     def full_extinction(self, descent: Descent) -> np.ndarray:
         """What a descent has found, on the full grid: (D, H, W) float32, per cell; and the light that goes with it."""
         descent.fit_background()
+        misfit, of_nothing = descent.misfits()
+        self._explains = misfit < _NO_BETTER * of_nothing
         found = descent.extinction.detach().cpu().numpy()
         return np.array(resample_density(found, descent.octave.cell_size, *_to(self._levels[-1])), np.float32)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be said of the pictures, and of what was found."""
+        dark = without_contrast(self._used)
+        said = [f"views: {', '.join(dark)}: all pixels are alike, as if no smoke were there"] if dark else []
+        if not self._explains:
+            said.append(
+                "the smoke that was found explains the pictures hardly better than none; check --box, the cameras, "
+                "--brightness and --background"
+            )
+        return said
 
     @property
     def brightness(self) -> float:
@@ -257,10 +277,12 @@ class FrameReconstruction:
             brightness, background = self._model.brightness, self._model.background
             spread = brightness - background
             opacity = [
-                (one.values - (background if one.background is None else one.background)) / (spread or 1.0)
+                ((one.values - (background if one.background is None else one.background)) / (spread or 1.0))[
+                    one.weights > 0
+                ]
                 for one in self._used
             ]
-            thickest = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in opacity])), 1 - _THICKEST))
+            thickest = float(np.quantile(np.abs(np.concatenate(opacity)), 1 - _THICKEST))
             depth = -math.log(1 - min(thickest, _OPAQUE))
         return max(depth, 1e-4) / (max(self._levels[-1].shape) / 4)
 
@@ -283,9 +305,11 @@ def mean_psnr(views: Sequence[HeldOutView]) -> float | None:
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
-def _border(values: np.ndarray) -> np.ndarray:
-    """The pixels at the edges of a picture."""
-    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+def _border(photograph: Photograph) -> np.ndarray:
+    """The pixels at the edges of a picture that count; where none does, all others that count."""
+    counts, edges = photograph.weights > 0, np.zeros(photograph.values.shape, bool)
+    edges[[0, -1]] = edges[:, [0, -1]] = True
+    return photograph.values[counts & edges if (counts & edges).any() else counts]
 
 
 def _to(octave: Octave) -> tuple[tuple[int, int, int], float]:

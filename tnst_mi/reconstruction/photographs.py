@@ -89,8 +89,8 @@ class Photograph:
             return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
         colours, behind = mean(self.colours), mean(self.background_colours)
-        values = mean(self.values) if colours is None else strength(colours)
-        background = mean(self.background) if behind is None else strength(behind)
+        values = mean(self.values) if colours is None else strength(colours, weights)
+        background = mean(self.background) if behind is None else strength(behind, weights)
         assert values is not None
         return replace(
             self, values=values, weights=weights, background=background, colours=colours, background_colours=behind
@@ -119,28 +119,31 @@ def area_matrix(n_from: int, n_to: int) -> np.ndarray:
     return (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def strength(colours: np.ndarray) -> np.ndarray:
+def strength(colours: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The strongest channel of each pixel of a picture (rows, columns, 3), as (rows, columns).
 
     Smoke of one colour, of which the strongest channel is 1, shows in that channel what white smoke would show. Noise
     makes the strongest of three channels too bright wherever there is nothing. So which one that is, and by how much,
     is taken from means over the neighbourhood, and the strength is the pixel's luminance times that of its surroundings
     over theirs: it has the noise of the luminance, with a mean of 0. Grey pixels keep their value.
+
+    Pixels whose weight (rows, columns) is 0 do not count: what they show changes no other.
     """
-    around = _box_means(colours)
+    counts = _box_means(weights[..., None])
+    around = np.divide(_box_means(colours * weights[..., None]), counts, out=np.zeros_like(colours), where=counts > 0)
     luminance = around @ LUMINANCE
-    floor = _FAINT * max(float(luminance.max()), 1e-30)
+    floor = _FAINT * max(float((luminance * (weights > 0)).max()), 1e-30)
     ratio = (np.maximum(around.max(axis=2), 0) + floor) / (np.maximum(luminance, 0) + floor)
     return (colours @ LUMINANCE) * ratio
 
 
-def _box_means(colours: np.ndarray) -> np.ndarray:
-    """Means over the square around each pixel; the border repeats outside."""
+def _box_means(image: np.ndarray) -> np.ndarray:
+    """Means over the square around each pixel of an image (rows, columns, channels); the border repeats outside."""
     for axis in (0, 1):
         margin = [(_AROUND, _AROUND) if n == axis else (0, 0) for n in range(3)]
-        padded = np.pad(colours, margin, "edge")
-        colours = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1, axis).mean(-1)
-    return colours
+        padded = np.pad(image, margin, "edge")
+        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1, axis).mean(-1)
+    return image
 
 
 def read_values(path: Path, channel: str, transfer: str, layer: int | None = None) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,8 +26,15 @@ from tnst_mi.reconstruction.camera_sets.posed_view import (
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
 from tnst_mi.reconstruction.exposure import require_brightness
 from tnst_mi.reconstruction.light_files import light_files
+from tnst_mi.reconstruction.needed_memory import require_memory_for_cells, require_memory_for_pictures
 from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
+from tnst_mi.reconstruction.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.settings import ReconstructionSettings
+from tnst_mi.reconstruction.usable_views import (
+    remarks_of_views,
+    require_backgrounds_of_use,
+    require_box_in_sight,
+)
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
 from tnst_mi.resources import expanded
@@ -112,7 +120,7 @@ class Preparation:
         """The pictures of a frame.
 
         Raises:
-            InputError: one cannot be used, or none that is used has anything in it.
+            InputError: one cannot be used, or has values that no smoke has; or none that is used shows anything.
         """
         found = [self._photograph(view, number) for view in self.views]
         used = [photograph for photograph in found if not photograph.held_out]
@@ -126,6 +134,9 @@ class Preparation:
                 f"{first}: it and all other pictures{of_frame} are black, expected smoke that is brighter than what is "
                 f"behind it{remedy}"
             )
+        with naming(self.cameras.file):
+            require_box_in_sight(found, self.place.shape)
+        require_plausible([file_of_frame(view.image, number) for view in self.views], found, self.settings)
         return found
 
     def velocity(self, number: int | None) -> np.ndarray | None:
@@ -144,18 +155,28 @@ class Preparation:
             )
         return frame.velocity
 
+    @property
+    def _numbers_of_pixel(self) -> int:
+        """Of a picture, and of what is behind the smoke: its value, and in colour three more."""
+        pictures = 1 + any(view.background is not None for view in self.views)
+        return pictures * (4 if self.settings.channel == "rgb" else 1)
+
     def _photograph(self, view: PosedView, number: int | None) -> Photograph:
         s, file = self.settings, file_of_frame(view.image, number)
-        values, colours = _split(read_values(file, s.channel, s.transfer, view.layer_in(file)))
-        rows, columns = values.shape
-        weights = np.ones_like(values)
+        image = read_values(file, s.channel, s.transfer, view.layer_in(file))
+        rows, columns = image.shape[:2]
+        if view is self.views[0]:
+            require_memory_for_pictures(len(self.views), (rows, columns), self._numbers_of_pixel)
+        weights = np.ones((rows, columns), np.float32)
         if view.mask is not None:
-            weights = read_weights(file_of_any_frame(view.mask, number), values.shape, view.layer_in(view.mask))
+            weights = read_weights(file_of_any_frame(view.mask, number), weights.shape, view.layer_in(view.mask))
+        values, colours = _split(image, weights)
         background, behind = None, None
         if view.background is not None:
             empty = file_of_any_frame(view.background, number)
-            background, behind = _split(read_values(empty, s.channel, s.transfer, view.layer_in(empty)))
-            require_size(empty, background, values.shape)
+            seen = read_values(empty, s.channel, s.transfer, view.layer_in(empty))
+            require_size(empty, seen[..., 0] if seen.ndim == 3 else seen, weights.shape)
+            background, behind = _split(seen, weights)
         with naming(Path(f"{self.cameras.file}: view {view.name}")):
             stands = view.camera((columns, rows)).turned(self.cameras.up, self.place.placement.up)
             camera = camera_in_cells(stands, self.place.placement, self.place.shape)
@@ -199,8 +220,11 @@ def prepare(
             f"{cameras}: does not say where the smoke is; give the box around it in the cameras' scene, as "
             "--box X0,Y0,Z0,X1,Y1,Z1 or as box under [reconstruction]"
         )
+    require_backgrounds_of_use(found, settings)
     views, said = _held_out(found.views, settings.hold_out)
     place = grid_in_box(settings.box, settings.cells, found.up)
+    require_memory_for_cells(math.prod(place.shape))
+    said += remarks_of_views(found, views, place)
     numbers = _numbers_of(frames)
     known = None if velocities is None or velocities in (ESTIMATE, NONE) else open_frames(expanded(Path(velocities)))
     if known is not None and numbers == [None]:
@@ -275,9 +299,9 @@ def _cells(shape: Sequence[int]) -> str:
     return " × ".join(map(str, shape))
 
 
-def _split(image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _split(image: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """What is taken for the light of white smoke, and the colours of a picture that has some."""
-    return (image, None) if image.ndim == 2 else (strength(image), image)
+    return (image, None) if image.ndim == 2 else (strength(image, weights), image)
 
 
 def _files(view: PosedView) -> list[str | None]:

@@ -16,6 +16,7 @@ from tnst_mi.machine.lock import locked
 from tnst_mi.reconstruction.earlier import remove_earlier
 from tnst_mi.reconstruction.frame_by_frame import FrameByFrame
 from tnst_mi.reconstruction.preparation import ESTIMATE, prepare
+from tnst_mi.reconstruction.report import remarks_of_frames
 from tnst_mi.reconstruction.state import ReconstructionState
 from tnst_mi.resources import expanded
 
@@ -124,4 +125,5 @@ def reconstruct(
             run.go_on(interrupt)
         records = (*run.progress.records, *run.unfinished)
         files = tuple(out / record["density"] for record in records)
-        return Reconstruction(files, records, prepared.remarks, run.interrupted)
+        remarks = (*prepared.remarks, *remarks_of_frames(records))
+        return Reconstruction(files, records, remarks, run.interrupted)

@@ -44,7 +44,7 @@ def write_report(out: Path, prepared: Preparation, records: Sequence[Mapping[str
         "up": prepared.place.placement.up,
         "views": [view.name for view in prepared.views if not view.held_out],
         "held_out": [view.name for view in prepared.views if view.held_out],
-        "assumed": list(prepared.remarks),
+        "assumed": [*prepared.remarks, *remarks_of_frames(records)],
         "frames": list(records),
         "versions": environment.versions(),
         "device": environment.device(mi.variant()),
@@ -66,6 +66,24 @@ def write_report(out: Path, prepared: Preparation, records: Sequence[Mapping[str
     )
     write_text(out / "report.html", html)
     write_text(out / "report.json", json.dumps(told, indent=1, allow_nan=False, default=str) + "\n")
+
+
+def remarks_of_frames(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is to be said of frames, once where it is the same of several; of a sequence, with their names.
+
+    Example:
+        >>> remarks_of_frames([{"name": f"smoke_{n}", "number": n, "remarks": ["dark"]} for n in (1, 2, 3)])
+        ['dark (smoke_1 and 2 other frames)']
+    """
+    frames: dict[str, list[str]] = {}
+    for record in records:
+        for remark in record.get("remarks", ()):
+            frames.setdefault(remark, []).append("" if record["number"] is None else record["name"])
+    found = []
+    for remark, (first, *others) in frames.items():
+        more = f" and {len(others)} other frame{'s' * (len(others) > 1)}" if others else ""
+        found.append(f"{remark} ({first}{more})" if first else remark)
+    return found
 
 
 def convergence_figure(records: Sequence[Mapping[str, Any]]) -> Figure:

@@ -12,7 +12,7 @@ from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Shape
 from tnst_mi.geometry.placement import Placement
 
-#: Cells of a grid at most: what a float32 grid with Adam's moments and its renderings take in 16 GB.
+#: Cells of a grid at most: what a float32 grid with Adam's moments and its renderings take in 32 GB.
 MOST_CELLS = 1 << 28
 
 #: A box may be longer than a whole number of cells by this share of a cell: the last digit of numbers in files.

@@ -127,7 +127,9 @@ class ScatteringRenderer(Renderer):
         images = mi.TensorXf(image.array, (len(views), *self.size))
         if self._once is None:
             return images
-        return images + self._once.images(density, views, draw_lights(loaded.scene, seeds.image_lights))
+        return images + self._once.images(
+            density, views, draw_lights(loaded.scene, seeds.image_lights, self.lighting.spp)
+        )
 
     def gradient(
         self,
@@ -157,7 +159,7 @@ class ScatteringRenderer(Renderer):
             gradient = mi.TensorXf(dr.grad(loaded.parameters[_DENSITY]).array, self.shape)
         if self._once is None:
             return gradient
-        lights = draw_lights(loaded.scene, seeds.derivative_lights)
+        lights = draw_lights(loaded.scene, seeds.derivative_lights, self.lighting.spp)
         return gradient + self._once.gradient(density, views, lights, image_gradient)
 
     def _show(self, density: mi.TensorXf, views: Sequence[Viewpoint]) -> _LoadedScene:
@@ -204,7 +206,11 @@ class ScatteringRenderer(Renderer):
 
     def _scattering_everywhere(self, density: mi.TensorXf) -> mi.TensorXf:
         """The density (D, H, W) in whose smoke the paths of derivatives collide: a little more beside smoke."""
-        faintest = dr.select(beside_smoke(density.array, self.shape), _FAINTEST * dr.max(density.array), 0)
+        # Where there is no smoke at all, a thousandth of what would be opaque.
+        opaque_density = 1 / (self.gamma * view_distance(self.shape, self.h))
+        largest = dr.max(density.array)
+        faintest = _FAINTEST * dr.select(largest > 0, largest, opaque_density)
+        faintest = dr.select(beside_smoke(density.array, self.shape), faintest, 0)
         return mi.TensorXf(dr.maximum(density.array, faintest), self.shape)
 
 

@@ -21,8 +21,9 @@ from tnst_mi.fields.sums import RepeatableSum, largest_magnitude
 from tnst_mi.rendering.march.grid_march import in_smoke
 from tnst_mi.rendering.march.occupancy import Occupancy
 
-#: Directions that are drawn of an environment.
-ENVIRONMENT_DIRECTIONS = 8
+#: Directions that are drawn of an environment: at least, for each path per pixel, and at most, since the light from
+#: each is kept for every cell.
+_FEWEST, _FOR_EACH_PATH, _MOST = 8, 1 / 8, 64
 
 #: Steps of the R2 sequence (Roberts 2018) in the unit square: points that are spread evenly, whatever their number.
 _EVENLY = (0.7548776662466927, 0.5698402909980532)
@@ -40,9 +41,17 @@ class Lights(NamedTuple):
     irradiance: np.ndarray
 
 
-def draw_lights(scene: mi.Scene, seed: int) -> Lights:
-    """The lights of a scene, all of which surround it: directional ones, and directions drawn of environments."""
-    spread = np.random.default_rng(seed).random(2) + np.outer(np.arange(ENVIRONMENT_DIRECTIONS), _EVENLY)
+def draw_lights(scene: mi.Scene, seed: int, spp: int) -> Lights:
+    """The lights of a scene, all of which surround it: directional ones, and directions drawn of environments.
+
+    Args:
+        scene: of the lights.
+        seed: of the directions.
+        spp: paths per pixel of the light that is scattered more often: the more, the more directions, so that the noise
+            of neither is left when the other's has gone.
+    """
+    count = min(max(_FEWEST, round(_FOR_EACH_PATH * spp)), _MOST)
+    spread = np.random.default_rng(seed).random(2) + np.outer(np.arange(count), _EVENLY)
     towards, irradiance = [], []
     for emitter in scene.emitters():
         delta = mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
@@ -140,7 +149,10 @@ class Shadows:
 
 
 def beside_smoke(density: mi.Float, shape: Shape) -> mi.Bool:
-    """For each cell of a density, flat, whether it or one of its 26 neighbours holds smoke."""
+    """For each cell of a density, flat, whether it or one of its 26 neighbours holds smoke.
+
+    Where there is no smoke at all, any cell is where smoke may begin, and so all are.
+    """
     cells = Cells.of(shape)
     found = mi.Bool(False)
     for z in (-1, 0, 1):
@@ -151,4 +163,4 @@ def beside_smoke(density: mi.Float, shape: Shape) -> mi.Bool:
                     for axis, (i, step) in enumerate(((cells.x, x), (cells.y, y), (cells.z, z)))
                 ]
                 found |= dr.gather(mi.Float, density, cells.index(*near)) > 0
-    return found
+    return found | (dr.max(density) <= 0)

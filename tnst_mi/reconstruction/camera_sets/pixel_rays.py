@@ -32,6 +32,9 @@ _LONGEST = 1 << 30
 #: Rays that are enough to find a pinhole.
 _ENOUGH = 20_000
 
+#: Directions are unit vectors, and starts are in metres: numbers beyond this, or lengths below its inverse, are damage.
+_LARGEST = 1e6
+
 #: Fewest rays that decide one.
 _FEWEST = 12
 
@@ -66,21 +69,26 @@ def read_ray_camera(path: Path) -> RayCamera:
     """
     with opening(path, "a file of rays"):
         width, height, rays = _read(path)
+        return _nearest_pinhole(path, rays, (width, height))
+
+
+def _nearest_pinhole(path: Path, rays: np.ndarray, size: tuple[int, int]) -> RayCamera:
+    """The pinhole that stands in for rays (N, 7) of pictures of (width, height) pixels."""
     pixels, starts, directions = rays[:, :2] + 0.5, np.zeros((len(rays), 3)), rays[:, [5, 4, 6]]
     starts[:, :2] = rays[:, [3, 2]]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     kept = np.ones(len(rays), bool)
     for _ in range(_ROUNDS):
-        pinhole = _Pinhole(pixels[kept], starts[kept], directions[kept], (width, height))
+        pinhole = _Pinhole(pixels[kept], starts[kept], directions[kept], size)
         errors = pinhole.errors(pixels, directions)
         kept = errors <= _FAR * np.median(errors) + 1e-6
         if kept.sum() < _FEWEST:
             break
     error = float(np.sqrt(np.mean(errors[kept] ** 2)))
-    if not error <= _PINHOLE * width:
+    if not error <= _PINHOLE * size[0]:
         raise InputError(
             f"{path}: its rays are {error:.3g} pixels (RMS) from those of any pinhole, expected at most "
-            f"{_PINHOLE:.0%} of the width of {width}; check that they are of one camera"
+            f"{_PINHOLE:.0%} of the width of {size[0]}; check that they are of one camera"
         )
     return RayCamera(pinhole.camera, pinhole.turned, error)
 
@@ -164,4 +172,12 @@ def _ray(path: Path, number: int, line: bytes) -> list[float]:
         values = []
     if len(values) != 7 or not all(map(math.isfinite, values)) or not any(values[4:]):
         raise InputError(f"{path}: line {number}: expected a pixel and its ray, seven numbers")
+    if not 1 / _LARGEST <= math.hypot(*values[4:]) <= _LARGEST:
+        raise InputError(
+            f"{path}: line {number}: its direction is {math.hypot(*values[4:]):.3g} long, expected about 1"
+        )
+    if max(map(abs, values[2:4])) > _LARGEST:
+        raise InputError(
+            f"{path}: line {number}: its ray starts at {values[2]:.3g}, {values[3]:.3g}, expected metres from the scene"
+        )
     return values
