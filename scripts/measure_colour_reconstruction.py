@@ -17,7 +17,7 @@ from render_views import write_views
 import tnst_mi
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
-from tnst_mi.reconstruction.sides import three_sides
+from tnst_mi.reconstruction.output.sides import three_sides
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 
 GAMMA = 0.1

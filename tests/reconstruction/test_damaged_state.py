@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.torch import save
 
 import tnst_mi
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.fitting.descent import Descent
 from tnst_mi.reconstruction.reconstruct import reconstruct
 
 KEYS = {"iterations": 2, "levels": 1, "batch": 3, "gamma": 0.3}

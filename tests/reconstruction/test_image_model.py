@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tnst_mi.reconstruction.brightness_search import BrightnessSearch
-from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.fitting.brightness_search import BrightnessSearch
+from tnst_mi.reconstruction.fitting.image_model import ImageModel
 
 OPACITY = torch.rand(5, 7, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
 

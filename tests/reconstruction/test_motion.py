@@ -9,7 +9,7 @@ import pytest
 from render_views import write_views
 
 import tnst_mi
-from tnst_mi.reconstruction.motion import GRADIENT, MotionDescent
+from tnst_mi.reconstruction.fitting.motion import GRADIENT, MotionDescent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
 from tnst_mi.reconstruction.preparation import NONE, prepare
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer

@@ -12,7 +12,7 @@ from tnst_mi.cli import main
 from tnst_mi.fields.grid import Octave
 from tnst_mi.io.pictures.exr import write_exr
 from tnst_mi.recipe.paths import LIGHTS
-from tnst_mi.reconstruction.outline import outline
+from tnst_mi.reconstruction.fitting.outline import outline
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.rendering.scattering import Lighting, ScatteringRenderer

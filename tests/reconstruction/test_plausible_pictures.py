@@ -11,8 +11,8 @@ import pytest
 from render_views import camera_at, places, radius_around
 
 import tnst_mi
+from tnst_mi.reconstruction.checks.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.photographs import Photograph
-from tnst_mi.reconstruction.plausible_pictures import require_plausible
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 
 FILES = [Path(f"{number}.exr") for number in range(4)]

@@ -11,7 +11,7 @@ from render_views import camera_at, places, radius_around, write_views
 
 import tnst_mi
 from tnst_mi.io.pictures.exr import read_exr
-from tnst_mi.reconstruction.prior import roughness
+from tnst_mi.reconstruction.fitting.prior import roughness
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 

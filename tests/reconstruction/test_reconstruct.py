@@ -16,7 +16,7 @@ from tnst_mi.cli import main
 from tnst_mi.io.pictures.exr import read_exr, write_exr
 from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.fitting.descent import Descent
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer
 

@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
+from tnst_mi.reconstruction.output.sides import three_sides
 from tnst_mi.reconstruction.reconstruct import reconstruct
-from tnst_mi.reconstruction.sides import three_sides
 
 
 def test_the_page_has_everything_in_it(views, tmp_path):

@@ -12,9 +12,9 @@ import tnst_mi
 from tnst_mi.cli import main
 from tnst_mi.io.pictures.exr import read_exr
 from tnst_mi.reconstruction import one_frame, smoke_colours
+from tnst_mi.reconstruction.output.sides import three_sides
 from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph, strength
 from tnst_mi.reconstruction.reconstruct import reconstruct
-from tnst_mi.reconstruction.sides import three_sides
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 
 GAMMA = 0.3

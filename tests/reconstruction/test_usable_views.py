@@ -12,11 +12,11 @@ import pytest
 
 import tnst_mi
 from tnst_mi.io.pictures.exr import read_exr, write_exr
+from tnst_mi.reconstruction.checks.usable_views import require_box_in_sight, require_contrast, without_contrast
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.preparation import prepare
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.reconstruction.settings import ReconstructionSettings
-from tnst_mi.reconstruction.usable_views import require_box_in_sight, require_contrast, without_contrast
 
 QUICK = {"iterations": 12, "levels": 1, "batch": 3}
 

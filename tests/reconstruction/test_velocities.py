@@ -12,7 +12,7 @@ from render_views import write_views
 
 import tnst_mi
 from tnst_mi.io import open_frames
-from tnst_mi.reconstruction.motion import MotionDescent
+from tnst_mi.reconstruction.fitting.motion import MotionDescent
 from tnst_mi.reconstruction.reconstruct import reconstruct
 from tnst_mi.reconstruction.velocities import FoundFrames
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from tnst_mi.machine.interrupt import Interrupt
-from tnst_mi.reconstruction.motion import MotionDescent
+from tnst_mi.reconstruction.fitting.motion import MotionDescent
+from tnst_mi.reconstruction.fitting.resumable import ResumableDescent
 from tnst_mi.reconstruction.one_frame import FrameReconstruction
+from tnst_mi.reconstruction.output.report import write_report
+from tnst_mi.reconstruction.output.results import in_colour, write_frame_results
+from tnst_mi.reconstruction.output.step_bar import LevelCost, StepBar
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.report import write_report
-from tnst_mi.reconstruction.results import in_colour, write_frame_results
-from tnst_mi.reconstruction.resumable import ResumableDescent
-from tnst_mi.reconstruction.state import ReconstructionState
-from tnst_mi.reconstruction.step_bar import LevelCost, StepBar
+from tnst_mi.reconstruction.resuming.state import ReconstructionState
 from tnst_mi.reconstruction.velocities import FoundFrames
 
 #: Seconds after which a reconstruction that is under way is written, to go on from there.

@@ -12,20 +12,20 @@ import numpy as np
 from tnst_mi.errors import InputError
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density
-from tnst_mi.reconstruction.descent import Descent, rendered
-from tnst_mi.reconstruction.image_model import BRIGHTER, ImageModel
-from tnst_mi.reconstruction.outline import outline
-from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
-from tnst_mi.reconstruction.rendering import RendererChoice
-from tnst_mi.reconstruction.settings import ReconstructionSettings
-from tnst_mi.reconstruction.smoke_colours import (
+from tnst_mi.reconstruction.checks.usable_views import require_contrast, without_contrast
+from tnst_mi.reconstruction.fitting.descent import Descent, rendered
+from tnst_mi.reconstruction.fitting.image_model import BRIGHTER, ImageModel
+from tnst_mi.reconstruction.fitting.outline import outline
+from tnst_mi.reconstruction.fitting.rendering import RendererChoice
+from tnst_mi.reconstruction.fitting.smoke_colours import (
     COLOUR_ROUNDS,
     REFINING_STEPS,
     as_if_white,
     coloured_images,
     smoke_colours,
 )
-from tnst_mi.reconstruction.usable_views import require_contrast, without_contrast
+from tnst_mi.reconstruction.photographs import Photograph, estimated_noise
+from tnst_mi.reconstruction.settings import ReconstructionSettings
 
 #: Noise in parts of the peak that pictures without any are taken to have: no rendering of cells comes nearer to smoke,
 #: and a little of the prior decides what the pictures leave open.

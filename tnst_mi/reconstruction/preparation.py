@@ -24,17 +24,17 @@ from tnst_mi.reconstruction.camera_sets.posed_view import (
     require_files,
 )
 from tnst_mi.reconstruction.camera_sets.reading import read_camera_set
-from tnst_mi.reconstruction.exposure import require_brightness
-from tnst_mi.reconstruction.light_files import light_files
-from tnst_mi.reconstruction.needed_memory import require_memory_for_cells, require_memory_for_pictures
-from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
-from tnst_mi.reconstruction.plausible_pictures import require_plausible
-from tnst_mi.reconstruction.settings import ReconstructionSettings
-from tnst_mi.reconstruction.usable_views import (
+from tnst_mi.reconstruction.checks.exposure import require_brightness
+from tnst_mi.reconstruction.checks.needed_memory import require_memory_for_cells, require_memory_for_pictures
+from tnst_mi.reconstruction.checks.plausible_pictures import require_plausible
+from tnst_mi.reconstruction.checks.usable_views import (
     remarks_of_views,
     require_backgrounds_of_use,
     require_box_in_sight,
 )
+from tnst_mi.reconstruction.photographs import Photograph, read_values, read_weights, require_size, strength
+from tnst_mi.reconstruction.resuming.light_files import light_files
+from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.reconstruction.volume import GridPlace, grid_in_box
 from tnst_mi.rendering.cameras.shots import camera_in_cells
 from tnst_mi.resources import expanded

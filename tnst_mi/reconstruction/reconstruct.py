@@ -13,11 +13,11 @@ from tnst_mi.machine.backend import activate, own_variant
 from tnst_mi.machine.disk import require_writable
 from tnst_mi.machine.interrupt import deferred_interrupt
 from tnst_mi.machine.lock import locked
-from tnst_mi.reconstruction.earlier import remove_earlier
 from tnst_mi.reconstruction.frame_by_frame import FrameByFrame
+from tnst_mi.reconstruction.output.report import remarks_of_frames
 from tnst_mi.reconstruction.preparation import ESTIMATE, prepare
-from tnst_mi.reconstruction.report import remarks_of_frames
-from tnst_mi.reconstruction.state import ReconstructionState
+from tnst_mi.reconstruction.resuming.earlier import remove_earlier
+from tnst_mi.reconstruction.resuming.state import ReconstructionState
 from tnst_mi.resources import expanded
 
 

@@ -16,11 +16,11 @@ from tnst_mi.io.pictures.png import write_png
 from tnst_mi.io.pictures.srgb import srgb
 from tnst_mi.machine.interrupt import Interrupt
 from tnst_mi.machine.progress_bar import progress_bar
+from tnst_mi.reconstruction.fitting.smoke_colours import colour_steps
 from tnst_mi.reconstruction.one_frame import FrameReconstruction, HeldOutView, mean_psnr
+from tnst_mi.reconstruction.output.sides import three_sides
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.records import density_file, frame_name
-from tnst_mi.reconstruction.sides import three_sides
-from tnst_mi.reconstruction.smoke_colours import colour_steps
+from tnst_mi.reconstruction.resuming.records import density_file, frame_name
 
 #: The grid of the smoke's colours, by the name that Houdini has for it.
 COLOUR = "Cd"

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from tnst_mi.io.formats import FORMATS, files_around
-from tnst_mi.reconstruction.records import frame_name
+from tnst_mi.reconstruction.resuming.records import frame_name
 
 #: What the names of a frame's files begin with.
 _OURS = re.compile(rf"{frame_name(None)}(_\d{{4,}})?[._]")

@@ -25,7 +25,7 @@ import numpy as np
 
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density, resample_velocity
-from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.fitting.image_model import ImageModel
 from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 

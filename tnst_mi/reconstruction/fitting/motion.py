@@ -24,7 +24,7 @@ from tnst_mi.fields.grid import Octave, Shape
 from tnst_mi.fields.potentials import velocity
 from tnst_mi.fields.resampling import cubic_matrix, resample_potential, resample_velocity
 from tnst_mi.fields.torch_operation import called_from_torch
-from tnst_mi.reconstruction.descent import Descent
+from tnst_mi.reconstruction.fitting.descent import Descent
 
 #: Standard deviation of |∇u| in cells per frame and cell: 0.10, 0.13 and 0.18 in the bundled simulations.
 GRADIENT = 0.14

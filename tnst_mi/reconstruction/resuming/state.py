@@ -18,10 +18,10 @@ from torch import Tensor
 from tnst_mi.errors import InputError
 from tnst_mi.io.atomic import written_whole
 from tnst_mi.machine.gate import opening
+from tnst_mi.reconstruction.fitting.resumable import ResumableDescent
 from tnst_mi.reconstruction.preparation import Preparation
-from tnst_mi.reconstruction.records import require_sound_record
-from tnst_mi.reconstruction.resumable import ResumableDescent
-from tnst_mi.reconstruction.sources import digest, require_unchanged
+from tnst_mi.reconstruction.resuming.records import require_sound_record
+from tnst_mi.reconstruction.resuming.sources import digest, require_unchanged
 
 #: What is written beside the tensors.
 _TOLD = ("identity", "records", "level", "seconds", "sources", "errors")

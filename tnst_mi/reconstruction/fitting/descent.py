@@ -21,11 +21,11 @@ from torch import Tensor
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.torch_operation import called_from_torch
 from tnst_mi.machine.backend import torch_device
-from tnst_mi.reconstruction.brightness_search import BrightnessSearch
-from tnst_mi.reconstruction.image_model import ImageModel, SeenView
+from tnst_mi.reconstruction.fitting.brightness_search import BrightnessSearch
+from tnst_mi.reconstruction.fitting.image_model import ImageModel, SeenView
+from tnst_mi.reconstruction.fitting.prior import roughness
+from tnst_mi.reconstruction.fitting.rendering import RendererChoice
 from tnst_mi.reconstruction.photographs import Photograph
-from tnst_mi.reconstruction.prior import roughness
-from tnst_mi.reconstruction.rendering import RendererChoice
 
 #: By how much Adam changes the extinction of a cell in a step, at most, in parts of a typical extinction.
 #: A step makes as much of noise as of what there is to find: where derivatives are noisy, smaller ones average more.

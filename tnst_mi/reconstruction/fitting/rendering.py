@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tnst_mi.fields.grid import Octave
 from tnst_mi.recipe.paths import LIGHTS, shipped_lights
-from tnst_mi.reconstruction.image_model import ImageModel
+from tnst_mi.reconstruction.fitting.image_model import ImageModel
 from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.reconstruction.settings import ReconstructionSettings
 from tnst_mi.rendering.renderer import EmissionAbsorptionRenderer, Renderer

@@ -1,0 +1,1 @@
+"""What is changed until its renderings are the pictures: extinction, velocity and colours."""

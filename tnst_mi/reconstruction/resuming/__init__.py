@@ -1,0 +1,1 @@
+"""From where a reconstruction goes on, and whether it still may."""
