@@ -11,7 +11,8 @@ from render_views import camera_at, places, radius_around, write_views
 import tnst_mi
 from tnst_mi.cli import main
 from tnst_mi.io.pictures.exr import read_exr
-from tnst_mi.reconstruction import one_frame, smoke_colours
+from tnst_mi.reconstruction import one_frame
+from tnst_mi.reconstruction.fitting import smoke_colours
 from tnst_mi.reconstruction.output.sides import three_sides
 from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph, strength
 from tnst_mi.reconstruction.reconstruct import reconstruct
