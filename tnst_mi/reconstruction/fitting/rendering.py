@@ -81,9 +81,16 @@ class RendererChoice:
     def _made(self, octave: Octave, size: tuple[int, int], still: bool) -> Renderer:
         s = self._settings
         if s.integrator == "emission_absorption":
-            # The paper's sum depends on the distance of its samples, which are those of the full grid.
-            step = 1.0 if s.quadrature == "paper" else None
+            step = sample_distance(s.quadrature)
             return OpacityRenderer(octave.shape, 1.0, s.quadrature, octave.cell_size, step, size)
         light = LIGHTS / f"{s.light}.xml" if s.light in shipped_lights() else Path(s.light)
         lighting = Lighting(s.albedo, s.anisotropy, light, _STILL_SPP if still else s.spp)
         return ScatteringRenderer(octave.shape, 1.0, octave.cell_size, lighting, size)
+
+
+def sample_distance(quadrature: str) -> float | None:
+    """The distance between samples of a ray on any grid, in full-resolution cells; None for that of the grid's cells.
+
+    The paper's sum depends on it, and pictures of that have the one of the full grid.
+    """
+    return 1.0 if quadrature == "paper" else None

@@ -26,6 +26,7 @@ import numpy as np
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density, resample_velocity
 from tnst_mi.reconstruction.fitting.image_model import ImageModel
+from tnst_mi.reconstruction.fitting.rendering import sample_distance
 from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 
@@ -109,7 +110,7 @@ def as_if_white(
     bright = np.divide(colours, strongest, out=np.ones_like(colours), where=strongest > 0)
     found = []
     for photograph in photographs:
-        view = _ViewGroup(extinction, _renderer(octave, quadrature, _size(photograph)), [photograph])
+        view = _alone(photograph, extinction, octave, quadrature)
         white, luminance = view.opacity[0, ..., 0], view.shown(bright)[0] @ LUMINANCE
         ratio = (white + _FAINT) / (luminance + _FAINT)
         light = model.brightness * view.wanted(model)[0] @ LUMINANCE
@@ -130,8 +131,7 @@ def coloured_images(
     """What is seen of smoke in colour through the cameras of photographs: (rows, columns, 3), in the model's units."""
     found = []
     for photograph in photographs:
-        renderer = _renderer(octave, quadrature, _size(photograph))
-        view = _ViewGroup(extinction, renderer, [photograph])
+        view = _alone(photograph, extinction, octave, quadrature)
         found.append((model.brightness * view.shown(colours) + view.behind(model))[0])
     return found
 
@@ -147,8 +147,8 @@ class _ViewGroup:
         self._extinction, self._renderer = mi.TensorXf(extinction), renderer
         self._cameras = [photograph.camera for photograph in photographs]
         self._photographs = photographs
-        self._white = renderer.images(self._extinction, self._cameras, (0,)).numpy()[..., None]
-        self.opacity, self.weights = self._white, np.stack([one.weights for one in photographs])[..., None]
+        self.opacity = renderer.images(self._extinction, self._cameras, (0,)).numpy()[..., None]
+        self.weights = np.stack([one.weights for one in photographs])[..., None]
 
     def shown(self, colours: np.ndarray) -> np.ndarray:
         """Σ w_k c_k, (V, rows, columns, 3)."""
@@ -239,9 +239,12 @@ def _neighbour_sums(field: np.ndarray) -> np.ndarray:
 
 
 def _renderer(octave: Octave, quadrature: str, size: tuple[int, int]) -> ColouredRenderer:
-    # The paper's sum depends on the distance of its samples, which are those of the full grid.
-    step = 1.0 if quadrature == "paper" else None
-    return ColouredRenderer(octave.shape, 1.0, quadrature, octave.cell_size, step, size)
+    return ColouredRenderer(octave.shape, 1.0, quadrature, octave.cell_size, sample_distance(quadrature), size)
+
+
+def _alone(photograph: Photograph, extinction: np.ndarray, octave: Octave, quadrature: str) -> _ViewGroup:
+    """A group of one view."""
+    return _ViewGroup(extinction, _renderer(octave, quadrature, _size(photograph)), [photograph])
 
 
 def _size(photograph: Photograph) -> tuple[int, int]:

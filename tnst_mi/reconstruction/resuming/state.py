@@ -65,8 +65,9 @@ class ReconstructionState:
             InputError: one cannot be read.
         """
         for file in files:
-            with opening(file, "an input"):
-                self.sources.setdefault(str(file.absolute()), digest(file))
+            if (name := str(file.absolute())) not in self.sources:
+                with opening(file, "an input"):
+                    self.sources[name] = digest(file)
 
     def add_error(self, level: int, mean_square: float) -> None:
         """Take note of the error of one more step on a grid."""
