@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tnst_mi.io.pictures.srgb import srgb
+from tnst_mi.io.pictures.srgb import LUMINANCE, srgb
 
-#: Relative luminance of linear red, green and blue.
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _MIDDLE_GREY = 0.18
 
 
@@ -27,7 +25,7 @@ def tone_mapped(linear: np.ndarray) -> np.ndarray:
     """
     linear = np.maximum(linear, 0.0, dtype=np.float32)
     # In double precision: float32 has values whose sum, or whose ratio to the mean, it has not.
-    luminance = linear @ _LUMINANCE.astype(np.float64)
+    luminance = linear @ LUMINANCE.astype(np.float64)
     if not luminance.any():
         return np.zeros(linear.shape, np.float32)
     scale = _MIDDLE_GREY / np.exp(np.log(luminance[luminance > 0]).mean())

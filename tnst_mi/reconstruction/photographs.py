@@ -13,16 +13,13 @@ from tnst_mi.errors import InputError
 from tnst_mi.io.grids.npz import read_arrays
 from tnst_mi.io.pictures.exr import read_linear
 from tnst_mi.io.pictures.radiance import read_radiance
-from tnst_mi.io.pictures.srgb import linear_of
+from tnst_mi.io.pictures.srgb import LUMINANCE, linear_of
 from tnst_mi.losses.pictures import decoded_by_pillow
 from tnst_mi.machine.gate import opening, silenced
 from tnst_mi.rendering.cameras.camera import Camera
 
 #: Pixels of a picture at most.
 _MOST_PIXELS = 1 << 26
-
-#: Weights of linear red, green and blue in the luminance (ITU-R BT.709).
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 #: Pixels to either side of one, whose mean says which colour it has.
 _AROUND = 2

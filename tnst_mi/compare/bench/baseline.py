@@ -137,8 +137,8 @@ def held_against(baseline: Baseline, families: Sequence[Family]) -> dict[str, st
 
     Half of the false alarms that are allowed are for numbers that change, half for those that cease to agree.
     """
-    changes = merged([_changes(baseline, side, tests) for side in ("left", "right") for tests in families])
-    changes = [tests for tests in changes if len(tests.labels)]
+    known = [(tests, earlier) for tests in families if (earlier := _columns(baseline, tests)) is not None]
+    changes = merged([_changes(earlier, side, tests) for side in ("left", "right") for tests, earlier in known])
     found = alarms(changes, FALSE_ALARMS / 2)
     total, count = sum(len(tests.labels) for tests in changes), sum(int(alarm.sum()) for alarm in found)
     if count:
@@ -153,7 +153,7 @@ def held_against(baseline: Baseline, families: Sequence[Family]) -> dict[str, st
     disagreeing = [tests.name for tests, alarm in zip(families, now, strict=True) if alarm.any()]
     if baseline.record["outcome"] == "agree" and disagreeing:
         return {"outcome": "changed", "verdict": f"CHANGED: the sides agreed, and disagree in {', '.join(disagreeing)}"}
-    if lost := [line for tests in families for line in _lost(baseline, tests)]:
+    if lost := [line for tests, earlier in known for line in _lost(earlier, tests)]:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         return {
             "outcome": "inconclusive",
@@ -175,20 +175,16 @@ def _columns(baseline: Baseline, tests: Family) -> dict[str, np.ndarray] | None:
     return {key: np.array([row[key] for row in found]) for key in (*_NUMBERS, "tested")}
 
 
-def _changes(baseline: Baseline, side: str, tests: Family) -> Family:
-    """Tests of one side against the baseline, in which `left` is the earlier mean."""
+def _changes(earlier: dict[str, np.ndarray], side: str, tests: Family) -> Family:
+    """Tests of one side against the earlier numbers of a family, in which `left` is the earlier mean."""
     name = f"pixels of the {side}" if tests.name == "pixels" else f"of the {side}"
-    earlier = _columns(baseline, tests)
-    kept = slice(None) if earlier is not None else slice(0)
-    now = pixel_columns(tests)
     before, after = (
-        [np.asarray(found[f"{side}{key}"], np.float64)[kept] for key in ("", "_error", "_degrees")]
-        for found in (earlier or now, now)
+        [np.asarray(found[f"{side}{key}"], np.float64) for key in ("", "_error", "_degrees")]
+        for found in (earlier, pixel_columns(tests))
     )
-    tested = np.asarray((earlier or now)["tested"], bool) & tests.tested
     return Family(
         name,
-        tests.labels[kept],
+        tests.labels,
         before[0],
         after[0],
         before[1],
@@ -196,18 +192,15 @@ def _changes(baseline: Baseline, side: str, tests: Family) -> Family:
         before[2],
         after[2],
         welch(*before, *after),
-        tests.allowance[kept],
-        tests.size[kept],
-        np.ones(len(tests.labels))[kept],
-        tested[kept],
+        tests.allowance,
+        tests.size,
+        np.ones(len(tests.labels)),
+        np.asarray(earlier["tested"], bool) & tests.tested,
     )
 
 
-def _lost(baseline: Baseline, tests: Family) -> list[str]:
+def _lost(earlier: dict[str, np.ndarray], tests: Family) -> list[str]:
     """Tests that were possible and are no longer."""
-    earlier = _columns(baseline, tests)
-    if earlier is None:
-        return []
     before = np.asarray(earlier["tested"], bool)
     if tests.name in _ALL_NEEDED:
         gone = before & ~tests.tested

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Relative luminance of linear red, green and blue, whose primaries are those of ITU-R BT.709.
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
 
 def srgb(linear: np.ndarray) -> np.ndarray:
     """The display values of linear ones, float32 of any shape; 0 and 1 stay what they are.

@@ -25,9 +25,10 @@ import numpy as np
 
 from tnst_mi.fields.grid import Octave
 from tnst_mi.fields.resampling import resample_density, resample_velocity
+from tnst_mi.io.pictures.srgb import LUMINANCE
 from tnst_mi.reconstruction.fitting.image_model import ImageModel
 from tnst_mi.reconstruction.fitting.rendering import sample_distance
-from tnst_mi.reconstruction.photographs import LUMINANCE, Photograph
+from tnst_mi.reconstruction.photographs import Photograph
 from tnst_mi.rendering.coloured_renderer import ColouredRenderer
 
 #: Steps on each grid.
